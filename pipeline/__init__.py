@@ -1,0 +1,1 @@
+"""Order, storage, machines, people: what drives the stages."""

@@ -1,0 +1,188 @@
+"""The command: parses, calls, prints. No arithmetic; heavy imports only after the options are checked."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(
+    name="fidpipe",
+    help="How faithful is this simulated LiDAR, and where does it fail?\n\n"
+    "fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the "
+    "geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.\n\n"
+    "Example: fidpipe run dataset/   (dataset/real/*.bin and dataset/sim/*.bin of the same names)",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+EXIT_WRONG_INPUT = 1
+EXIT_PAIRS_FAILED = 3
+EXIT_INTERRUPTED = 130
+
+SettingsFile = Annotated[
+    Path | None, typer.Option("--settings", help="TOML file with settings; those it does not name keep their defaults.")
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="GROUP.NAME=VALUE", help="One setting, such as graph.k=60; repeatable."),
+]
+DatasetFolder = Annotated[
+    Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
+]
+
+
+def main() -> None:
+    """Runs the command; the one place where known errors become exit codes."""
+    from ..schemas.errors import FidpipeError
+
+    # A batch system that ends a job means what Ctrl-C means.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        code = app(standalone_mode=False)
+    except FidpipeError as error:
+        _complain(f"error: {error}")
+        code = EXIT_WRONG_INPUT
+    except typer.Abort:
+        code = EXIT_INTERRUPTED
+    except KeyboardInterrupt:
+        _complain("interrupted; run the same command again to go on")
+        code = EXIT_INTERRUPTED
+    except Exception as error:
+        show = getattr(error, "show", None)  # wrong usage, as click and typer raise it
+        if show is None:
+            raise
+        show()
+        code = getattr(error, "exit_code", 2)
+    sys.stdout.flush()
+    sys.exit(code)
+
+
+def _complain(text: str) -> None:
+    from rich.console import Console
+
+    Console(stderr=True, soft_wrap=True, highlight=False).print(text, markup=False, style="red")
+
+
+def _print(view: Any) -> None:
+    from rich.console import Console
+
+    Console(soft_wrap=not sys.stdout.isatty(), highlight=False).print(view)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from .. import __version__
+
+        print(f"fidpipe {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def check(
+    dataset: DatasetFolder,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+) -> None:
+    """Show what would be read from a dataset, and what is wrong with it; computes nothing.
+
+    Exits with 1 if anything is wrong.
+
+    Example:  fidpipe check dataset/ --set input.min_range_m=3
+    """
+    from ..schemas.settings import load
+    from .check import check_dataset
+    from .report.terminal import check_view
+
+    found = check_dataset(dataset, load(settings, assignments or []))
+    _print(check_view(found))
+    raise typer.Exit(EXIT_WRONG_INPUT if found.faults else 0)
+
+
+@app.command()
+def run(
+    dataset: DatasetFolder,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the run. [default: runs/NAME_OF_DATASET]")
+    ] = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, help="Processes on this machine; 1 starts no cluster. [default: one a core]"),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
+    ] = None,
+    from_stage: Annotated[
+        str | None, typer.Option("--from", metavar="STAGE", help="Make this stage and those after it again.")
+    ] = None,
+    pairs: Annotated[
+        str | None,
+        typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
+    ] = None,
+) -> None:
+    """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
+
+    What is there already and still right is not computed again. Exits with 0 if all pairs are scored, 3 if some failed.
+
+    Examples
+    --------
+    fidpipe run dataset/                         results go to runs/dataset
+
+    fidpipe run dataset/ --set matching.delta_m=3    only matching and what follows is made again
+
+    fidpipe run dataset/ --from metrics --pairs '0001*' --workers 8
+    """
+    from ..schemas.settings import load
+    from .progress import Reporter
+    from .report.terminal import outcome_view
+    from .run import STAGE_NAMES, run_dataset
+    from .session import RunRequest
+
+    if from_stage is not None and from_stage not in STAGE_NAMES:
+        raise typer.BadParameter(
+            f"{from_stage!r} is no stage; one of {', '.join(STAGE_NAMES)} is wanted", param_hint="--from"
+        )
+    if scheduler is not None and workers is not None:
+        raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")
+    request = RunRequest(
+        dataset=dataset,
+        out=out or Path("runs") / (dataset.resolve().name or "dataset"),
+        settings=load(settings, assignments or []),
+        workers=workers,
+        scheduler=scheduler,
+        from_stage=from_stage,
+        pattern=pairs,
+    )
+    outcome = run_dataset(request, Reporter())
+    _print(outcome_view(outcome))
+    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+@app.command()
+def status(
+    run: Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)],
+) -> None:
+    """Show how far a run is: for each stage, how many pairs are done, stale, failed or to do.
+
+    Example:  fidpipe status runs/dataset
+    """
+    from .report.terminal import status_view
+    from .status import run_status
+
+    _print(status_view(run_status(run)))

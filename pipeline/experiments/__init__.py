@@ -1,0 +1,1 @@
+"""Drive the same stages on made or altered scans."""

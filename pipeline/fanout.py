@@ -1,0 +1,226 @@
+"""Where tasks run: in this process, on a local dask cluster, or on the cluster behind a scheduler's address.
+
+The only file that imports dask, and only when a cluster is wanted. A pool takes a function and its arguments and
+gives back what became of it, in any order. Leaves to others: which tasks there are and in which order (`schedule`).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import logging
+import os
+import queue
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..schemas.errors import RunError
+
+_CONNECT_TIMEOUT_S = 15
+_FIRST_WORKER_TIMEOUT_S = 60
+
+
+@dataclass(eq=False)
+class Handle:
+    """A task that was submitted."""
+
+    future: Any = None
+
+
+@dataclass(frozen=True)
+class WorkerDied:
+    """The outcome of a task whose worker process went away while it ran."""
+
+    detail: str
+
+
+class Pool(Protocol):
+    """Somewhere to run tasks."""
+
+    @property
+    def n_workers(self) -> int:
+        """How many tasks run at once."""
+
+    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
+        """Starts a task; those of higher priority first. With `keep` the result stays where it is made.
+
+        A list of handles among the arguments becomes the list of their results.
+        """
+
+    def next_done(self) -> tuple[Handle, Any]:
+        """Waits for a task to end: its result (None with `keep`), or `WorkerDied`."""
+
+    def close(self, *, now: bool = False) -> None:
+        """Ends the pool; `now` does not wait for running tasks."""
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Within it numeric libraries use one thread: two processes of two threads are slower, and sums would differ."""
+    import sklearn  # noqa: F401  (brings the libraries whose threads are to be limited)
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+class InProcess:
+    """Runs each task in this process when its outcome is asked for."""
+
+    n_workers = 1
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[float, int, Handle, Callable[[], Any], bool]] = []
+        self._count = itertools.count()
+        self._threads = one_blas_thread()
+        self._threads.__enter__()
+
+    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
+        """See `Pool`."""
+        handle = Handle()
+
+        def call() -> Any:
+            return function(*([of.future for of in arg] if _is_handles(arg) else arg for arg in args))
+
+        heapq.heappush(self._waiting, (-priority, next(self._count), handle, call, keep))
+        return handle
+
+    def next_done(self) -> tuple[Handle, Any]:
+        """See `Pool`."""
+        _, _, handle, call, keep = heapq.heappop(self._waiting)
+        handle.future = call()
+        return handle, None if keep else handle.future
+
+    def close(self, *, now: bool = False) -> None:
+        """See `Pool`."""
+        self._threads.__exit__(None, None, None)
+
+
+@dataclass
+class _Worker:
+    """What a worker process remembers between tasks."""
+
+    limits: Any = field(default=None)
+
+
+_WORKER = _Worker()
+
+
+def _in_worker(function: Callable[..., Any], *args: Any) -> Any:
+    if _WORKER.limits is None:
+        _WORKER.limits = one_blas_thread()
+        _WORKER.limits.__enter__()
+    return function(*args)
+
+
+class DaskPool:
+    """Runs tasks on the workers of a dask scheduler.
+
+    Parameters
+    ----------
+    n_workers : processes of a cluster on this machine; None for one a core
+    address : of a scheduler whose workers see the same files; no cluster is started then
+    shared_file : a file that every worker must see with the same content
+
+    Raises
+    ------
+    RunError
+        The scheduler cannot be reached, or a worker does not see the files or has other library versions.
+    """
+
+    def __init__(
+        self, n_workers: int | None, address: str | None, shared_file: Path, libraries: dict[str, str]
+    ) -> None:
+        import dask
+        import distributed
+
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        dask.config.set({"distributed.scheduler.allowed-failures": 0, "distributed.admin.tick.limit": "1h"})
+        self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._handles: dict[str, tuple[Handle, bool]] = {}
+        self._killed_worker = distributed.scheduler.KilledWorker
+        self._cluster = None
+        if address is None:
+            self._cluster = distributed.LocalCluster(
+                n_workers=n_workers or cpu_count(),
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
+        try:
+            self._client = distributed.Client(
+                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
+            )
+            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
+        except (OSError, TimeoutError) as error:
+            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
+        if address is not None:
+            self._check_workers(address, shared_file, libraries)
+
+    @property
+    def n_workers(self) -> int:
+        """Threads of all workers that are there now, at least 1."""
+        return max(1, sum(int(n) for n in self._client.nthreads().values()))
+
+    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
+        """See `Pool`."""
+        passed = [[of.future for of in arg] if _is_handles(arg) else arg for arg in args]
+        future = self._client.submit(_in_worker, function, *passed, pure=False, priority=priority)
+        handle = Handle(future)
+        self._handles[future.key] = handle, keep
+        future.add_done_callback(self._done.put)
+        return handle
+
+    def next_done(self) -> tuple[Handle, Any]:
+        """See `Pool`."""
+        future = self._done.get()
+        handle, keep = self._handles.pop(future.key)
+        if future.status != "finished":
+            error = future.exception() if future.status == "error" else None
+            if error is None or isinstance(error, self._killed_worker):
+                return handle, WorkerDied(str(error or future.status))
+            raise error
+        return handle, None if keep else future.result()
+
+    def close(self, *, now: bool = False) -> None:
+        """See `Pool`."""
+        self._client.close(timeout=1 if now else None)
+        if self._cluster is not None:
+            self._cluster.close(timeout=2 if now else None)
+
+    def _check_workers(self, address: str, shared_file: Path, libraries: dict[str, str]) -> None:
+        content = shared_file.read_bytes()
+        for worker, fault in self._client.run(worker_fault, str(shared_file.resolve()), content, libraries).items():
+            if fault:
+                raise RunError(f"scheduler {address}, worker {worker}: {fault}")
+
+
+def worker_fault(path: str, content: bytes, libraries: dict[str, str]) -> str:
+    """Why a worker cannot serve a run: it does not see the run's files, or has other versions; "" if it can."""
+    from .plan import library_versions
+
+    try:
+        found = Path(path).read_bytes()
+    except OSError as error:
+        return f"{path} cannot be read there ({error.strerror}); workers must see the same files under the same paths"
+    if found != content:
+        return f"{path} is another file there; workers must see the same files under the same paths"
+    versions = library_versions(libraries)
+    other = [
+        f"{name} {versions[name]} (here {wanted})" for name, wanted in libraries.items() if versions[name] != wanted
+    ]
+    return f"other library versions: {', '.join(other)}; install the same ones there" if other else ""
+
+
+def cpu_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _is_handles(arg: Any) -> bool:
+    return isinstance(arg, list) and all(isinstance(of, Handle) for of in arg)

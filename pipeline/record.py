@@ -1,0 +1,153 @@
+"""The record of a run: what it was made with, from and on, and how long each step took.
+
+Leaves to others: the results themselves (`store`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..schemas.settings import Settings
+from ..schemas.tables import OBJECT_METRICS
+from ..stages.summary import summarise_dataset
+from .plan import Stage, library_versions
+from .store import JobRecord
+
+RUN_JSON = "run.json"
+SETTINGS_TOML = "settings.toml"
+
+#: Everything whose version can change a number or a file.
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "scikit-learn",
+    "scikit-network",
+    "python-louvain",
+    "networkx",
+    "pyarrow",
+    "pandas",
+    "dask",
+    "distributed",
+    "trimesh",
+    "pypcd4",
+)
+
+#: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
+DATASET_VALUES = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
+
+
+def read_run(folder: Path) -> dict[str, Any]:
+    """The record of a run; {} where there is none yet."""
+    try:
+        record: dict[str, Any] = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return {}
+    return record
+
+
+def dumps(record: Mapping[str, Any]) -> bytes:
+    """A record as JSON text."""
+    return (json.dumps(record, indent=1, allow_nan=False) + "\n").encode()
+
+
+def run_header(dataset: Path, settings: Settings, stages: Iterable[Stage]) -> dict[str, Any]:
+    """What `run.json` holds from the start of a run: what it is made from and with."""
+    return {
+        "fidpipe": __version__,
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "dataset": str(dataset.resolve()),
+        "settings": settings.model_dump(mode="json"),
+        "seed": settings.communities.seed,
+        "stages": {stage.name: stage.version for stage in stages},
+        "libraries": library_versions(LIBRARIES),
+        "machine": {
+            "python": platform.python_version(),
+            "system": platform.platform(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+        },
+    }
+
+
+def run_record(
+    header: Mapping[str, Any],
+    input_hashes: Mapping[str, Mapping[str, str]],
+    rows: list[dict[str, Any]],
+    wall_s: Mapping[str, float],
+    n_workers: int,
+) -> dict[str, Any]:
+    """What `run.json` holds at the end of a run.
+
+    Parameters
+    ----------
+    header : from `run_header`
+    input_hashes : content hash by pair and side
+    rows : of `pairs`
+    wall_s : seconds of this command by phase
+    n_workers : of this command; 0 where there was nothing to do
+    """
+    scored = [row for row in rows if row["status"] == "scored"]
+    return {
+        **header,
+        "workers": n_workers,
+        "wall_s": dict(wall_s),
+        "pairs": {"scored": len(scored), "failed": len(rows) - len(scored)},
+        "summary": summarise_dataset({name: [row[name] for row in scored] for name in DATASET_VALUES}),
+        "inputs": {pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
+    }
+
+
+def timing_rows(records: Iterable[JobRecord], made_now: set[tuple[str, str, str]]) -> list[dict[str, Any]]:
+    """Rows of `timings` from the finished jobs; those not made now are reused."""
+    return [
+        {
+            "pair_id": record.pair_id,
+            "side": record.side or None,
+            "stage": record.stage,
+            "step": step,
+            "seconds": seconds,
+            "reused": record.name not in made_now,
+        }
+        for record in records
+        for step, seconds in record.steps
+    ]
+
+
+def what_changed(before: Mapping[str, Any], settings: Settings, stages: Iterable[Stage]) -> list[str]:
+    """In words, what is other than in the record of the last run: settings, library versions, stage code."""
+    if not before:
+        return []
+    changes = []
+    now = settings.model_dump(mode="json")
+    for group, values in now.items():
+        old = before["settings"].get(group, {})
+        changes += [
+            f"{group}.{name} was {old.get(name)}, is {value}"
+            for name, value in values.items()
+            if old.get(name) != value
+        ]
+    for name, found in library_versions(before["libraries"]).items():
+        if found != before["libraries"][name]:
+            changes.append(f"{name} was {before['libraries'][name]}, is {found}")
+    for stage in stages:
+        if before["stages"].get(stage.name) != stage.version:
+            changes.append(f"code of stage {stage.name} is new")
+    return changes
+
+
+def _processor() -> str:
+    """The processor's name."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor()

@@ -1,0 +1,316 @@
+"""A run's folder: where each table lies, by which key it is wanted, and whether what lies there is whole.
+
+A table is written under a name that begins with a dot, flushed and renamed. What was written stands in the run's
+index, one JSON line a job: its key, and length and content hash of each file. A job's result is reused if and only
+if the index has it under the wanted key and its files agree with the index. Leaves to others: which stages there
+are (`run`), what a table holds (`schemas.tables`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..schemas.errors import RunError
+from ..schemas.tables import TABLES
+
+INDEX = "index.jsonl"
+_LOCK = ".lock"
+_TOKEN = ".writer"
+_LONGEST_NAME_BYTES = 120
+
+JobName = tuple[str, str, str]  #: stage, pair_id, side ("" where the stage takes both sides)
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """A file as it was written: its length and content hash, and the file system's marks of that moment."""
+
+    size: int
+    sha256: str
+    mtime_ns: int
+    ctime_ns: int
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """One line of the index: a finished job.
+
+    files : by path relative to the run
+    facts : small results that are not a table
+    steps : name and seconds of each step
+    """
+
+    stage: str
+    pair_id: str
+    side: str
+    key: str
+    files: dict[str, StoredFile]
+    facts: dict[str, Any] = field(default_factory=dict)
+    steps: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def name(self) -> JobName:
+        """What the job is called in the index."""
+        return self.stage, self.pair_id, self.side
+
+
+def key_of(*parts: Any) -> str:
+    """A hash of plain values (numbers, strings, lists, dictionaries): equal if and only if they are."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def file_stem(pair_id: str) -> str:
+    """A safe file name for a pair: percent-escaped; where that is long or begins oddly, a slug and a hash.
+
+    Examples
+    --------
+    >>> file_stem("000104"), file_stem("street 5")
+    ('000104', 'street%205')
+    >>> file_stem("_x")
+    'x~a01e47cb4cec0963'
+    """
+    escaped = quote(pair_id, safe="").replace("~", "%7E")
+    if escaped[0].isalnum() and len(escaped) <= _LONGEST_NAME_BYTES:
+        return escaped
+    slug = re.sub(r"^[^A-Za-z0-9]+", "", escaped)[:80] or "pair"
+    return f"{slug}~{hashlib.sha256(pair_id.encode()).hexdigest()[:16]}"
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class TableFolder:
+    """The tables of a run, as a job sees them: paths, atomic writes, checked reads. Holds no lock and no index.
+
+    `token` names the run that may write here; a job whose run has ended (killed, and another one started) finds
+    another token in the folder and writes nothing.
+    """
+
+    def __init__(self, folder: Path, token: str) -> None:
+        self.folder = folder
+        self.token = token
+
+    def path(self, table: str, pair_id: str, side: str = "") -> Path:
+        """Where a table of a pair lies."""
+        return self.folder / table / f"{file_stem(pair_id)}{'.' + side if side else ''}.parquet"
+
+    def write(self, table: str, rows: pa.Table, key: str, pair_id: str, side: str = "") -> tuple[str, StoredFile]:
+        """Writes a table of a pair under its key; returns its name in the index and what was written."""
+        path = self.path(table, pair_id, side)
+        return str(path.relative_to(self.folder)), self.write_at(path, table, rows, key)
+
+    def write_at(self, path: Path, table: str, rows: pa.Table, key: str) -> StoredFile:
+        """Writes a table to a path of this run, whole or not at all."""
+        schema = TABLES[table]
+        rows = schema.check(rows)
+        own = {
+            b"fidpipe.table": table.encode(),
+            b"fidpipe.schema_version": str(schema.version).encode(),
+            b"fidpipe.key": key.encode(),
+        }
+        sink = pa.BufferOutputStream()
+        pq.write_table(
+            rows.replace_schema_metadata(own),
+            sink,
+            compression="zstd",
+            use_dictionary=[field.name for field in schema.schema if field.type == pa.string()],
+            column_encoding=_encodings(schema.schema),
+        )
+        content = sink.getvalue()
+        self.replace(path, content)
+        status = path.stat()
+        return StoredFile(status.st_size, hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
+
+    def read(self, table: str, stored: StoredFile, path: Path, columns: list[str] | None = None) -> pa.Table:
+        """Reads a table that must be as it was stored; all columns are checked, or only the named ones are read."""
+        content = path.read_bytes()
+        if len(content) != stored.size or hashlib.sha256(content).hexdigest() != stored.sha256:
+            raise RunError(f"{path}: the file changed while the run was using it; run the same command again")
+        rows = pq.read_table(pa.BufferReader(content), columns=columns)
+        return rows if columns else TABLES[table].check(rows.cast(TABLES[table].schema))
+
+    def replace(self, path: Path, content: bytes | memoryview | pa.Buffer) -> None:
+        """Puts a whole file in place of another: written beside it under a dot name, flushed, renamed."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
+        try:
+            with temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            self._check_token()
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    def _check_token(self) -> None:
+        try:
+            found = (self.folder / _TOKEN).read_text()
+        except FileNotFoundError:
+            found = ""
+        if found != self.token:
+            raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+
+
+class Store(TableFolder):
+    """A run's folder as the command sees it: the one holder of its lock and the one writer of its index."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, secrets.token_hex(8))
+        self.records: dict[JobName, JobRecord] = {}
+        self.failures: dict[str, dict[str, Any]] = {}
+        self.inputs: dict[str, dict[str, Any]] = {}
+        self._load_index()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Holds the run's lock; the operating system frees it when the process ends, however it ends.
+
+        Raises
+        ------
+        RunError
+            Another run holds it.
+        """
+        from filelock import FileLock, Timeout
+
+        self.folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(self.folder / _LOCK)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise RunError(
+                f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
+            ) from None
+        try:
+            self._load_index()
+            self.token_path.write_text(self.token)
+            self.compact()  # a line torn by a crash must not run into the next one
+            yield
+        finally:
+            lock.release()
+
+    @property
+    def token_path(self) -> Path:
+        """The file that names the run which may write here."""
+        return self.folder / _TOKEN
+
+    def note_job(self, record: JobRecord) -> None:
+        """Adds a finished job to the index, at once."""
+        self.records[record.name] = record
+        self._append({"job": asdict(record)})
+
+    def note_failure(self, pair_id: str, facts: dict[str, Any]) -> None:
+        """Adds to the index why a pair failed, at once."""
+        self.failures[pair_id] = facts
+        self._append({"failure": pair_id, "facts": facts})
+
+    def note_input(self, name: str, facts: dict[str, Any]) -> None:
+        """Adds what was learnt of an input file, at once."""
+        self.inputs[name] = facts
+        self._append({"input": name, "facts": facts})
+
+    def is_whole(self, record: JobRecord) -> bool:
+        """Whether the files of a job are as they were written.
+
+        A file whose length and times are those of the moment it was written is taken as it is; any other is hashed.
+        """
+        return all(_agrees(self.folder / name, stored) for name, stored in record.files.items())
+
+    def forget(self, record: JobRecord) -> None:
+        """Removes a job's files and takes it out of the index."""
+        for name in record.files:
+            (self.folder / name).unlink(missing_ok=True)
+        self.records.pop(record.name, None)
+
+    def strays(self, stage_folders: Iterable[str]) -> list[Path]:
+        """Files in the stage folders that are in no record: half-written ones, and those of a killed run."""
+        known = {name for record in self.records.values() for name in record.files}
+        return [
+            path
+            for stage in stage_folders
+            for path in sorted((self.folder / stage).glob("*"))
+            if str(path.relative_to(self.folder)) not in known and path.is_file()
+        ]
+
+    def compact(self) -> None:
+        """Writes the index anew, each job, failure and input once."""
+        lines = [_index_line({"input": name, "facts": facts}) for name, facts in sorted(self.inputs.items())]
+        lines += [_index_line({"failure": pair_id, "facts": facts}) for pair_id, facts in sorted(self.failures.items())]
+        lines += [_index_line({"job": asdict(record)}) for _, record in sorted(self.records.items())]
+        self.replace(self.folder / INDEX, "".join(lines).encode())
+
+    def _append(self, entry: dict[str, Any]) -> None:
+        with (self.folder / INDEX).open("a", encoding="ascii") as file:
+            file.write(_index_line(entry))
+
+    def _load_index(self) -> None:
+        self.records.clear()
+        self.failures.clear()
+        self.inputs.clear()
+        path = self.folder / INDEX
+        if not path.exists():
+            return
+        for line in path.read_bytes().split(b"\n"):
+            entry = _index_entry(line)
+            if "job" in entry:
+                job = entry["job"]
+                files = {name: StoredFile(**stored) for name, stored in job.pop("files").items()}
+                steps = tuple((step, seconds) for step, seconds in job.pop("steps"))
+                record = JobRecord(**job, files=files, steps=steps)
+                self.records[record.name] = record
+            elif "failure" in entry:
+                self.failures[entry["failure"]] = entry["facts"]
+            elif "input" in entry:
+                self.inputs[entry["input"]] = entry["facts"]
+
+
+def _index_line(entry: dict[str, Any]) -> str:
+    text = json.dumps(entry)
+    return f"{_line_hash(text.encode())} {text}\n"
+
+
+def _index_entry(line: bytes) -> dict[str, Any]:
+    """The entry of an index line; {} of a torn or damaged one, so that what it spoke of is made again."""
+    found, _, text = line.partition(b" ")
+    if found != _line_hash(text).encode():
+        return {}
+    entry: dict[str, Any] = json.loads(text)
+    return entry
+
+
+def _line_hash(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _agrees(path: Path, stored: StoredFile) -> bool:
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return False
+    if status.st_size != stored.size:
+        return False
+    if (status.st_mtime_ns, status.st_ctime_ns) == (stored.mtime_ns, stored.ctime_ns):
+        return True
+    return hash_file(path) == stored.sha256
+
+
+def _encodings(schema: pa.Schema) -> dict[str, str]:
+    """Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane."""
+    of_type = {pa.int32(): "DELTA_BINARY_PACKED", pa.float64(): "BYTE_STREAM_SPLIT", pa.float32(): "BYTE_STREAM_SPLIT"}
+    return {field.name: of_type[field.type] for field in schema if field.type in of_type}

@@ -1,0 +1,1 @@
+"""What data looks like: tables, settings, errors. Imports no other room."""

@@ -1,0 +1,27 @@
+"""The errors that users meet. Each is one line: the thing, the value found, the value wanted, the next step."""
+
+from __future__ import annotations
+
+
+class FidpipeError(Exception):
+    """A fault of the input or of a setting; the command prints its one line and exits with 1."""
+
+
+class SettingsError(FidpipeError):
+    """A setting that does not exist or whose value is out of bounds."""
+
+
+class DatasetError(FidpipeError):
+    """A fault of the dataset as a whole: nothing can start."""
+
+
+class ScanError(FidpipeError):
+    """A fault of one scan file: its pair fails, the others run."""
+
+
+class StageError(FidpipeError):
+    """A stage that cannot go on with what it was given: its pair fails, the others run."""
+
+
+class RunError(FidpipeError):
+    """A fault of the run folder: it is in use, or it is not ours."""

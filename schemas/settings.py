@@ -1,0 +1,200 @@
+"""The settings of a run: one frozen class a stage, defaults and bounds beside each field.
+
+The defaults are those of the paper where it gives one. Nothing here touches a file but `load`,
+which layers a TOML file and `--set` words over the defaults and names the field that is wrong.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from .errors import SettingsError
+
+Box = tuple[float, float, float, float, float, float]
+
+
+class _Group(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class InputSettings(_Group):
+    """How scans are read and cleaned."""
+
+    columns: tuple[str, ...] | None = Field(
+        None,
+        description="names of the float32 columns of a .bin file; by default x y z intensity (and ring in .pcd.bin)",
+    )
+    min_range_m: Annotated[float, Field(ge=0, description="nearer points are dropped (3-D range, own frame)")] = 2.5
+    max_range_m: Annotated[float, Field(gt=0, description="farther points are dropped")] = 100.0
+    exclude_box: Box | None = Field(
+        None,
+        description="xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)",
+    )
+    include_box: Box | None = Field(
+        None, description="xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped"
+    )
+    sim_flip_y: bool = Field(False, description="negate y of the simulated side (left-handed simulators such as CARLA)")
+
+    @field_validator("columns", "exclude_box", "include_box", mode="before")
+    @classmethod
+    def _split_words(cls, value: Any) -> Any:
+        """`x,y,z,intensity` and `x y z intensity` are read as lists."""
+        return value.replace(",", " ").split() if isinstance(value, str) else value
+
+    @field_validator("columns")
+    @classmethod
+    def _columns_hold_xyz(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if value is not None:
+            if not {"x", "y", "z"} <= set(value):
+                raise ValueError("x, y and z must be among the names")
+            if len(set(value)) != len(value):
+                raise ValueError("each name may stand once")
+        return value
+
+    @field_validator("exclude_box", "include_box")
+    @classmethod
+    def _box_has_volume(cls, value: Box | None) -> Box | None:
+        if value is not None and any(value[i] >= value[i + 3] for i in range(3)):
+            raise ValueError("each minimum must be below its maximum (xmin ymin zmin xmax ymax zmax)")
+        return value
+
+    @model_validator(mode="after")
+    def _ranges_in_order(self) -> InputSettings:
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError(f"min_range_m {self.min_range_m} must be below max_range_m {self.max_range_m}")
+        return self
+
+
+class GroundSettings(_Group):
+    """How the road is cut away."""
+
+    method: Literal["pca", "patchwork", "none"] = Field(
+        "pca", description="PCA Z-cut, patchwork++ (an extra), or no cut"
+    )
+    prior_m: Annotated[float, Field(ge=0, le=5, description="a-priori threshold above the road's peak")] = 0.30
+    max_variance_loss: Annotated[
+        float, Field(ge=0, le=1, description="the threshold is lowered while the loss is above")
+    ] = 0.01
+    loss: Literal["removed", "total"] = Field(
+        "removed", description="scatter of the removed points along the axis, or relative change of the total variance"
+    )
+    shared: bool = Field(False, description="cut both sides with the real side's axis and threshold (method pca)")
+
+    @model_validator(mode="after")
+    def _shared_needs_pca(self) -> GroundSettings:
+        if self.shared and self.method != "pca":
+            raise ValueError(f'shared = true needs method = "pca", not "{self.method}"')
+        return self
+
+
+class GraphSettings(_Group):
+    """Which points are joined."""
+
+    k: Annotated[int, Field(ge=1, le=2000, description="nearest neighbours of each point")] = 90
+    tau_m: Annotated[float, Field(ge=0, le=10, description="all pairs within this distance are joined")] = 0.2
+    edges: Literal["union", "intersection"] = Field("union", description="kNN or tau pairs, or kNN pairs within tau")
+
+
+class CommunitySettings(_Group):
+    """How the graph falls into objects."""
+
+    backend: Literal["scikit-network", "python-louvain"] = Field("scikit-network", description="Louvain implementation")
+    seed: Annotated[int, Field(ge=0, lt=2**31, description="seed of the node order")] = 0
+
+
+class MatchingSettings(_Group):
+    """Which real object is which simulated one."""
+
+    delta_m: Annotated[float, Field(gt=0, description="centroids at this distance or farther do not match")] = 5.0
+    method: Literal["greedy", "optimal"] = Field(
+        "greedy", description="Algorithm 1, or most matches at least total distance"
+    )
+
+
+class SelectionSettings(_Group):
+    """Which nodes stand for an object."""
+
+    t: Annotated[float, Field(gt=0, le=100, description="diffusion time of the heat kernel")] = 1.0
+
+
+class Settings(_Group):
+    """All settings of a run; `fidpipe run --set graph.k=60` changes one."""
+
+    input: InputSettings = InputSettings()
+    ground: GroundSettings = GroundSettings()
+    graph: GraphSettings = GraphSettings()
+    communities: CommunitySettings = CommunitySettings()
+    matching: MatchingSettings = MatchingSettings()
+    selection: SelectionSettings = SelectionSettings()
+
+
+def load(path: Path | None = None, assignments: Iterable[str] = ()) -> Settings:
+    """Settings from defaults, then a TOML file, then words such as `graph.k=60`.
+
+    Raises
+    ------
+    SettingsError
+        The file cannot be read, a word has no `=`, a name is unknown or a value is out of bounds.
+    """
+    values: dict[str, Any] = {}
+    if path is not None:
+        try:
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise SettingsError(f"settings file {path}: cannot be read ({error})") from error
+        except tomllib.TOMLDecodeError as error:
+            raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
+    for word in assignments:
+        name, equals, text = word.partition("=")
+        parts = name.strip().split(".")
+        if not equals or len(parts) != 2 or not all(parts):
+            raise SettingsError(f"--set {word!r}: GROUP.NAME=VALUE is wanted, such as graph.k=60")
+        group = values.setdefault(parts[0], {})
+        if not isinstance(group, dict):
+            raise SettingsError(f"setting {parts[0]}: {group!r} found, a table of settings is wanted")
+        group[parts[1]] = _toml_value(text.strip())
+    return parse(values)
+
+
+def parse(values: dict[str, Any]) -> Settings:
+    """Settings from nested dictionaries; `SettingsError` names the first field that is wrong."""
+    try:
+        return Settings.model_validate(values)
+    except ValidationError as error:
+        raise SettingsError(_first_fault(error)) from error
+
+
+def to_toml(settings: Settings) -> str:
+    """The settings as TOML; those that are unset (None) are left out, so that `load` reads it back."""
+    import tomli_w
+
+    return tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True))
+
+
+def _toml_value(text: str) -> Any:
+    """A TOML value if it is one, else the text itself: `greedy` needs no quotes."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _first_fault(error: ValidationError) -> str:
+    fault = error.errors()[0]
+    name = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        return f"setting {name}: no such setting; known are {_known_beside(fault['loc'])}"
+    return f"setting {name}: {fault['input']!r} found; {fault['msg'].removeprefix('Value error, ')}"
+
+
+def _known_beside(location: tuple[int | str, ...]) -> str:
+    group: Any = Settings
+    for part in location[:-1]:
+        group = group.model_fields[part].annotation
+    prefix = ".".join(str(part) for part in location[:-1])
+    return ", ".join(f"{prefix}.{field}" if prefix else field for field in group.model_fields)

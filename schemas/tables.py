@@ -1,0 +1,281 @@
+"""The tables that fidpipe writes: columns, types, nullability, units, keys and versions.
+
+This is the contract with everybody who reads our Parquet. `Table.check` is called before a table is written
+and after it is read; a column's unit and meaning travel in its field metadata.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+
+SIDES = ("real", "sim")
+
+#: The object metrics whose mean and standard deviation stand in `pairs`, in that order.
+OBJECT_METRICS = (
+    "centroid_distance_m",
+    "cdc",
+    "r_lambda",
+    "r_gap",
+    "max_eigenvalue_shift",
+    "laplacian_change",
+    "eigenspectrum_distance",
+    "alignment_rms_m",
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table: its name, its columns, and the columns by which its rows are sorted."""
+
+    name: str
+    schema: pa.Schema
+    keys: tuple[str, ...]
+    version: int = 1
+
+    def check(self, table: pa.Table) -> pa.Table:
+        """The table itself, if names, types and nullability are as agreed.
+
+        Raises
+        ------
+        ValueError
+            A column is missing, surplus, of another type, or has a null that the schema forbids.
+        """
+        if table.schema.names != self.schema.names:
+            raise ValueError(f"table {self.name}: columns {table.schema.names} found, {self.schema.names} wanted")
+        for field in self.schema:
+            column = table.column(field.name)
+            if column.type != field.type:
+                raise ValueError(f"table {self.name}, column {field.name}: {column.type} found, {field.type} wanted")
+            if not field.nullable and column.null_count:
+                raise ValueError(
+                    f"table {self.name}, column {field.name}: {column.null_count} nulls found, none allowed"
+                )
+        return table
+
+    def build(self, columns: dict[str, Any], n_rows: int | None = None) -> pa.Table:
+        """A checked table from arrays; a single string, number or None fills its column for `n_rows` rows."""
+        if n_rows is None:
+            n_rows = next(len(value) for value in columns.values() if _is_column(value))
+        arrays = []
+        for field in self.schema:
+            value = columns[field.name]
+            if _is_column(value):
+                arrays.append(pa.array(value, type=field.type, from_pandas=False))
+            else:
+                arrays.append(pa.repeat(pa.scalar(value, type=field.type), n_rows))
+        return self.check(pa.Table.from_arrays(arrays, schema=self.schema))
+
+    def from_rows(self, rows: Iterable[dict[str, Any]]) -> pa.Table:
+        """A checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
+        table = pa.Table.from_pylist(list(rows), schema=self.schema)
+        return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
+
+
+def _is_column(value: Any) -> bool:
+    return hasattr(value, "__len__") and not isinstance(value, str)
+
+
+def _field(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional: bool = False) -> pa.Field:
+    metadata = {"meaning": meaning}
+    if unit:
+        metadata["unit"] = unit
+    return pa.field(name, kind, nullable=optional, metadata=metadata)
+
+
+_STRING, _ID, _REAL, _FLAG, _COUNT = pa.string(), pa.int32(), pa.float64(), pa.bool_(), pa.int32()
+
+_PAIR = _field("pair_id", _STRING, "name of the scan pair")
+_SIDE = _field("side", _STRING, "real or sim")
+_POINT = _field("point_id", _ID, "row of the point in its input file, from 0")
+_COMMUNITY = _field("community_id", _ID, "object of this side; 0 is the largest")
+_LABEL = _field("label", _STRING, "semantic class, where the input has labels", optional=True)
+
+GROUND = Table(
+    "ground",
+    pa.schema(
+        [
+            _PAIR,
+            _SIDE,
+            _POINT,
+            _field("x", _REAL, "forward, real sensor's frame", "m"),
+            _field("y", _REAL, "left, real sensor's frame", "m"),
+            _field("z", _REAL, "up, real sensor's frame", "m"),
+            _field("height_m", _REAL, "height along the ground axis, from the road's peak", "m"),
+            _field("is_ground", _FLAG, "below the ground threshold; only the others go on"),
+            _field("intensity", _REAL, "as in the input file", optional=True),
+            _LABEL,
+        ]
+    ),
+    ("point_id",),
+)
+
+GRAPH = Table(
+    "graph",
+    pa.schema(
+        [
+            _PAIR,
+            _SIDE,
+            _field("src", _ID, "point id, the smaller of the two"),
+            _field("dst", _ID, "point id, the larger of the two"),
+            _field("length_m", pa.float32(), "Euclidean distance: the weight of the edge", "m"),
+        ]
+    ),
+    ("src", "dst"),
+)
+
+COMMUNITIES = Table("communities", pa.schema([_PAIR, _SIDE, _POINT, _COMMUNITY]), ("point_id",))
+
+OBJECTS = Table(
+    "objects",
+    pa.schema(
+        [
+            _PAIR,
+            _SIDE,
+            _COMMUNITY,
+            _field("n_points", _COUNT, "object points of the community"),
+            _field("cx", _REAL, "centroid: mean of the member points", "m"),
+            _field("cy", _REAL, "centroid", "m"),
+            _field("cz", _REAL, "centroid", "m"),
+            _field("range_m", _REAL, "distance of the centroid from the sensor", "m"),
+            _field("extent_x", _REAL, "axis-aligned size", "m"),
+            _field("extent_y", _REAL, "axis-aligned size", "m"),
+            _field("extent_z", _REAL, "axis-aligned size", "m"),
+            _field("linearity", _REAL, "(l1 - l2) / l1 of the covariance eigenvalues l1 >= l2 >= l3; 0 where l1 is 0"),
+            _field("planarity", _REAL, "(l2 - l3) / l1"),
+            _field("scattering", _REAL, "l3 / l1"),
+            _field("label", _STRING, "most frequent label of the member points", optional=True),
+        ]
+    ),
+    ("community_id",),
+)
+
+MATCHING = Table(
+    "matching",
+    pa.schema(
+        [
+            _PAIR,
+            _field("real_id", _ID, "community of the real side; null where hallucinated", optional=True),
+            _field("sim_id", _ID, "community of the simulated side; null where missing", optional=True),
+            _field("centroid_distance_m", _REAL, "between matched centroids", "m", optional=True),
+            _field("status", _STRING, "matched, missing (real only) or hallucinated (simulated only)"),
+        ]
+    ),
+    ("real_id", "sim_id"),
+)
+
+SELECTION = Table(
+    "selection",
+    pa.schema(
+        [
+            _PAIR,
+            _field("real_id", _ID, "community of the real side"),
+            _field("sim_id", _ID, "community of the simulated side"),
+            _field("rank", _ID, "from 0, by decreasing real influence, ties by point id"),
+            _field("real_point_id", _ID, "kept node of the real side"),
+            _field("sim_point_id", _ID, "kept node of the simulated side that is aligned with it"),
+            _field("real_influence", _REAL, "row sum of the heat kernel, rounded to 1e-9"),
+            _field("sim_influence", _REAL, "the same of the simulated node"),
+        ]
+    ),
+    ("real_id", "sim_id", "rank"),
+)
+
+METRICS = Table(
+    "metrics",
+    pa.schema(
+        [
+            _PAIR,
+            _field("real_id", _ID, "community of the real side"),
+            _field("sim_id", _ID, "community of the simulated side"),
+            _field("n_real", _COUNT, "points of the real object"),
+            _field("n_sim", _COUNT, "points of the simulated object"),
+            _field("n_keep", _COUNT, "aligned nodes, the smaller of the two"),
+            _field("centroid_distance_m", _REAL, "between the centroids", "m"),
+            _field("cdc", _REAL, "density-aware Chamfer distance of the paper, 0 to 2"),
+            _field("r_lambda", _REAL, "max_eigenvalue_shift / laplacian_change, 0 to 1", optional=True),
+            _field("r_gap", _REAL, "change of the spectral gap / (2 laplacian_change), 0 to 0.5", optional=True),
+            _field("max_eigenvalue_shift", _REAL, "largest shift of an ordered eigenvalue", optional=True),
+            _field("laplacian_change", _REAL, "spectral norm of the difference of the Laplacians", optional=True),
+            _field("eigenspectrum_distance", _REAL, "Euclidean distance of the ordered spectra", optional=True),
+            _field("gap_real", _REAL, "second smallest eigenvalue less the smallest, real", optional=True),
+            _field("gap_sim", _REAL, "second smallest eigenvalue less the smallest, simulated", optional=True),
+            _field("alignment_rms_m", _REAL, "root mean square distance of aligned nodes, both sides centred", "m"),
+            _field("status", _STRING, "scored, identical or too_small"),
+            _field("reason", _STRING, "why a score is null", optional=True),
+        ]
+    ),
+    ("real_id", "sim_id"),
+)
+
+
+def _pairs_schema() -> pa.Schema:
+    """Columns of `pairs`: of a failed pair all but its name, status and reason may be null."""
+
+    def count(name: str, meaning: str) -> pa.Field:
+        return _field(name, _COUNT, meaning, optional=True)
+
+    def real(name: str, meaning: str, unit: str = "") -> pa.Field:
+        return _field(name, _REAL, meaning, unit, optional=True)
+
+    fields = [
+        _PAIR,
+        _field("status", _STRING, "scored or failed"),
+        _field("reason", _STRING, "why the pair failed", optional=True),
+    ]
+    for side in SIDES:
+        fields += [
+            count(f"n_{side}_raw", "points in the file"),
+            count(f"n_{side}_clean", "points after cleaning"),
+            count(f"n_{side}_points", "object points: clean and not ground"),
+            real(f"ground_{side}_peak_m", "height of the road along the ground axis", "m"),
+            real(f"ground_{side}_threshold_m", "points below this height are ground", "m"),
+            real(f"ground_{side}_loss", "variance loss at the threshold"),
+            count(f"ground_{side}_iterations", "how often the threshold was lowered"),
+            real(f"ground_{side}_removed_share", "ground points over clean points"),
+            real(f"ground_{side}_tilt_deg", "angle of the PCA axis to +Z; above 10 the cut uses +Z", "deg"),
+            count(f"n_communities_{side}", "objects of this side"),
+        ]
+    fields += [
+        count("n_matched", "objects that both sides have"),
+        count("n_missing", "real objects without a simulated one"),
+        count("n_hallucinated", "simulated objects without a real one"),
+        count("n_scored", "matched objects with spectral scores"),
+        count("n_identical", "matched objects whose Laplacians do not differ"),
+        count("n_too_small", "matched objects with fewer than 3 nodes"),
+        real("match_rate", "matched / max(communities of either side)"),
+        real("median_range_matched_m", "median distance of matched real objects from the sensor", "m"),
+        real("median_range_unmatched_m", "median distance of unmatched objects of both sides", "m"),
+    ]
+    for metric in OBJECT_METRICS:
+        fields += [
+            real(f"{metric}_mean", f"mean of {metric} over the objects"),
+            real(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
+        ]
+    return pa.schema(fields)
+
+
+PAIRS = Table("pairs", _pairs_schema(), ("pair_id",))
+
+TIMINGS = Table(
+    "timings",
+    pa.schema(
+        [
+            _PAIR,
+            _field("side", _STRING, "real, sim, or null for a step of the pair", optional=True),
+            _field("stage", _STRING, "ground, graph, communities, matching, selection or metrics"),
+            _field("step", _STRING, "read, write, or a step of the method"),
+            _field("seconds", _REAL, "wall time of the step", "s"),
+            _field("reused", _FLAG, "the result was reused: the seconds are of the run that made it"),
+        ]
+    ),
+    ("pair_id", "stage", "side", "step"),
+)
+
+#: All tables by name; the name is also the folder or file in a run.
+TABLES = {
+    table.name: table for table in (GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, PAIRS, TIMINGS)
+}

@@ -1,0 +1,1 @@
+"""The method: pure functions on arrays. No files, no dask, no clock, no global state."""

@@ -1,0 +1,102 @@
+"""Decides which points of a scan are measurements, and in which frame they lie.
+
+Leaves to others: what the file holds (readers), what is ground (`ground`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..schemas.settings import Box, InputSettings
+from .arrays import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class CleanResult:
+    """What is left of a scan.
+
+    point_ids : (m,) int32, rows of the input, ascending
+    points : (m, 3) float64, metres, real sensor's frame
+    dropped : number of points dropped, by reason, in the order in which the reasons are tried
+    """
+
+    point_ids: IntArray
+    points: FloatArray
+    dropped: dict[str, int]
+
+
+def clean_scan(
+    points: FloatArray,
+    settings: InputSettings,
+    *,
+    flip_y: bool = False,
+    T_real_sim: FloatArray | None = None,
+) -> CleanResult:
+    """Points that are measurements, in the real sensor's frame.
+
+    In this order are dropped: points that are not finite; exact (0, 0, 0); exact duplicates of an earlier row;
+    points whose range |p| is outside [min_range_m, max_range_m]; points inside `exclude_box`. All these are judged
+    in the scan's own frame. Then y is negated if `flip_y`, p becomes R p + t if `T_real_sim` = [R | t] is given,
+    and points outside `include_box` are dropped.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, the scan's own frame
+    settings : ranges and boxes
+    flip_y : mirror a left-handed scan
+    T_real_sim : (3, 4) float64, maps the scan's frame into the real sensor's
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scan = np.array([[5.0, 0, 0], [0, 0, 0], [5, 0, 0], [np.nan, 0, 0], [1, 0, 0]])
+    >>> clean = clean_scan(scan, InputSettings())
+    >>> clean.point_ids.tolist(), [reason for reason, n in clean.dropped.items() if n]
+    ([0], ['not_finite', 'zero', 'duplicate', 'too_near'])
+    """
+    ids = np.arange(len(points), dtype=np.int32)
+    dropped: dict[str, int] = {}
+
+    def drop(reason: str, unwanted: BoolArray) -> None:
+        nonlocal ids, points
+        dropped[reason] = int(np.count_nonzero(unwanted))
+        if dropped[reason]:
+            ids, points = ids[~unwanted], points[~unwanted]
+
+    drop("not_finite", ~_all(np.isfinite(points)))
+    drop("zero", _all(points == 0))
+    drop("duplicate", _repeats_an_earlier_row(points))
+    range_m = np.sqrt((points**2).sum(axis=1))
+    near = range_m < settings.min_range_m
+    drop("too_near", near)
+    drop("too_far", range_m[~near] > settings.max_range_m)
+    drop("in_exclude_box", _inside(points, settings.exclude_box, default=False))
+    if flip_y:
+        points = points * np.array([1.0, -1.0, 1.0])
+    if T_real_sim is not None:
+        points = points @ T_real_sim[:, :3].T + T_real_sim[:, 3]
+    drop("outside_include_box", ~_inside(points, settings.include_box, default=True))
+    return CleanResult(ids, np.ascontiguousarray(points), dropped)
+
+
+def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:
+    order = np.lexsort(points.T)  # stable, so that of equal rows the first comes first
+    in_order = points[order]
+    repeats = np.zeros(len(points), dtype=np.bool_)
+    repeats[order[1:]] = _all(in_order[1:] == in_order[:-1])
+    return repeats
+
+
+def _inside(points: FloatArray, box: Box | None, *, default: bool) -> BoolArray:
+    if box is None:
+        return np.full(len(points), default)
+    low, high = np.array(box[:3]), np.array(box[3:])
+    return _all((points >= low) & (points <= high))
+
+
+def _all(flags: BoolArray) -> BoolArray:
+    """Whether a whole row is true."""
+    of_rows: BoolArray = np.logical_and.reduce(flags, axis=1)
+    return of_rows

@@ -1,0 +1,185 @@
+"""Decides which points are road: the PCA Z-cut of the paper ("Data Collection and Graph Build-up").
+
+Leaves to others: which points are measurements at all (`clean`), what the rest is joined into (`graph`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..schemas.errors import StageError
+from ..schemas.settings import GroundSettings
+from .arrays import BoolArray, FloatArray
+
+MIN_OBJECT_POINTS = 8
+MAX_TILT_DEG = 10.0
+NEAR_M = 30.0
+WINDOW_M = 0.1
+STEP_M = 0.05
+DEPTH_M = 1.0
+_ROUNDING_M = 1e-9
+
+
+@dataclass(frozen=True)
+class GroundResult:
+    """A cut and what it does to one scan.
+
+    is_ground : (n,) bool
+    height_m : (n,) float64, along the axis, from the road's peak
+    axis : (3,) float64, unit vector along which heights are measured
+    tilt_deg : angle of the PCA axis to +Z; above 10 degrees `axis` is +Z instead
+    peak_m, threshold_m : heights p . axis of the road and of the cut; threshold null where the method has none
+    loss, iterations : variance loss at the threshold, and how often it was lowered; null likewise
+    notes : what a user should know about this cut
+    """
+
+    is_ground: BoolArray
+    height_m: FloatArray
+    axis: FloatArray
+    tilt_deg: float
+    peak_m: float
+    threshold_m: float | None
+    loss: float | None
+    iterations: int | None
+    notes: tuple[str, ...] = ()
+
+
+def remove_ground(points: FloatArray, settings: GroundSettings, shared: GroundResult | None = None) -> GroundResult:
+    """Ground flags of a scan by a cut through its heights.
+
+    The PCA axis nearest +Z gives heights h = p . axis (+Z itself if the axis is tilted by more than 10 degrees).
+    The road's peak is the median of the fullest 0.1 m window over the sorted heights of the points within 30 m
+    (the lowest of equally full windows). The threshold z starts at peak + `prior_m`; while its variance loss is above
+    `max_variance_loss` and z is above the peak it is lowered by 0.05 m, the last step ending at the peak. Points with
+    h < z are ground. The variance loss ("within 1 % of the total variance") is, by `loss`:
+
+    removed : sum (h_r - mean h_r)^2 over removed points r above peak - 1 m, over sum (h - mean h)^2 of all points
+    total : |tr Cov(kept) - tr Cov(all)| / tr Cov(all)
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, cleaned
+    settings : method and thresholds
+    shared : the cut of the real side, to be applied as it is (`ground.shared`)
+
+    Raises
+    ------
+    StageError
+        Fewer than 8 points come in or are left; patchwork is asked for and not installed.
+    """
+    if len(points) < MIN_OBJECT_POINTS:
+        raise StageError(
+            f"{len(points)} points after cleaning, at least {MIN_OBJECT_POINTS} are needed; "
+            "look at the dropped points in fidpipe check, and at input.min_range_m and input.max_range_m"
+        )
+    notes: list[str] = []
+    if shared is not None:
+        axis, tilt_deg = shared.axis, shared.tilt_deg
+        height = points @ axis
+        peak_m = shared.peak_m
+    else:
+        axis, tilt_deg = _up_axis(points)
+        if tilt_deg > MAX_TILT_DEG:
+            notes.append(
+                f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z"
+            )
+            axis = np.array([0.0, 0.0, 1.0])
+        height = points @ axis
+        near = height[np.linalg.norm(points, axis=1) <= NEAR_M]
+        if not len(near):
+            notes.append(f"no point within {NEAR_M:.0f} m; the road's peak is that of all points")
+            near = height
+        peak_m = _fullest_window_median(near)
+
+    threshold_m: float | None = None
+    loss: float | None = None
+    iterations: int | None = None
+    if settings.method == "none":
+        is_ground = np.zeros(len(points), dtype=np.bool_)
+    elif settings.method == "patchwork":
+        is_ground = _patchwork(points, peak_m)
+    elif shared is not None and shared.threshold_m is not None:
+        threshold_m, iterations = shared.threshold_m, shared.iterations
+        is_ground = height < threshold_m
+        loss = _variance_loss(points, height, is_ground, peak_m, settings)
+    else:
+        threshold_m, loss, iterations = _lower_threshold(points, height, peak_m, settings)
+        is_ground = height < threshold_m
+
+    n_left = len(points) - int(np.count_nonzero(is_ground))
+    if n_left < MIN_OBJECT_POINTS:
+        raise StageError(
+            f"{n_left} object points after ground removal, at least {MIN_OBJECT_POINTS} are needed; "
+            f"lower ground.prior_m (now {settings.prior_m:g}) or choose another ground.method (now {settings.method})"
+        )
+    return GroundResult(is_ground, height - peak_m, axis, tilt_deg, peak_m, threshold_m, loss, iterations, tuple(notes))
+
+
+def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
+    """The principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
+    from sklearn.decomposition import PCA
+
+    axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
+    axis = axes[np.argmax(np.abs(axes[:, 2]))]
+    if axis[2] < 0:
+        axis = -axis
+    return axis, float(np.degrees(np.arccos(min(1.0, axis[2]))))
+
+
+def _fullest_window_median(height: FloatArray) -> float:
+    """Median of the heights inside the fullest closed window of 0.1 m; of equally full ones the lowest."""
+    in_order = np.sort(height)
+    end = np.searchsorted(in_order, in_order + WINDOW_M, side="right")
+    start = int(np.argmax(end - np.arange(len(in_order))))
+    return float(np.median(in_order[start : end[start]]))
+
+
+def _lower_threshold(
+    points: FloatArray, height: FloatArray, peak_m: float, settings: GroundSettings
+) -> tuple[float, float, int]:
+    """Threshold, its loss, and how often it was lowered."""
+    iterations = 0
+    while True:
+        above_peak_m = settings.prior_m - iterations * STEP_M
+        threshold_m = peak_m + (above_peak_m if above_peak_m > _ROUNDING_M else 0.0)
+        loss = _variance_loss(points, height, height < threshold_m, peak_m, settings)
+        if loss <= settings.max_variance_loss or threshold_m <= peak_m:
+            return threshold_m, loss, iterations
+        iterations += 1
+
+
+def _variance_loss(
+    points: FloatArray, height: FloatArray, removed: BoolArray, peak_m: float, settings: GroundSettings
+) -> float:
+    if settings.loss == "total":
+        total = float(points.var(axis=0).sum())
+        kept = float(points[~removed].var(axis=0).sum()) if not removed.all() else 0.0
+        return abs(kept - total) / total if total > 0 else 0.0
+    scatter = _scatter(height)
+    return _scatter(height[removed & (height > peak_m - DEPTH_M)]) / scatter if scatter > 0 else 0.0
+
+
+def _scatter(height: FloatArray) -> float:
+    """Sum of squared distances from the mean; 0 of no points."""
+    return float(((height - height.mean()) ** 2).sum()) if len(height) else 0.0
+
+
+def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
+    """Ground flags of patchwork++ (Lee, Lim and Myung, IROS 2022), the sensor's height being that of the peak."""
+    try:
+        import pypatchworkpp
+    except ImportError as error:
+        raise StageError(
+            'ground.method = "patchwork" needs pypatchworkpp; install it with: pip install "fidpipe[patchwork]"'
+        ) from error
+    parameters = pypatchworkpp.Parameters()
+    parameters.sensor_height = -peak_m
+    parameters.enable_RNR = False  # needs intensity, which a scan need not have
+    parameters.verbose = False
+    estimator = pypatchworkpp.patchworkpp(parameters)
+    estimator.estimateGround(np.column_stack([points, np.zeros(len(points))]).astype(np.float32))
+    is_ground = np.zeros(len(points), dtype=np.bool_)
+    is_ground[np.asarray(estimator.getGroundIndices(), dtype=np.intp)] = True
+    return is_ground

@@ -1,0 +1,90 @@
+"""Decides which real object is which simulated one (paper, Algorithm 1).
+
+Leaves to others: how well the two agree (`selection`, `metrics`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from ..schemas.settings import MatchingSettings
+from .arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Which objects both sides have.
+
+    real_ids, sim_ids : (m,) int32, matched communities, by real id
+    distance_m : (m,) float64, between their centroids
+    missing : (a,) int32, real communities without a partner
+    hallucinated : (b,) int32, simulated communities without a partner
+    """
+
+    real_ids: IntArray
+    sim_ids: IntArray
+    distance_m: FloatArray
+    missing: IntArray
+    hallucinated: IntArray
+
+    @property
+    def match_rate(self) -> float:
+        """Matched communities over the number of communities of the side that has more."""
+        n_matched = len(self.real_ids)
+        return n_matched / (n_matched + max(len(self.missing), len(self.hallucinated)))
+
+
+def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSettings) -> Matching:
+    """Pairs of communities whose centroids are nearer than delta.
+
+    greedy : real communities in id order; each takes the nearest simulated centroid that is still free (of equally
+        near ones the smaller id), if it is nearer than delta (Algorithm 1).
+    optimal : as many pairs nearer than delta as can be, and among those the least total distance.
+
+    Parameters
+    ----------
+    real, sim : (a, 3), (b, 3) float64, metres, centroids by community id
+    settings : delta_m and method
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> real, sim = np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([[1.0, 0, 0], [30, 0, 0]])
+    >>> matching = match_communities(real, sim, MatchingSettings())
+    >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist(), matching.match_rate
+    ([0], [1], [1], 0.5)
+    """
+    distance = cdist(real, sim)
+    match = _greedy if settings.method == "greedy" else _optimal
+    real_ids, sim_ids = match(distance, settings.delta_m)
+    return Matching(
+        real_ids=real_ids.astype(np.int32),
+        sim_ids=sim_ids.astype(np.int32),
+        distance_m=distance[real_ids, sim_ids],
+        missing=np.setdiff1d(np.arange(len(real), dtype=np.int32), real_ids),
+        hallucinated=np.setdiff1d(np.arange(len(sim), dtype=np.int32), sim_ids),
+    )
+
+
+def _greedy(distance: FloatArray, delta_m: float) -> tuple[IntArray, IntArray]:
+    free = distance.copy()
+    pairs = []
+    for real_id in range(len(free)):
+        sim_id = int(np.argmin(free[real_id]))
+        if free[real_id, sim_id] < delta_m:
+            pairs.append((real_id, sim_id))
+            free[:, sim_id] = np.inf
+    matched = np.array(pairs, dtype=np.int32).reshape(-1, 2)
+    return matched[:, 0], matched[:, 1]
+
+
+def _optimal(distance: FloatArray, delta_m: float) -> tuple[IntArray, IntArray]:
+    # A forbidden pair costs more than all allowed ones together, so first the fewest of them are used.
+    forbidden = delta_m * (min(distance.shape) + 1)
+    real_ids, sim_ids = linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))
+    allowed = distance[real_ids, sim_ids] < delta_m
+    return real_ids[allowed].astype(np.int32), sim_ids[allowed].astype(np.int32)

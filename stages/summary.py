@@ -1,0 +1,71 @@
+"""What the objects of a pair, and the pairs of a dataset, say together.
+
+Leaves to others: the scores themselves (`metrics`, `matching`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .arrays import FloatArray
+
+Number = float | int | None
+
+
+def summarise_pair(
+    scores: Mapping[str, FloatArray],
+    statuses: Sequence[str],
+    matched_range_m: FloatArray,
+    missing_range_m: FloatArray,
+    hallucinated_range_m: FloatArray,
+) -> dict[str, Number]:
+    """Counts, match rate, median ranges, and mean and standard deviation of each object score.
+
+    Nulls (NaN) are left out of means and deviations; identical objects count with their scores, which are 0.
+
+    Parameters
+    ----------
+    scores : by metric, (m,) float64, NaN where a score is null
+    statuses : (m,) scored, identical or too_small
+    matched_range_m : (m,) distance of the matched real objects from the sensor
+    missing_range_m, hallucinated_range_m : the same of the unmatched objects, each of its own side
+    """
+    n_matched, n_missing, n_hallucinated = len(matched_range_m), len(missing_range_m), len(hallucinated_range_m)
+    summary: dict[str, Number] = {
+        "n_matched": n_matched,
+        "n_missing": n_missing,
+        "n_hallucinated": n_hallucinated,
+        "n_scored": statuses.count("scored"),
+        "n_identical": statuses.count("identical"),
+        "n_too_small": statuses.count("too_small"),
+        "match_rate": n_matched / (n_matched + max(n_missing, n_hallucinated)),
+        "median_range_matched_m": _median(matched_range_m),
+        "median_range_unmatched_m": _median(np.concatenate([missing_range_m, hallucinated_range_m])),
+    }
+    for metric, values in scores.items():
+        summary[f"{metric}_mean"], summary[f"{metric}_std"] = mean_and_std(values)
+    return summary
+
+
+def summarise_dataset(pair_means: Mapping[str, Sequence[Number]]) -> dict[str, dict[str, Number]]:
+    """Mean, standard deviation (n - 1) over pairs, and number of pairs, of each per-pair value; nulls are left out."""
+    summary = {}
+    for name, of_pairs in pair_means.items():
+        values = np.array([np.nan if value is None else value for value in of_pairs], dtype=np.float64)
+        mean, std = mean_and_std(values)
+        summary[name] = {"mean": mean, "std": std, "n_pairs": int(np.count_nonzero(~np.isnan(values)))}
+    return summary
+
+
+def mean_and_std(values: FloatArray) -> tuple[Number, Number]:
+    """Mean and standard deviation (n - 1) of the values that are not NaN; None where there are too few."""
+    known = values[~np.isnan(values)]
+    mean = float(known.mean()) if len(known) else None
+    std = float(known.std(ddof=1)) if len(known) > 1 else None
+    return mean, std
+
+
+def _median(values: FloatArray) -> Number:
+    return float(np.median(values)) if len(values) else None
