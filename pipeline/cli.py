@@ -47,10 +47,7 @@ def main() -> None:
     except FidpipeError as error:
         _complain(f"error: {error}")
         code = EXIT_WRONG_INPUT
-    except typer.Abort:
-        code = EXIT_INTERRUPTED
-    except KeyboardInterrupt:
-        _complain("interrupted; run the same command again to go on")
+    except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
     except Exception as error:
         show = getattr(error, "show", None)  # wrong usage, as click and typer raise it
@@ -58,6 +55,8 @@ def main() -> None:
             raise
         show()
         code = getattr(error, "exit_code", 2)
+    if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
+        _complain("interrupted; run the same command again to go on")
     sys.stdout.flush()
     sys.exit(code)
 

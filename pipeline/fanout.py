@@ -6,11 +6,14 @@ gives back what became of it, in any order. Leaves to others: which tasks there 
 
 from __future__ import annotations
 
+import asyncio
 import heapq
 import itertools
 import logging
 import os
 import queue
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,8 +22,10 @@ from typing import Any, Protocol
 
 from ..schemas.errors import RunError
 
-_CONNECT_TIMEOUT_S = 15
+_CONNECT_TIMEOUT_S = 10
 _FIRST_WORKER_TIMEOUT_S = 60
+_STOP_S = 2.0
+_KILL_S = 0.2
 
 
 @dataclass(eq=False)
@@ -142,16 +147,18 @@ class DaskPool:
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._handles: dict[str, tuple[Handle, bool]] = {}
         self._killed_worker = distributed.scheduler.KilledWorker
-        self._cluster = None
+        self._cluster: Any = None
         if address is None:
-            self._cluster = distributed.LocalCluster(
-                n_workers=n_workers or cpu_count(),
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-            )
+            with _ignoring_interrupts():
+                self._cluster = distributed.LocalCluster(
+                    n_workers=n_workers or cpu_count(),
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                    preload=["fidpipe.pipeline.worker_start"],
+                )
         try:
             self._client = distributed.Client(
                 self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
@@ -189,15 +196,34 @@ class DaskPool:
 
     def close(self, *, now: bool = False) -> None:
         """See `Pool`."""
-        self._client.close(timeout=1 if now else None)
+        self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
-            self._cluster.close(timeout=2 if now else None)
+            if now:
+                self._cluster.sync(self._stop_workers)
+            self._cluster.close(timeout=_STOP_S)
+
+    async def _stop_workers(self) -> None:
+        """Ends the worker processes in the middle of whatever they are doing."""
+        await asyncio.gather(*(nanny.close(timeout=_KILL_S) for nanny in self._cluster.workers.values()))
 
     def _check_workers(self, address: str, shared_file: Path, libraries: dict[str, str]) -> None:
         content = shared_file.read_bytes()
         for worker, fault in self._client.run(worker_fault, str(shared_file.resolve()), content, libraries).items():
             if fault:
                 raise RunError(f"scheduler {address}, worker {worker}: {fault}")
+
+
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    """Within it Ctrl-C does nothing, and processes that are started inherit that: this one deals with it alone."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def worker_fault(path: str, content: bytes, libraries: dict[str, str]) -> str:

@@ -58,7 +58,7 @@ class Reporter:
         self._start = self._last_line = monotonic()
         if self.console.is_terminal:
             self._bar = Progress(
-                TextColumn("{task.fields[stages]}"),
+                TextColumn("{task.fields[stages]}", markup=False),
                 BarColumn(bar_width=20),
                 TimeElapsedColumn(),
                 TextColumn("{task.fields[left]}"),

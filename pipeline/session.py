@@ -109,7 +109,7 @@ class Session:
 
     def inspect(self, *, note: bool = True) -> None:
         """Reads every file once that is not known yet, and names every fault; with `note` the run remembers it."""
-        known = {pair_id for _, pair_id, _ in self.store.records}
+        known = {pair_id for _, pair_id, _ in self.store.records} | self.store.failures.keys()
         pairs = [pair for pair in self.dataset.pairs if pair.pair_id in self.selected | known]
         unknown = [pair for pair in pairs if not self._recall(pair)]
         chunk = max(1, min(32, len(unknown) // 8))
@@ -130,6 +130,8 @@ class Session:
             self.reporter.warn(text)
         for pair in pairs:
             self._judge(pair)
+            if note and pair.pair_id in self.failures:
+                self.store.note_failure(pair.pair_id, {"key": "input", "reason": self.failures[pair.pair_id]})
         self._end_phase("inspect")
 
     def plan(self) -> None:
@@ -215,7 +217,7 @@ class Session:
         rows = PAIRS.from_rows(self.rows())
         key = key_of([record.key for record in self._current_records() if record.stage == "metrics"], self.failures)
         table = self.store.write_at(self.request.out / "pairs.parquet", "pairs", rows, key)
-        self.store.note_job(JobRecord("pairs", "", "", key, {"pairs.parquet": table}))
+        self.store.records["pairs", "", ""] = JobRecord("pairs", "", "", key, {"pairs.parquet": table})
         timings = TIMINGS.from_rows(timing_rows(self._current_records(), self.made))
         self.store.write_at(self.request.out / "timings.parquet", "timings", timings, key)
         self._end_phase("tables")
@@ -287,7 +289,7 @@ class Session:
 
     def _take(self, report: Report) -> None:
         for record in report.records:
-            self.store.note_job(record)
+            self.store.records[record.name] = record
             self.made.add(record.name)
         self.reporter.jobs_done(report.records)
         self.tasks[report.pair_id] = self.tasks[report.pair_id].with_records(report.records)
@@ -295,6 +297,7 @@ class Session:
     def _end_pair(self, pair_id: str, failure: Failure | None) -> None:
         self.reporter.pair_done(pair_id)
         if failure is None:
+            self.store.failures.pop(pair_id, None)
             return
         where = f"stage {failure.stage}{', ' + failure.side if failure.side else ''}"
         self.failures[pair_id] = f"{where}: {failure.reason}"

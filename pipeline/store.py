@@ -2,8 +2,9 @@
 
 A table is written under a name that begins with a dot, flushed and renamed. What was written stands in the run's
 index, one JSON line a job: its key, and length and content hash of each file. A job's result is reused if and only
-if the index has it under the wanted key and its files agree with the index. Leaves to others: which stages there
-are (`run`), what a table holds (`schemas.tables`).
+if the index has it under the wanted key and its files agree with the index. While a run works, each process notes
+its jobs in a journal of its own, so that nothing is lost if it is killed; the one that holds the lock gathers them.
+Leaves to others: which stages there are (`run`), what a table holds (`schemas.tables`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import platform
 import re
 import secrets
 from collections.abc import Iterable, Iterator
@@ -27,6 +29,7 @@ from ..schemas.errors import RunError
 from ..schemas.tables import TABLES
 
 INDEX = "index.jsonl"
+_JOURNALS = ".journal"
 _LOCK = ".lock"
 _TOKEN = ".writer"
 _LONGEST_NAME_BYTES = 120
@@ -159,6 +162,13 @@ class TableFolder:
         finally:
             temporary.unlink(missing_ok=True)
 
+    def note_job(self, record: JobRecord) -> None:
+        """Adds a finished job to this process's journal, at once."""
+        journal = self.folder / _JOURNALS / f"{self.token}-{platform.node()}-{os.getpid()}.jsonl"
+        journal.parent.mkdir(exist_ok=True)
+        with journal.open("a", encoding="ascii") as file:
+            file.write(_index_line({"job": asdict(record)}))
+
     def _check_token(self) -> None:
         try:
             found = (self.folder / _TOKEN).read_text()
@@ -210,11 +220,6 @@ class Store(TableFolder):
         """The file that names the run which may write here."""
         return self.folder / _TOKEN
 
-    def note_job(self, record: JobRecord) -> None:
-        """Adds a finished job to the index, at once."""
-        self.records[record.name] = record
-        self._append({"job": asdict(record)})
-
     def note_failure(self, pair_id: str, facts: dict[str, Any]) -> None:
         """Adds to the index why a pair failed, at once."""
         self.failures[pair_id] = facts
@@ -249,11 +254,13 @@ class Store(TableFolder):
         ]
 
     def compact(self) -> None:
-        """Writes the index anew, each job, failure and input once."""
+        """Writes the index anew, each job, failure and input once, and does away with the journals."""
         lines = [_index_line({"input": name, "facts": facts}) for name, facts in sorted(self.inputs.items())]
         lines += [_index_line({"failure": pair_id, "facts": facts}) for pair_id, facts in sorted(self.failures.items())]
         lines += [_index_line({"job": asdict(record)}) for _, record in sorted(self.records.items())]
         self.replace(self.folder / INDEX, "".join(lines).encode())
+        for journal in (self.folder / _JOURNALS).glob("*.jsonl"):
+            journal.unlink()
 
     def _append(self, entry: dict[str, Any]) -> None:
         with (self.folder / INDEX).open("a", encoding="ascii") as file:
@@ -263,16 +270,15 @@ class Store(TableFolder):
         self.records.clear()
         self.failures.clear()
         self.inputs.clear()
-        path = self.folder / INDEX
-        if not path.exists():
-            return
-        for line in path.read_bytes().split(b"\n"):
+        files = [self.folder / INDEX, *sorted((self.folder / _JOURNALS).glob("*.jsonl"))]
+        lines = [line for path in files if path.exists() for line in path.read_bytes().split(b"\n")]
+        for line in lines:
             entry = _index_entry(line)
             if "job" in entry:
                 job = entry["job"]
-                files = {name: StoredFile(**stored) for name, stored in job.pop("files").items()}
+                stored = {name: StoredFile(**of) for name, of in job.pop("files").items()}
                 steps = tuple((step, seconds) for step, seconds in job.pop("steps"))
-                record = JobRecord(**job, files=files, steps=steps)
+                record = JobRecord(**job, files=stored, steps=steps)
                 self.records[record.name] = record
             elif "failure" in entry:
                 self.failures[entry["failure"]] = entry["facts"]

@@ -93,7 +93,10 @@ class Workbench:
                     written, stored = self._folder.write(name, rows, job.key, self.pair_id, job.side)
                 files[written] = stored
         self._facts[job.stage, job.side] = facts
-        return JobRecord(job.stage, self.pair_id, job.side, job.key, files, facts, self.take_steps())
+        record = JobRecord(job.stage, self.pair_id, job.side, job.key, files, facts, self.take_steps())
+        if self._folder is not None:
+            self._folder.note_job(record)
+        return record
 
     def scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""

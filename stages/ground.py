@@ -158,7 +158,9 @@ def _variance_loss(
         kept = float(points[~removed].var(axis=0).sum()) if not removed.all() else 0.0
         return abs(kept - total) / total if total > 0 else 0.0
     scatter = _scatter(height)
-    return _scatter(height[removed & (height > peak_m - DEPTH_M)]) / scatter if scatter > 0 else 0.0
+    if scatter <= len(height) * _ROUNDING_M**2:
+        return 0.0  # a perfect plane: what is left of its heights is rounding
+    return _scatter(height[removed & (height > peak_m - DEPTH_M)]) / scatter
 
 
 def _scatter(height: FloatArray) -> float:

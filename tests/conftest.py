@@ -1,0 +1,27 @@
+"""What all tests share: the real scans, one BLAS thread, and small datasets on disk."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real scans; without it the test is skipped, or fails where real data are required."""
+    if not REAL_DATA.is_dir():
+        if os.environ.get("FIDPIPE_REQUIRE_REAL_DATA") == "1":
+            pytest.fail(f"FIDPIPE_REQUIRE_REAL_DATA=1 and {REAL_DATA} is absent")
+        pytest.skip(f"{REAL_DATA} is absent")
+    return REAL_DATA
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20)

@@ -19,6 +19,8 @@ def read(path: Path) -> Scan:
             vertex = load_ply(file, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
         n_points, rows = vertex["length"], vertex["data"]
         columns = {name: np.asarray(rows[name]).reshape(n_points) for name in vertex["properties"]}
+        if any(column.dtype == object for column in columns.values()):
+            raise ValueError("a row is too short")
     except OSError:
         raise
     except Exception as error:  # trimesh raises whatever its parser met

@@ -1,0 +1,181 @@
+import numpy as np
+import pytest
+from scenes import road, street, write_bin
+
+from fidpipe.pipeline.check import check_dataset
+from fidpipe.pipeline.intake import implausible, widest_azimuth_gap_deg
+from fidpipe.pipeline.readers.dataset import read_dataset
+from fidpipe.schemas.errors import DatasetError
+from fidpipe.schemas.settings import Settings, load
+
+
+def folders(tmp_path, real=("a",), sim=("a",)):
+    for side, names in (("real", real), ("sim", sim)):
+        (tmp_path / side).mkdir(exist_ok=True)
+        for name in names:
+            write_bin(tmp_path / side / f"{name}.bin", street())
+    return tmp_path
+
+
+def manifest(tmp_path, rows, header="pair_id,real,sim,timestamp_s,T_real_sim"):
+    folders(tmp_path)
+    (tmp_path / "pairs.csv").write_text("\n".join([header, *rows]) + "\n")
+    return tmp_path
+
+
+def test_folders_are_paired_by_stem(tmp_path):
+    dataset = read_dataset(folders(tmp_path, ("b", "a"), ("a", "b")))
+    assert [(pair.pair_id, pair.real.name, pair.fault) for pair in dataset.pairs] == [
+        ("a", "a.bin", None),
+        ("b", "b.bin", None),
+    ]
+
+
+def test_a_missing_partner_is_a_fault_of_its_pair(tmp_path):
+    dataset = read_dataset(folders(tmp_path, ("a", "b"), ("a", "c")))
+    faults = {pair.pair_id: pair.fault for pair in dataset.pairs}
+    assert faults["a"] is None
+    assert "b.bin: no partner; a scan named b is wanted in" in faults["b"]
+    assert "c.bin: no partner; a scan named c is wanted in" in faults["c"]
+
+
+def test_two_files_of_one_stem_stop_everything(tmp_path):
+    folders(tmp_path)
+    write_bin(tmp_path / "sim" / "a.pcd.bin", street(), 5)
+    with pytest.raises(DatasetError, match=r"a\.bin and a\.pcd\.bin have the same stem a"):
+        read_dataset(tmp_path)
+
+
+def test_unknown_files_are_ignored_with_a_warning_and_labels_without(tmp_path):
+    folders(tmp_path)
+    (tmp_path / "real" / "notes.txt").touch()
+    (tmp_path / "real" / "a.label").touch()
+    (tmp_path / "real" / ".hidden").touch()
+    assert [text.rsplit("/", 1)[1] for text in read_dataset(tmp_path).warnings] == [
+        "notes.txt: not a known scan format, ignored"
+    ]
+
+
+@pytest.mark.parametrize("made", [(), ("real",), ("real", "sim")])
+def test_no_pairs_stop_everything(tmp_path, made):
+    for side in made:
+        (tmp_path / side).mkdir()
+    with pytest.raises(DatasetError, match="no scan pairs found|no folder"):
+        read_dataset(tmp_path)
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(DatasetError, match="nowhere: no such folder"):
+        read_dataset(tmp_path / "nowhere")
+
+
+def test_a_manifest_wins_over_folders(tmp_path):
+    T = "1 0 0 0.5 0 1 0 0 0 0 1 0"
+    dataset = read_dataset(manifest(tmp_path, [f"first,real/a.bin,sim/a.bin,12.5,{T}"]))
+    (pair,) = dataset.pairs
+    assert (pair.pair_id, pair.timestamp_s) == ("first", 12.5)
+    assert pair.T_real_sim == (1, 0, 0, 0.5, 0, 1, 0, 0, 0, 0, 1, 0)
+
+
+def test_a_manifest_file_that_is_not_there_is_a_fault_of_its_pair(tmp_path):
+    dataset = read_dataset(manifest(tmp_path, ["p,real/a.bin,sim/b.bin,,", "q,,sim/a.bin,,"]))
+    assert "sim/b.bin is no file; the sim scan is wanted" in dataset.pairs[0].fault
+    assert "line 3: no real scan is named" in dataset.pairs[1].fault
+
+
+@pytest.mark.parametrize(
+    ("row", "fault"),
+    [
+        ("p,real/a.bin,sim/a.bin,soon,", "line 3: timestamp_s is 'soon', a number is wanted"),
+        ("p,real/a.bin,sim/a.bin,,1 2 3", "line 3: T_real_sim has 3 numbers, 12 are wanted"),
+        ("p,real/a.bin,sim/a.bin,,2 0 0 0 0 1 0 0 0 0 1 0", "line 3: T_real_sim is no rigid motion"),
+        (
+            "p,real/a.bin,sim/a.bin,,1 0 0 0 0 -1 0 0 0 0 1 0",
+            "line 3: T_real_sim is a mirror image; set input.sim_flip_y",
+        ),
+        ("p,real/a.bin,sim/a.bin,,1 0 0 x 0 1 0 0 0 0 1 0", "line 3: T_real_sim is 'x', a number is wanted"),
+        (" ,real/a.bin,sim/a.bin,,", "line 3: pair_id is empty"),
+        ("first,real/a.bin,sim/a.bin,,", "line 3: pair_id first stands in line 2 already"),
+    ],
+)
+def test_a_bad_manifest_stops_everything(tmp_path, row, fault):
+    with pytest.raises(DatasetError) as error:
+        read_dataset(manifest(tmp_path, ["first,real/a.bin,sim/a.bin,,", row]))
+    assert fault in str(error.value)
+
+
+def test_a_manifest_without_its_columns_stops_everything(tmp_path):
+    with pytest.raises(DatasetError, match="columns name, real found; pair_id, sim wanted as well"):
+        read_dataset(manifest(tmp_path, ["a,b"], header="name,real"))
+
+
+def test_bad_label_names_stop_everything(tmp_path):
+    folders(tmp_path)
+    (tmp_path / "labels.toml").write_text("tree = 4\n")
+    with pytest.raises(DatasetError, match=r'labels\.toml: lines such as 4 = "tree" are wanted'):
+        read_dataset(tmp_path)
+
+
+def test_plausible_scans_raise_no_warning():
+    assert implausible(np.vstack([street(), road(3000, 40)])) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "warning"),
+    [
+        (lambda p: p + [481000.0, 0, 0], "are they projected"),
+        (lambda p: p / 100, "metres are wanted"),
+        (lambda p: p[:, [2, 1, 0]], "are the columns right"),
+        (lambda p: np.vstack([p, np.random.default_rng(0).uniform(-1, 1, (3 * len(p), 3))]), "hits on the ego vehicle"),
+    ],
+)
+def test_an_implausible_scan_is_warned_of(change, warning):
+    assert any(warning in text for text in implausible(change(street())))
+
+
+def test_the_widest_gap_is_found_across_the_seam():
+    angles = np.radians(np.arange(-60, 61, 5))
+    assert widest_azimuth_gap_deg(np.column_stack([-np.cos(angles), np.sin(angles), angles])) == pytest.approx(240)
+
+
+def test_a_half_sweep_on_one_side_is_a_warning(tmp_path):
+    scan = street()
+    write_bin(tmp_path / "real" / "a.bin", scan)
+    write_bin(tmp_path / "sim" / "a.bin", scan[scan[:, 1] <= 0])
+    (warning,) = check_dataset(tmp_path, Settings()).warnings
+    assert "is it a half sweep" in warning
+
+
+def test_every_fault_is_found_in_one_go(tmp_path):
+    folders(tmp_path, ("a", "b", "c", "d"), ("a", "b", "c"))
+    (tmp_path / "real" / "a.bin").write_bytes(b"123")
+    (tmp_path / "sim" / "b.bin").write_bytes(b"")
+    write_bin(tmp_path / "sim" / "c.bin", np.zeros((20, 3)))
+    found = check_dataset(tmp_path, Settings())
+    assert len(found.faults) == 4
+    for name, fault in zip("abcd", found.faults, strict=True):
+        assert fault.startswith(f"pair {name}: ")
+    assert "no point is left after cleaning (20 zero)" in found.faults[2]
+
+
+@pytest.mark.real_data
+def test_the_faults_of_real_scans_are_seen(real_data, tmp_path):
+    carla = real_data / "carla"
+    (tmp_path / "pairs.csv").write_text(
+        "pair_id,real,sim\n"
+        f"half,{carla / '000030.bin'},{carla / 'half_sweep.bin'}\n"
+        f"good,{real_data / 'kitti_twin/real/000000.bin'},{real_data / 'kitti_twin/sim/000000.bin'}\n"
+    )
+    warnings = check_dataset(tmp_path, Settings()).warnings
+    assert any("000030.bin: 51% of the points lie within 3 m" in text for text in warnings)
+    assert any("half_sweep.bin: no point in a sector of 180 degrees" in text for text in warnings)
+    assert not any("kitti_twin" in text for text in warnings)
+
+
+@pytest.mark.real_data
+def test_wrong_columns_of_a_real_scan_are_seen(real_data, tmp_path):
+    (scan,) = (real_data / "nuscenes").glob("*.pcd.bin")
+    (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\na,{scan},{scan}\n")
+    assert not any("columns" in text for text in check_dataset(tmp_path, Settings()).warnings)
+    as_four = check_dataset(tmp_path, load(None, ["input.columns=x y z intensity"]))
+    assert any("are the columns right" in text for text in as_four.warnings)

@@ -1,0 +1,185 @@
+"""What happens when processes die, are interrupted, or run beside each other."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import faults
+import pexpect
+import pytest
+from runs import FIDPIPE, assert_same_tables, command, no_temporary_files, run
+from scenes import write_dataset
+
+from fidpipe.pipeline import run as run_module
+from fidpipe.pipeline.fanout import DaskPool, WorkerDied
+from fidpipe.pipeline.run import STAGE_NAMES
+
+pytestmark = pytest.mark.slow
+
+TESTS = Path(faults.__file__).parent
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 4)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    run(dataset, out)
+    return out
+
+
+@pytest.mark.parametrize("how", ["kill", "kill-writing"])
+@pytest.mark.parametrize("stage", STAGE_NAMES)
+def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_path, how, stage):
+    out = tmp_path / "run"
+    words = [sys.executable, str(TESTS / "faults.py"), how, stage, str(dataset), str(out)]
+    died = subprocess.run(words, check=False, capture_output=True)
+    assert died.returncode == -signal.SIGKILL, died.stderr
+    assert not (out / "pairs.parquet").exists()
+    outcome = run(dataset, out)
+    assert outcome.n_made < 36 or (how == "kill-writing" and stage == "ground")
+    assert_same_tables(out, finished)
+    assert no_temporary_files(out)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_a_run_stopped_from_outside_goes_on_where_it_was(dataset, finished, tmp_path, workers, how):
+    out = tmp_path / "run"
+    process = start(dataset, out, workers)
+    wait_for(out / "ground" / "000.real.parquet")
+    process.send_signal(how)
+    begun = time.monotonic()
+    _, errors = process.communicate(timeout=60)
+    assert time.monotonic() - begun < 8
+    if how != signal.SIGKILL:
+        assert process.returncode == 130
+        assert "interrupted; run the same command again to go on" in errors
+        assert "Traceback" not in errors
+    assert command("run", dataset, "--out", out, "--workers", "1").returncode == 0
+    assert_same_tables(out, finished)
+    assert no_temporary_files(out)
+
+
+@pytest.mark.real_data
+def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path):
+    out = tmp_path / "run"
+    words = ["run", str(real_data / "kitti_twin"), "--out", str(out), "--workers", "2"]
+    terminal = pexpect.spawn(FIDPIPE, words, encoding="utf-8", timeout=60, dimensions=(40, 160))
+    terminal.expect("matching [1-9]/5")
+    terminal.sendintr()
+    begun = time.monotonic()
+    terminal.expect("interrupted; run the same command again to go on")
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert time.monotonic() - begun < 5
+    assert "Traceback" not in terminal.before
+    assert terminal.exitstatus == 130
+
+
+def test_a_second_run_on_the_same_folder_is_refused(dataset, finished, tmp_path):
+    out = tmp_path / "run"
+    process = start(dataset, out, 1)
+    wait_for(out / "index.jsonl")
+    second = command("run", dataset, "--out", out, "--workers", "1")
+    assert second.returncode == 1
+    assert "another fidpipe is writing here; wait for it, or give another --out" in second.stderr
+    process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert_same_tables(out, finished)
+
+
+def test_two_workers_give_the_tables_of_one(dataset, finished, tmp_path):
+    run(dataset, tmp_path / "run", workers=2)
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_path, monkeypatch):
+    monkeypatch.setattr("fidpipe.pipeline.schedule._WORTH_SPLITTING_S", 0.0)
+    monkeypatch.setattr("fidpipe.pipeline.schedule._BATCH_S", 0.0)
+    outcome = run(dataset, tmp_path / "run", workers=2)
+    assert outcome.n_made == 36
+    assert_same_tables(tmp_path / "run", finished)
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """The address of a dask scheduler in another process, with two workers."""
+    file = tmp_path / "scheduler.json"
+    dask = [str(Path(FIDPIPE).with_name("dask"))]
+    own = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    host = ["--host", "127.0.0.1"]
+    processes = [
+        subprocess.Popen([*dask, "scheduler", "--scheduler-file", file, "--no-dashboard", "--port", "0", *host], **own),
+        subprocess.Popen(
+            [*dask, "worker", "--scheduler-file", file, "--nworkers", "2", "--no-dashboard", *host], **own
+        ),
+    ]
+    wait_for(file)
+    while not file.read_text():
+        time.sleep(0.05)
+    yield json.loads(file.read_text())["address"]
+    for process in reversed(processes):
+        process.terminate()
+        process.wait(30)
+
+
+def test_an_external_scheduler_gives_the_same_tables(dataset, finished, tmp_path, scheduler):
+    run(dataset, tmp_path / "run", workers=None, scheduler=scheduler)
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
+    result = command("run", dataset, "--out", tmp_path / "run", "--scheduler", "tcp://127.0.0.1:9")
+    assert result.returncode == 1
+    assert "scheduler tcp://127.0.0.1:9: no cluster with a worker could be reached" in result.stderr
+
+
+def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    monkeypatch.setattr(run_module, "STAGES", faults.with_stage("graph", faults.poisoned_graph))
+    outcome = run(dataset, tmp_path / "run", workers=2)
+    assert set(outcome.failures) == {faults.POISON}
+    assert "the worker process died" in outcome.failures[faults.POISON]
+    monkeypatch.undo()
+    assert run(dataset, tmp_path / "run").n_made <= 9
+    assert_same_tables(tmp_path / "run", finished)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_bug_fails_its_pair_and_keeps_its_traceback(dataset, tmp_path, monkeypatch, workers):
+    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    monkeypatch.setattr(run_module, "STAGES", faults.with_stage("matching", faults.buggy_matching))
+    outcome = run(dataset, tmp_path / "run", workers=workers)
+    assert outcome.failures == {"001": "stage matching: internal error: ZeroDivisionError: a bug"}
+
+
+def test_a_pool_tells_of_a_dead_worker_and_goes_on(tmp_path):
+    pool = DaskPool(1, None, tmp_path, {})
+    try:
+        pool.submit(os._exit, 1)
+        assert isinstance(pool.next_done()[1], WorkerDied)
+        pool.submit(pow, 2, 5)
+        assert pool.next_done()[1] == 32
+    finally:
+        pool.close(now=True)
+
+
+def start(dataset, out, workers):
+    words = [FIDPIPE, "run", str(dataset), "--out", str(out), "--workers", str(workers)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(path, timeout=60):
+    end = time.monotonic() + timeout
+    while not path.exists():
+        if time.monotonic() > end:
+            raise TimeoutError(path)
+        time.sleep(0.005)

@@ -1,0 +1,63 @@
+"""Starting runs and comparing what they wrote."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+from rich.console import Console
+
+from fidpipe.pipeline.progress import Reporter
+from fidpipe.pipeline.run import STAGES, run_dataset
+from fidpipe.pipeline.session import RunRequest
+from fidpipe.schemas.settings import Settings
+
+FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))
+FOLDERS = [table for stage in STAGES for table in stage.gives]
+
+
+def run(dataset, out, settings=None, **options):
+    """A run in this process."""
+    request = RunRequest(dataset, out, settings or Settings(), workers=options.pop("workers", 1), **options)
+    return run_dataset(request, Reporter(Console(quiet=True)))
+
+
+def command(*words, timeout=300, **options):
+    """The command in a process of its own."""
+    return subprocess.run(
+        [FIDPIPE, *map(str, words)], capture_output=True, text=True, timeout=timeout, check=False, **options
+    )
+
+
+def tables(run_folder):
+    """Every table of a run by its relative path, but for the timings."""
+    files = sorted(path for folder in FOLDERS for path in (run_folder / folder).glob("*.parquet"))
+    files.append(run_folder / "pairs.parquet")
+    return {str(path.relative_to(run_folder)): pq.read_table(path) for path in files}
+
+
+def assert_same_tables(a, b):
+    """The same files with the same values in the same columns."""
+    a, b = tables(a), tables(b)
+    assert a.keys() == b.keys()
+    for name in a:
+        assert a[name].schema.names == b[name].schema.names, name
+        for column in a[name].schema.names:
+            assert a[name].column(column).equals(b[name].column(column)), (name, column)
+
+
+def no_temporary_files(run_folder):
+    """Whether nothing half-written was left behind."""
+    return not [path for folder in FOLDERS for path in (run_folder / folder).glob(".*")]
+
+
+def changed_files(run_folder, before):
+    """Names of files whose modification time is other than before, with those that are new."""
+    now = marks(run_folder)
+    return {name for name in now if now[name] != before.get(name)}
+
+
+def marks(run_folder):
+    """Modification times of the stage tables by relative path."""
+    files = [path for folder in FOLDERS for path in (run_folder / folder).glob("*.parquet")]
+    return {str(path.relative_to(run_folder)): path.stat().st_mtime_ns for path in files}

@@ -1,0 +1,72 @@
+import pytest
+
+from fidpipe.schemas.errors import SettingsError
+from fidpipe.schemas.settings import Settings, load, to_toml
+
+
+def test_the_defaults_are_those_of_the_paper():
+    settings = Settings()
+    assert (settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t) == (
+        90,
+        0.2,
+        5.0,
+        1.0,
+    )
+    assert (settings.ground.prior_m, settings.ground.max_variance_loss) == (0.30, 0.01)
+
+
+def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text('[graph]\nk = 60\ntau_m = 0.3\n[matching]\nmethod = "optimal"\n')
+    settings = load(file, ["graph.k=70", "ground.method=none", "input.exclude_box=-1 -1 -1 1 1 1"])
+    assert (settings.graph.k, settings.graph.tau_m, settings.matching.method) == (70, 0.3, "optimal")
+    assert (settings.ground.method, settings.input.exclude_box) == ("none", (-1, -1, -1, 1, 1, 1))
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    settings = load(None, ["graph.k=33", "input.columns=x,y,z,intensity,ring", "ground.shared=true"])
+    file = tmp_path / "s.toml"
+    file.write_text(to_toml(settings))
+    assert load(file) == settings
+
+
+@pytest.mark.parametrize(
+    ("word", "fault"),
+    [
+        ("graph.k=0", "setting graph.k: 0 found; Input should be greater than or equal to 1"),
+        ("graph.k=many", "setting graph.k: 'many' found; Input should be a valid integer"),
+        ("graph.kk=3", "setting graph.kk: no such setting; known are graph.k, graph.tau_m, graph.edges"),
+        ("grph.k=3", "setting grph: no such setting; known are input, ground, graph"),
+        ("k=3", "--set 'k=3': GROUP.NAME=VALUE is wanted"),
+        ("graph.k", "--set 'graph.k': GROUP.NAME=VALUE is wanted"),
+        ("matching.method=best", "setting matching.method: 'best' found; Input should be 'greedy' or 'optimal'"),
+        ("matching.delta_m=nan", "setting matching.delta_m: nan found; Input should be a finite number"),
+        ("input.min_range_m=200", "min_range_m 200.0 must be below max_range_m 100.0"),
+        ("input.columns=x,y", "x, y and z must be among the names"),
+        ("input.exclude_box=1,1,1,0,2,2", "each minimum must be below its maximum"),
+        ("input.include_box=1,2", "setting input.include_box"),
+    ],
+)
+def test_a_wrong_word_is_named(word, fault):
+    with pytest.raises(SettingsError) as error:
+        load(None, [word])
+    assert fault in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_shared_cut_needs_the_pca_method():
+    with pytest.raises(SettingsError, match='shared = true needs method = "pca", not "none"'):
+        load(None, ["ground.shared=true", "ground.method=none"])
+
+
+@pytest.mark.parametrize(("text", "fault"), [("[graph\n", "not valid TOML"), ("graph = 3\n", "setting graph: 3 found")])
+def test_a_wrong_file_is_named(tmp_path, text, fault):
+    file = tmp_path / "s.toml"
+    file.write_text(text)
+    with pytest.raises(SettingsError, match=fault):
+        load(file)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(SettingsError, match=r"nowhere\.toml: cannot be read"):
+        load(tmp_path / "nowhere.toml")

@@ -1,0 +1,69 @@
+import numpy as np
+from literal import clean as literal_clean
+from scenes import rigid
+
+from fidpipe.schemas.settings import InputSettings
+from fidpipe.stages.clean import clean_scan
+
+
+def test_each_reason_is_counted_in_its_order():
+    scan = np.array([[np.nan, 0, 0], [0, 0, 0], [5, 0, 0], [5, 0, 0], [1, 0, 0], [200, 0, 0], [4, 0, 0], [6, 1, 0]])
+    settings = InputSettings(exclude_box=(3.5, -1, -1, 4.5, 1, 1), include_box=(-10, -10, -10, 5.5, 10, 10))
+    result = clean_scan(scan, settings)
+    assert result.point_ids.tolist() == [2]
+    assert result.dropped == {
+        "not_finite": 1,
+        "zero": 1,
+        "duplicate": 1,
+        "too_near": 1,
+        "too_far": 1,
+        "in_exclude_box": 1,
+        "outside_include_box": 1,
+    }
+
+
+def test_range_limits_are_inclusive():
+    scan = np.array([[2.5, 0, 0], [100.0, 0, 0], [2.4999, 0, 0], [100.001, 0, 0]])
+    assert clean_scan(scan, InputSettings()).point_ids.tolist() == [0, 1]
+
+
+def test_of_equal_points_the_first_row_stays():
+    scan = np.array([[5.0, 1, 1], [3, 0, 0], [5, 1, 1], [3, 0, 0], [3, 0, 0.5]])
+    assert clean_scan(scan, InputSettings()).point_ids.tolist() == [0, 1, 4]
+
+
+def test_plus_and_minus_zero_are_the_same_coordinate():
+    scan = np.array([[5.0, 0.0, 1], [5.0, -0.0, 1], [-0.0, 0.0, -0.0]])
+    assert clean_scan(scan, InputSettings()).point_ids.tolist() == [0]
+
+
+def test_range_is_judged_before_the_transform_and_the_box_after():
+    T = rigid(90, [100, 0, 0])
+    settings = InputSettings(include_box=(99, -50, -50, 101, 50, 50))
+    result = clean_scan(np.array([[10.0, 0, 0], [0.0, 10, 0]]), settings, T_real_sim=T)
+    assert result.point_ids.tolist() == [0]
+    np.testing.assert_allclose(result.points, [[100, 10, 0]], atol=1e-12)
+
+
+def test_the_mirror_comes_before_the_transform():
+    result = clean_scan(np.array([[10.0, 3, 0]]), InputSettings(), flip_y=True, T_real_sim=rigid(90, [0, 0, 0]))
+    np.testing.assert_allclose(result.points, [[3, 10, 0]], atol=1e-12)
+
+
+def test_the_scan_given_is_not_changed():
+    scan = np.array([[10.0, 3, 0], [np.nan, 0, 0]])
+    before = scan.copy()
+    clean_scan(scan, InputSettings(), flip_y=True)
+    np.testing.assert_array_equal(scan, before)
+
+
+def test_agrees_with_the_literal_twin_on_a_dirty_scan(rng):
+    scan = np.round(rng.normal(0, 4, (800, 3)), 0)  # coarse, so that many points are equal or zero
+    scan[rng.random(800) < 0.05, 1] = np.inf
+    T = rigid(30, [1, 2, 0.5])
+    box, keep = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0), (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
+    result = clean_scan(scan, InputSettings(exclude_box=box, include_box=keep), flip_y=True, T_real_sim=T)
+    ids, points = literal_clean(scan, 2.5, 100, box, T, True, keep)
+    assert result.point_ids.tolist() == ids
+    np.testing.assert_allclose(result.points, points, atol=1e-12)
+    assert sum(result.dropped.values()) + len(ids) == 800

@@ -1,0 +1,108 @@
+import literal
+import numpy as np
+import pytest
+from scenes import box
+
+from fidpipe.schemas.settings import CommunitySettings, GraphSettings
+from fidpipe.stages.communities import adjacency, find_communities, modularity
+from fidpipe.stages.graph import Edges, build_graph
+from fidpipe.stages.objects import describe_objects, majority_labels
+
+BACKENDS = ["scikit-network", "python-louvain"]
+
+
+@pytest.fixture(scope="module")
+def three_boxes():
+    points = np.vstack(
+        [box([0, 0, 0], [1, 1, 1], 60, 1), box([9, 0, 0], [1, 2, 1], 90, 2), box([0, 9, 0], [1, 1, 1], 30, 3)]
+    )
+    return points, build_graph(points, GraphSettings(k=8))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backend):
+    points, edges = three_boxes
+    labels = find_communities(len(points), edges, CommunitySettings(backend=backend)).labels
+    for community in range(labels.max() + 1):
+        members = np.flatnonzero(labels == community)
+        assert len(set(np.digitize(members, [60, 150]))) == 1
+    sizes = np.bincount(labels)
+    assert (np.diff(sizes) <= 0).all()
+    np.testing.assert_array_equal(labels, literal.canonical(labels.tolist()))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_modularity_is_that_of_the_double_sum(three_boxes, backend):
+    points, edges = three_boxes
+    found = find_communities(len(points), edges, CommunitySettings(backend=backend))
+    A = adjacency(len(points), edges).toarray()
+    assert found.modularity == pytest.approx(literal.modularity(A, found.labels), abs=1e-12)
+
+
+def test_the_reference_backend_is_python_louvain_itself(three_boxes):
+    points, edges = three_boxes
+    found = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
+    as_dict = {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
+    np.testing.assert_array_equal(found.labels, literal.louvain(len(points), as_dict, seed=3))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_both_backends_reach_nearly_the_same_modularity(rng, backend):
+    points = rng.normal(0, 3, (700, 3))
+    edges = build_graph(points, GraphSettings(k=12))
+    found = find_communities(700, edges, CommunitySettings(backend=backend)).modularity
+    best = max(find_communities(700, edges, CommunitySettings(backend=of)).modularity for of in BACKENDS)
+    assert found > best - 0.01
+
+
+def test_the_seed_fixes_the_partition(rng):
+    points = rng.normal(0, 3, (500, 3))
+    edges = build_graph(points, GraphSettings(k=10))
+    runs = [find_communities(500, edges, CommunitySettings(seed=seed)).labels for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert (runs[0] != runs[2]).any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_without_edges_every_node_is_alone(backend):
+    empty = np.empty(0, dtype=np.int32)
+    found = find_communities(4, Edges(empty, empty, empty.astype(np.float32)), CommunitySettings(backend=backend))
+    assert found.labels.tolist() == [0, 1, 2, 3]
+    assert found.modularity == 0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_isolated_node_is_a_community_of_its_own(backend):
+    edges = Edges(np.array([0, 0, 1], np.int32), np.array([1, 2, 2], np.int32), np.ones(3, np.float32))
+    assert find_communities(4, edges, CommunitySettings(backend=backend)).labels.tolist() == [0, 0, 0, 1]
+
+
+def test_of_equal_sizes_the_community_with_the_smallest_node_comes_first():
+    edges = Edges(np.array([0, 1], np.int32), np.array([3, 2], np.int32), np.ones(2, np.float32))
+    assert find_communities(4, edges, CommunitySettings()).labels.tolist() == [0, 1, 1, 0]
+
+
+def test_modularity_of_two_halves_by_hand():
+    # Two edges of length 1, apart: each community holds half of the weight, Q = 1 - 2 * (1/2)^2.
+    edges = Edges(np.array([0, 2], np.int32), np.array([1, 3], np.int32), np.ones(2, np.float32))
+    assert modularity(np.array([0, 0, 1, 1], np.int32), edges) == pytest.approx(0.5)
+
+
+def test_objects_are_described_by_hand():
+    line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
+    square = np.array([[0.0, 0, 5], [2, 0, 5], [0, 2, 5], [2, 2, 5]])
+    objects = describe_objects(np.vstack([line, square]), np.array([0] * 5 + [1] * 4, np.int32))
+    assert objects.n_points.tolist() == [5, 4]
+    np.testing.assert_allclose(objects.centroid, [[2, 0, 0], [1, 1, 5]])
+    np.testing.assert_allclose(objects.extent, [[4, 0, 0], [2, 2, 0]])
+    np.testing.assert_allclose(objects.shape, [[1, 0, 0], [0, 1, 0]], atol=1e-12)
+
+
+def test_a_single_point_has_no_shape():
+    objects = describe_objects(np.ones((1, 3)), np.zeros(1, np.int32))
+    assert objects.shape.tolist() == [[0, 0, 0]]
+
+
+def test_the_majority_names_an_object_and_the_alphabet_breaks_ties():
+    labels = np.array([0, 0, 0, 1, 1, 2], np.int32)
+    assert majority_labels(labels, ["car", "wall", "car", "wall", "car", None]) == ["car", "car", None]

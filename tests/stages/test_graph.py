@@ -1,0 +1,53 @@
+import literal
+import numpy as np
+import pytest
+
+from fidpipe.schemas.settings import GraphSettings
+from fidpipe.stages.graph import build_graph
+
+
+def as_dict(edges):
+    return {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
+
+
+@pytest.mark.parametrize("rule", ["union", "intersection"])
+@pytest.mark.parametrize("k", [1, 5, 200])
+def test_agrees_with_the_literal_twin(rng, rule, k):
+    points = rng.normal(0, 1, (120, 3))
+    edges = build_graph(points, GraphSettings(k=k, tau_m=0.4, edges=rule))
+    assert as_dict(edges) == literal.graph(points, k, 0.4, rule)
+
+
+@pytest.mark.parametrize("k", [3, 6, 13])
+def test_ties_go_to_the_smaller_id(k):
+    # On a grid most neighbours tie: 6 at one step, 12 at the next.
+    grid = np.array([[x, y, z] for x in range(5) for y in range(5) for z in range(4)], dtype=float)
+    edges = build_graph(grid, GraphSettings(k=k, tau_m=0))
+    assert as_dict(edges) == literal.graph(grid, k, 0)
+
+
+def test_tau_is_inclusive():
+    points = np.array([[0.0, 0, 0], [0.25, 0, 0], [0.75, 0, 0], [2, 0, 0], [2, 0.25, 0]])
+    edges = build_graph(points, GraphSettings(k=1, tau_m=0.5))
+    assert (1, 2) in as_dict(edges)
+
+
+def test_edges_are_sorted_and_each_stands_once(rng):
+    edges = build_graph(rng.normal(0, 1, (300, 3)), GraphSettings(k=8))
+    codes = edges.src.astype(np.int64) * 300 + edges.dst
+    assert (edges.src < edges.dst).all()
+    assert (np.diff(codes) > 0).all()
+    assert edges.length_m.dtype == np.float32
+
+
+def test_one_point_has_no_edges():
+    assert len(build_graph(np.zeros((1, 3)), GraphSettings()).src) == 0
+
+
+def test_point_order_changes_ids_only(rng):
+    points = rng.normal(0, 1, (150, 3))
+    order = rng.permutation(150)
+    a = build_graph(points, GraphSettings(k=6))
+    b = build_graph(points[order], GraphSettings(k=6))
+    renamed = {tuple(sorted((int(order[i]), int(order[j])))): w for (i, j), w in as_dict(b).items()}
+    assert renamed == as_dict(a)

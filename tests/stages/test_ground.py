@@ -1,0 +1,108 @@
+import literal
+import numpy as np
+import pytest
+from scenes import box, road, street
+
+from fidpipe.schemas.errors import StageError
+from fidpipe.schemas.settings import GroundSettings
+from fidpipe.stages.ground import remove_ground
+
+
+def tilted(points, degrees):
+    a = np.radians(degrees)
+    R = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+    return points @ R.T
+
+
+def test_the_road_goes_and_the_car_stays():
+    walls = np.vstack([box([0, y, 2.2], [30, 0.2, 6], 400) for y in (-12, 12)])
+    scan = np.vstack([road(1500), box([8, 4, -0.6], [4, 1.8, 1.2], 200), walls])
+    cut = remove_ground(scan, GroundSettings())
+    assert cut.is_ground[:1500].mean() > 0.99
+    assert cut.is_ground[1500:1700].mean() < 0.05
+    assert cut.is_ground[1700:].mean() < 0.1
+    assert cut.peak_m == pytest.approx(-1.7, abs=0.05)
+    np.testing.assert_allclose(cut.height_m, scan @ cut.axis - cut.peak_m)
+
+
+def test_a_flat_plane_leaves_too_few_points():
+    plane = np.column_stack([np.random.default_rng(0).uniform(-20, 20, (500, 2)), np.full(500, -1.7)])
+    with pytest.raises(
+        StageError, match=r"0 object points after ground removal, at least 8 .* ground.prior_m \(now 0.3\)"
+    ):
+        remove_ground(plane, GroundSettings())
+
+
+def test_fewer_than_eight_points_are_refused():
+    with pytest.raises(StageError, match="7 points after cleaning, at least 8 are needed"):
+        remove_ground(road(7), GroundSettings())
+
+
+@pytest.mark.parametrize("loss", ["removed", "total"])
+@pytest.mark.parametrize("seed", range(4))
+def test_agrees_with_the_literal_twin(seed, loss):
+    scan = tilted(street(seed), seed)
+    cut = remove_ground(scan, GroundSettings(loss=loss))
+    flags, peak, threshold, lost, iterations = literal.ground(scan, loss=loss)
+    assert cut.peak_m == pytest.approx(peak, abs=1e-9)
+    assert cut.threshold_m == pytest.approx(threshold, abs=1e-9)
+    assert cut.loss == pytest.approx(lost, rel=1e-6)
+    assert cut.iterations == iterations
+    np.testing.assert_array_equal(cut.is_ground, flags)
+
+
+def test_the_threshold_is_lowered_until_the_loss_is_allowed_and_ends_at_the_peak():
+    rng = np.random.default_rng(3)
+    low = np.column_stack([rng.uniform(-15, 15, (900, 2)), rng.uniform(-1.8, -1.3, 900)])  # a rough road
+    scan = np.vstack([low, box([8, 0, -0.6], [3, 3, 1.5], 100)])
+    strict = remove_ground(scan, GroundSettings(max_variance_loss=0.0))
+    assert strict.threshold_m == strict.peak_m
+    assert strict.iterations == 6  # 0.30 m in steps of 0.05 m
+    lenient = remove_ground(scan, GroundSettings(max_variance_loss=1.0))
+    assert lenient.iterations == 0
+    assert lenient.threshold_m == pytest.approx(lenient.peak_m + 0.30)
+
+
+def test_lifting_the_scan_lifts_the_cut_with_it():
+    scan = street(1)
+    lifted = scan + [0, 0, 0.037]
+    a, b = (remove_ground(points, GroundSettings()) for points in (scan, lifted))
+    assert b.peak_m - a.peak_m == pytest.approx(0.037 * a.axis[2], abs=1e-9)
+    np.testing.assert_array_equal(a.is_ground, b.is_ground)
+
+
+def test_a_steep_axis_falls_back_to_plus_z_and_says_so():
+    scan = tilted(street(2), 25)
+    cut = remove_ground(scan, GroundSettings(prior_m=0.1))
+    assert cut.tilt_deg > 10
+    assert cut.axis.tolist() == [0, 0, 1]
+    assert "tilted" in cut.notes[0]
+
+
+def test_without_near_points_the_peak_is_that_of_all_points_and_it_says_so():
+    far = street(0) + [60, 0, 0]
+    cut = remove_ground(far, GroundSettings())
+    assert cut.notes == ("no point within 30 m; the road's peak is that of all points",)
+
+
+def test_no_method_cuts_nothing_and_has_no_threshold():
+    cut = remove_ground(street(), GroundSettings(method="none"))
+    assert not cut.is_ground.any()
+    assert (cut.threshold_m, cut.loss, cut.iterations) == (None, None, None)
+
+
+def test_a_shared_cut_is_that_of_the_real_side():
+    real, sim = street(0), street(1) + [0, 0, 0.2]
+    own = remove_ground(real, GroundSettings())
+    shared = remove_ground(sim, GroundSettings(shared=True), own)
+    assert (shared.peak_m, shared.threshold_m) == (own.peak_m, own.threshold_m)
+    np.testing.assert_array_equal(shared.is_ground, sim @ own.axis < own.threshold_m)
+
+
+def test_patchwork_takes_the_road():
+    pytest.importorskip("pypatchworkpp")
+    scan = np.vstack([road(20000, 25.0), box([8, 4, -0.3], [4, 1.8, 1.2], 800)])
+    cut = remove_ground(scan, GroundSettings(method="patchwork"))
+    assert cut.is_ground[:20000].mean() > 0.9
+    assert cut.is_ground[20000:].mean() < 0.1
+    assert cut.threshold_m is None

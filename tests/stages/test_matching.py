@@ -1,0 +1,51 @@
+import literal
+import numpy as np
+import pytest
+
+from fidpipe.schemas.settings import MatchingSettings
+from fidpipe.stages.matching import match_communities
+
+
+def pairs(matching):
+    return list(zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_greedy_agrees_with_the_literal_twin(seed):
+    rng = np.random.default_rng(seed)
+    real, sim = rng.uniform(0, 20, (12, 3)), rng.uniform(0, 20, (15, 3))
+    found = match_communities(real, sim, MatchingSettings(delta_m=8))
+    assert [pair[:2] for pair in pairs(found)] == [pair[:2] for pair in literal.match_greedy(real, sim, 8)]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_optimal_agrees_with_trying_all(seed):
+    rng = np.random.default_rng(seed)
+    real, sim = rng.uniform(0, 9, (4, 3)), rng.uniform(0, 9, (4, 3))
+    found = match_communities(real, sim, MatchingSettings(delta_m=4, method="optimal"))
+    best = literal.match_optimal(real, sim, 4)
+    assert len(found.real_ids) == len(best)
+    assert found.distance_m.sum() == pytest.approx(sum(d for _, _, d in best))
+
+
+def test_greedy_takes_what_comes_first_and_optimal_what_is_best():
+    # Real 0 is near sim 0, but real 1 has no other partner.
+    real, sim = np.array([[0.0, 0, 0], [3, 0, 0]]), np.array([[1.0, 0, 0], [-4, 0, 0]])
+    assert [pair[:2] for pair in pairs(match_communities(real, sim, MatchingSettings()))] == [(0, 0)]
+    optimal = match_communities(real, sim, MatchingSettings(method="optimal"))
+    assert [pair[:2] for pair in pairs(optimal)] == [(0, 1), (1, 0)]
+
+
+def test_a_centroid_at_exactly_delta_does_not_match():
+    found = match_communities(np.zeros((1, 3)), np.array([[5.0, 0, 0]]), MatchingSettings(delta_m=5))
+    assert (found.missing.tolist(), found.hallucinated.tolist(), found.match_rate) == ([0], [0], 0.0)
+
+
+def test_of_equally_near_centroids_the_smaller_id_is_taken():
+    found = match_communities(np.zeros((1, 3)), np.array([[0.0, 1, 0], [1, 0, 0]]), MatchingSettings())
+    assert found.sim_ids.tolist() == [0]
+
+
+def test_the_match_rate_counts_the_side_that_has_more():
+    found = match_communities(np.zeros((1, 3)), np.array([[1.0, 0, 0], [50, 0, 0], [70, 0, 0]]), MatchingSettings())
+    assert found.match_rate == pytest.approx(1 / 3)
