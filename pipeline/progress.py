@@ -59,9 +59,9 @@ class Reporter:
         if self.console.is_terminal:
             self._bar = Progress(
                 TextColumn("{task.fields[stages]}", markup=False),
-                BarColumn(bar_width=20),
+                BarColumn(bar_width=12),
                 TimeElapsedColumn(),
-                TextColumn("{task.fields[left]}"),
+                TextColumn("{task.fields[left]}", markup=False),
                 console=self.console,
                 transient=True,
             )
@@ -122,9 +122,11 @@ class Work:
         self._ended.add(pair_id)
 
     def counts(self) -> str:
-        """Jobs by stage, in words."""
-        stages = "  ".join(f"{stage} {self._done[stage]}/{total}" for stage, total in self._total.items())
-        return f"{len(self._ended)} of {len(self.n_raw)} pairs, {self.n_failed} failed  [{stages}]"
+        """Ended pairs, and finished jobs of the first stages that are not through, in words."""
+        open_stages = [stage for stage, total in self._total.items() if self._done[stage] < total]
+        stages = ", ".join(f"{stage} {self._done[stage]}/{self._total[stage]}" for stage in open_stages[:3])
+        pairs = f"{len(self._ended)} of {len(self.n_raw)} pairs, {self.n_failed} failed"
+        return f"{pairs} ({stages})" if stages else pairs
 
     def share(self) -> float:
         """Done work over all work."""

@@ -32,7 +32,7 @@ def clean(points, min_range_m, max_range_m, exclude_box=None, T=None, flip_y=Fal
 
 def ground(points, prior_m=0.30, max_loss=0.01, loss="removed"):
     """Flags, peak, threshold, loss, iterations of the PCA Z-cut."""
-    values, vectors = np.linalg.eigh(np.cov(points.T))
+    _, vectors = np.linalg.eigh(np.cov(points.T))
     axis = max(vectors.T, key=lambda v: abs(v[2]))
     axis = axis if axis[2] > 0 else -axis
     if math.degrees(math.acos(min(1.0, axis[2]))) > 10:

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from scenes import road, street, write_bin
 
 from fidpipe.pipeline.check import check_dataset
 from fidpipe.pipeline.intake import implausible, widest_azimuth_gap_deg
 from fidpipe.pipeline.readers.dataset import read_dataset
 from fidpipe.schemas.errors import DatasetError
 from fidpipe.schemas.settings import Settings, load
+from scenes import road, street, write_bin
 
 
 def folders(tmp_path, real=("a",), sim=("a",)):

@@ -1,10 +1,10 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scenes import write_bin
 
 from fidpipe.pipeline.readers import read_scan, stem_of, suffix_of
 from fidpipe.schemas.errors import ScanError
+from scenes import write_bin
 
 POINTS = np.array([[1.5, -2.25, 0.5], [4, 5, 6], [-7, 8, 9.125]])
 

@@ -6,8 +6,6 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from runs import FOLDERS, assert_same_tables, changed_files, marks, no_temporary_files, run
-from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
 import fidpipe
 from fidpipe.pipeline.run import STAGE_NAMES
@@ -15,6 +13,8 @@ from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
+from runs import FOLDERS, assert_same_tables, changed_files, marks, no_temporary_files, run
+from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
 
 @pytest.fixture(scope="module")

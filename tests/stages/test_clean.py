@@ -1,9 +1,9 @@
 import numpy as np
-from literal import clean as literal_clean
-from scenes import rigid
 
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.clean import clean_scan
+from literal import clean as literal_clean
+from scenes import rigid
 
 
 def test_each_reason_is_counted_in_its_order():

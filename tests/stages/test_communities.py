@@ -1,12 +1,12 @@
-import literal
 import numpy as np
 import pytest
-from scenes import box
 
+import literal
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings
 from fidpipe.stages.communities import adjacency, find_communities, modularity
 from fidpipe.stages.graph import Edges, build_graph
 from fidpipe.stages.objects import describe_objects, majority_labels
+from scenes import box
 
 BACKENDS = ["scikit-network", "python-louvain"]
 

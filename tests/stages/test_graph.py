@@ -1,7 +1,7 @@
-import literal
 import numpy as np
 import pytest
 
+import literal
 from fidpipe.schemas.settings import GraphSettings
 from fidpipe.stages.graph import build_graph
 

@@ -1,11 +1,11 @@
-import literal
 import numpy as np
 import pytest
-from scenes import box, road, street
 
+import literal
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import GroundSettings
 from fidpipe.stages.ground import remove_ground
+from scenes import box, road, street
 
 
 def tilted(points, degrees):

@@ -1,7 +1,7 @@
-import literal
 import numpy as np
 import pytest
 
+import literal
 from fidpipe.schemas.settings import MatchingSettings
 from fidpipe.stages.matching import match_communities
 

@@ -1,15 +1,15 @@
-import literal
 import numpy as np
 import pytest
-from scenes import box, moved, rigid
 from scipy import sparse
 
+import literal
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
 from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.laplacian import Subgraph, induced_laplacian
 from fidpipe.stages.metrics import chamfer_density_aware, score_object, spectral_norm
 from fidpipe.stages.selection import select_nodes
+from scenes import box, moved, rigid
 
 SPECTRAL = (
     "r_lambda",

@@ -1,8 +1,8 @@
-import literal
 import numpy as np
 import pytest
 from scipy import sparse
 
+import literal
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
 from fidpipe.stages.alignment import align_nodes
 from fidpipe.stages.communities import adjacency
