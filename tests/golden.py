@@ -1,0 +1,70 @@
+"""The numbers that the tiny dataset must give. `python tests/golden.py` renews them, and says which stages changed.
+
+It refuses where numbers of a stage changed and its code version in `pipeline/run.py` did not.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import pandas as pd
+
+from fidpipe.pipeline.run import STAGES
+from runs import run
+from scenes import write_dataset
+
+FILE = Path(__file__).with_name("golden.json")
+RELATIVE, ABSOLUTE = 1e-6, 1e-9
+
+
+def measure():
+    """Code version and numbers of every stage, from a run over two small streets."""
+    with tempfile.TemporaryDirectory() as folder:
+        dataset, out = write_dataset(Path(folder) / "streets", 2), Path(folder) / "run"
+        rows = run(dataset, out).rows
+        frames = {stage.name: pd.read_parquet(out / stage.name) for stage in STAGES}
+        objects = pd.read_parquet(out / "objects")
+    numbers = {
+        "ground": [
+            [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))] for row in rows
+        ],
+        "graph": frames["graph"].groupby(["pair_id", "side"])[["src", "dst", "length_m"]].sum().astype(float),
+        "communities": objects.drop(columns=["pair_id", "side", "label"]).astype(float),
+        "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]].astype(float).fillna(-1.0),
+        "selection": frames["selection"].groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]].sum(),
+        "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
+    }
+    return {
+        stage.name: {
+            "version": stage.version,
+            "numbers": of if isinstance(of := numbers[stage.name], list) else of.to_numpy().tolist(),
+        }
+        for stage in STAGES
+    }
+
+
+def differs(a, b):
+    """Whether two lists of rows of numbers are not the same within the tolerances."""
+    if len(a) != len(b):
+        return True
+    return any(
+        len(x) != len(y) or any(abs(p - q) > ABSOLUTE + RELATIVE * abs(q) for p, q in zip(x, y, strict=True))
+        for x, y in zip(a, b, strict=True)
+    )
+
+
+def renew():
+    old, new = json.loads(FILE.read_text()) if FILE.exists() else {}, measure()
+    for stage, of in new.items():
+        if stage in old and differs(of["numbers"], old[stage]["numbers"]):
+            if of["version"] == old[stage]["version"]:
+                sys.exit(
+                    f"numbers of stage {stage} changed; raise its version in pipeline/run.py, say why in CHANGELOG.md"
+                )
+            print(f"stage {stage}: new numbers under version {of['version']}")
+    FILE.write_text(json.dumps(new, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    renew()

@@ -1,0 +1,121 @@
+"""The command as a user meets it: exit codes, one-line errors, help."""
+
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from runs import command
+from scenes import write_dataset
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
+
+
+def one_line(text):
+    lines = [line for line in text.splitlines() if line.strip()]
+    assert len(lines) == 1, text
+    return lines[0]
+
+
+def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
+    result = command("run", dataset, "--workers", 1, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "runs/streets/pairs.parquet" in result.stdout
+    assert "r_lambda" in result.stdout
+    assert (tmp_path / "runs" / "streets" / "run.json").exists()
+    again = command("run", dataset, "--workers", 1, cwd=tmp_path)
+    assert "0 jobs done, 18 reused" in again.stdout
+    changed = command("run", dataset, "--workers", 1, "--set", "matching.delta_m=3", cwd=tmp_path)
+    assert "replacing matching, selection, metrics of 2 pairs: out of date (matching.delta_m was 5.0, is 3.0)" in (
+        changed.stderr
+    )
+    status = command("status", "runs/streets", cwd=tmp_path)
+    assert status.returncode == 0
+    assert re.search(r"metrics +2 +- +- +-", status.stdout)
+
+
+def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "streets")
+    (data / "sim" / "001.bin").write_bytes(b"")
+    result = command("run", data, "--workers", 1, "--out", tmp_path / "run")
+    assert result.returncode == 3
+    assert "1 of 2 pairs failed" in result.stdout
+    assert "sim/001.bin: the file is empty, points are wanted" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (["nowhere"], "error: dataset nowhere: no such folder"),
+        (
+            ["{data}", "--set", "graph.k=0"],
+            "error: setting graph.k: 0 found; Input should be greater than or equal to 1",
+        ),
+        (["{data}", "--settings", "gone.toml"], "error: settings file gone.toml: cannot be read"),
+        (["{data}", "--pairs", "x*"], "error: --pairs 'x*' matches none of the 2 pairs (000, 001 ...)"),
+    ],
+)
+def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, fault):
+    result = command("run", *[word.format(data=dataset) for word in words], cwd=tmp_path)
+    assert result.returncode == 1
+    assert one_line(result.stderr).startswith(fault)
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run"],
+        ["run", "{data}", "--from", "nowhere"],
+        ["run", "{data}", "--workers", "0"],
+        ["nosuch"],
+        ["run", "--what"],
+        ["run", "{data}", "--workers", "2", "--scheduler", "tcp://a:1"],
+    ],
+)
+def test_wrong_usage_ends_with_two(dataset, tmp_path, words):
+    result = command(*[word.format(data=dataset) for word in words], cwd=tmp_path)
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, tmp_path):
+    good = command("check", dataset)
+    assert good.returncode == 0
+    assert "2 of 2 pairs can be evaluated" in good.stdout
+    data = shutil.copytree(dataset, tmp_path / "streets")
+    (data / "real" / "000.bin").unlink()
+    bad = command("check", data)
+    assert bad.returncode == 1
+    assert "fault: pair 000:" in bad.stdout
+    assert "1 of 2 pairs can be evaluated" in bad.stdout
+
+
+def test_a_status_of_no_run_is_one_line(tmp_path):
+    result = command("status", tmp_path)
+    assert result.returncode == 1
+    assert "no run.json found" in one_line(result.stderr)
+
+
+@pytest.mark.parametrize("name", ["run", "check", "status", "synth"])
+def test_every_command_has_an_example_in_its_help(name):
+    result = command(name, "--help")
+    assert result.returncode == 0
+    assert f"fidpipe {name} " in result.stdout
+
+
+def test_help_imports_nothing_heavy():
+    heavy = ("numpy", "pandas", "dask", "pyarrow", "pydantic")
+    code = f"import sys; from fidpipe.pipeline import cli; print([name for name in {heavy} if name in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_the_version_is_told():
+    assert re.fullmatch(r"fidpipe \d+\.\d+\.\d+\n", command("--version").stdout)

@@ -1,0 +1,86 @@
+"""The whole command on real scans."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fidpipe.pipeline.evaluate import evaluate_pair
+from fidpipe.pipeline.readers import read_scan
+from fidpipe.schemas.settings import GroundSettings, InputSettings, Settings, load
+from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.ground import remove_ground
+from runs import assert_same_tables, run
+from scenes import moved, rigid, write_bin
+
+pytestmark = [pytest.mark.slow, pytest.mark.real_data]
+
+AS_IT_IS = Settings(input=InputSettings(min_range_m=0, max_range_m=1e6), ground=GroundSettings(method="none"))
+
+
+@pytest.fixture(scope="module")
+def rellis_objects(real_data):
+    scan = clean_scan(read_scan(real_data / "rellis/vel000104.bin").points, InputSettings())
+    return scan.points[~remove_ground(scan.points, GroundSettings()).is_ground]
+
+
+@pytest.fixture
+def thinned(real_data, tmp_path):
+    """Every third row of two real pairs: scans of the paper's size, and small enough for a test."""
+    for side in ("real", "sim"):
+        for name in ("000000.bin", "000008.bin"):
+            points = read_scan(real_data / "kitti_twin" / side / name).points
+            write_bin(tmp_path / "kitti" / side / name, points[::3])
+    return tmp_path / "kitti"
+
+
+def test_rigidly_moved_object_points_are_identical(rellis_objects):
+    result = evaluate_pair(rellis_objects, moved(rellis_objects, rigid(2, [0.03, 0.04, 0])), AS_IT_IS)
+    np.testing.assert_array_equal(result.communities["real"].community_id, result.communities["sim"].community_id)
+    assert result.summary["match_rate"] == 1
+    assert result.metrics.r_lambda.max() < 0.01
+    assert result.metrics.r_gap.max() < 0.0001
+    assert result.metrics.eigenspectrum_distance.max() < 1e-5
+
+
+def test_the_order_of_the_rows_of_a_scan_does_not_change_its_objects_much(rellis_objects):
+    # Ids change with the order, and Louvain visits nodes by id: the partition may move, its quality may not.
+    order = np.random.default_rng(0).permutation(len(rellis_objects))
+    result = evaluate_pair(rellis_objects, rellis_objects[order], AS_IT_IS)
+    assert result.summary["match_rate"] > 0.7
+
+
+def test_thinned_real_pairs_score_like_the_paper(thinned, tmp_path):
+    outcome = run(thinned, tmp_path / "run", workers=2)
+    assert not outcome.failures
+    pairs = pd.read_parquet(tmp_path / "run" / "pairs.parquet")
+    assert pairs.match_rate.between(0.5, 0.95).all()
+    assert pairs.n_communities_real.between(15, 50).all()
+    assert pairs.cdc_mean.between(0.2, 1.0).all()
+    assert pairs.r_lambda_mean.between(0.2, 0.5).all()
+    assert pairs.r_gap_mean.between(0, 0.1).all()
+    run(thinned, tmp_path / "again", workers=1)
+    assert_same_tables(tmp_path / "run", tmp_path / "again")
+
+
+def test_a_real_scan_against_itself_is_identical_through_the_whole_command(real_data, tmp_path):
+    scan = real_data / "rellis" / "vel000104.bin"
+    (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\nself,{scan},{scan}\n")
+    (row,) = run(tmp_path, tmp_path / "run").rows
+    assert (row["match_rate"], row["cdc_mean"], row["r_lambda_mean"], row["r_gap_mean"]) == (1, 0, 0, 0)
+    assert row["n_identical"] + row["n_too_small"] == row["n_matched"]
+
+
+@pytest.mark.parametrize(
+    ("real", "sim", "words"),
+    [
+        ("rellis/vel000104.bin", "rellis/000104.bin", []),
+        ("registration/target.ply", "registration/source.ply", []),
+        ("velodyne_vlp32c/one_sweep.pcd", "velodyne_vlp32c/one_sweep.pcd", []),
+        ("carla/000030.bin", "carla/000031.bin", ["input.min_range_m=3"]),
+    ],
+)
+def test_every_kind_of_real_scan_runs_to_the_end(real_data, tmp_path, real, sim, words):
+    lines = [f"{real_data / real},{real_data / sim}"]
+    (tmp_path / "pairs.csv").write_text("pair_id,real,sim\n" + "".join(f"p,{line}\n" for line in lines))
+    outcome = run(tmp_path, tmp_path / "run", load(None, [*words, "graph.k=30"]), workers=2)
+    assert not outcome.failures
