@@ -66,11 +66,9 @@ def modularity(labels: IntArray, edges: Edges) -> float:
 
 def adjacency(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
     """The symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices."""
-    weight = edges.length_m.astype(np.float64)
-    half = sparse.csr_matrix((weight, (edges.src, edges.dst)), shape=(n_nodes, n_nodes))
-    whole = (half + half.T).tocsr()
-    whole.sort_indices()
-    return whole
+    starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
+    half = sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
+    return half + half.T.tocsr()
 
 
 def _scikit_network(n_nodes: int, edges: Edges, seed: int) -> IntArray:

@@ -8,13 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from ..schemas.settings import GraphSettings
 from .arrays import Float32Array, FloatArray, IndexArray, IntArray
 
-_SLACK = 1e-9  # relative; candidates are looked for a little too far out, then judged by one exact formula
-_SPARE = 4  # neighbours beyond the k-th that are looked at, so that ties there are seen
+_SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
+_LEAF_SIZE = 32
 
 
 @dataclass(frozen=True)
@@ -54,38 +56,39 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     if n < 2:
         empty = np.empty(0, dtype=np.int32)
         return Edges(empty, empty, np.empty(0, dtype=np.float32))
-    tree = cKDTree(points)
-    knn = _pairs_once(*_nearest(tree, points, min(settings.k, n - 1)), n)
+    tree = cKDTree(points, leafsize=_LEAF_SIZE)
+    k = min(settings.k, n - 1)
+    neighbours, reach_m = _nearest(tree, points, k)
+    joined = _either_way(
+        sparse.csr_array((np.ones(n * k, np.int8), neighbours.ravel(), np.arange(0, n * k + 1, k)), (n, n))
+    )
     if settings.edges == "union":
-        pairs = np.union1d(knn, _pairs_once(*_within(tree, points, settings.tau_m), n))
-        src, dst = np.divmod(pairs, n)
-        length_m = _distance(points, src, dst)
-    else:
-        src, dst = np.divmod(knn, n)
-        length_m = _distance(points, src, dst)
+        # Where the k-th neighbour is farther than tau, all that lie within tau are neighbours already.
+        crowded = np.flatnonzero(reach_m <= settings.tau_m * (1 + _SLACK))
+        src, dst = crowded[_within(points[crowded], settings.tau_m)]
+        joined = joined + _either_way(sparse.csr_array((np.ones(len(src), np.int8), (src, dst)), (n, n)))
+    pairs = joined.tocoo()
+    upper = pairs.row < pairs.col
+    src, dst = pairs.row[upper], pairs.col[upper]
+    length_m = _distance(points, src, dst)
+    if settings.edges == "intersection":
         inside = length_m <= settings.tau_m
         src, dst, length_m = src[inside], dst[inside], length_m[inside]
     return Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
 
 
-def _nearest(tree: cKDTree, points: FloatArray, k: int) -> tuple[IndexArray, IndexArray]:
-    """The directed pairs (i, j) where j is one of the k nearest neighbours of i, ties by smaller j."""
+def _nearest(tree: cKDTree, points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
+    """The k nearest neighbours of each point, (n, k), ties by smaller index; and the distance of the k-th, (n,)."""
     n = len(points)
-    width = min(k + 1 + _SPARE, n)
-    _, found = tree.query(points, k=width)
-    rows = np.repeat(np.arange(n), width)
-    columns = found.ravel().astype(np.intp)
-    distance = _distance(points, rows, columns).reshape(n, width)
-    distance[rows.reshape(n, width) == found] = -1.0  # the point itself comes first and is cut off
-    order = np.lexsort((found, distance))
-    neighbours = np.take_along_axis(found, order, axis=1)
-    distance = np.take_along_axis(distance, order, axis=1)
-    chosen = neighbours[:, 1 : k + 1]
-    if width < n:
-        # A tie that reaches the edge of what was looked at may hide a smaller index beyond it.
-        for i in np.flatnonzero(distance[:, -1] <= distance[:, k] * (1 + _SLACK)):
-            chosen[i] = _nearest_of_one(tree, points, int(i), float(distance[i, k]), k)
-    return np.repeat(np.arange(n), k), chosen.ravel().astype(np.intp)
+    width = min(k + 2, n)
+    distance, found = tree.query(points, k=width)
+    neighbours = found[:, 1 : k + 1].astype(np.int32)
+    is_open = found[:, 0] != np.arange(n)  # the point itself is not the first, so another one lies upon it
+    if width > k + 1:
+        is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
+    for i in np.flatnonzero(is_open):
+        neighbours[i] = _nearest_of_one(tree, points, int(i), float(distance[i, k]), k)
+    return neighbours, distance[:, k]
 
 
 def _nearest_of_one(tree: cKDTree, points: FloatArray, i: int, radius: float, k: int) -> IndexArray:
@@ -96,22 +99,27 @@ def _nearest_of_one(tree: cKDTree, points: FloatArray, i: int, radius: float, k:
     return nearest
 
 
-def _within(tree: cKDTree, points: FloatArray, tau_m: float) -> tuple[IndexArray, IndexArray]:
-    """The pairs (i, j) at most tau apart."""
-    pairs = tree.query_pairs(tau_m * (1 + _SLACK), output_type="ndarray")
-    src, dst = pairs[:, 0], pairs[:, 1]
+def _within(points: FloatArray, tau_m: float) -> IndexArray:
+    """The pairs at most tau apart, (2, m)."""
+    if len(points) < 2:
+        return np.empty((2, 0), dtype=np.intp)
+    src, dst = cKDTree(points).query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
     inside = _distance(points, src, dst) <= tau_m
-    return src[inside], dst[inside]
+    return np.array([src[inside], dst[inside]])
 
 
-def _distance(points: FloatArray, src: IndexArray, dst: IndexArray) -> FloatArray:
+def _either_way(pairs: sparse.csr_array) -> sparse.csr_array:
+    """The symmetric pattern of directed pairs; by two transpositions, which also sort it in linear time."""
+    backward = pairs.T.tocsr()
+    return backward + backward.T.tocsr()
+
+
+def _distance(points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.integer]) -> FloatArray:
     """|x_src - x_dst|, always by the same order of operations, so that ties are ties; symmetric to the last bit."""
-    d = points[src] - points[dst]
-    d *= d
-    distance: FloatArray = np.sqrt((d[:, 0] + d[:, 1]) + d[:, 2])
-    return distance
-
-
-def _pairs_once(src: IndexArray, dst: IndexArray, n: int) -> IndexArray:
-    """Sorted codes low * n + high of undirected pairs, each once."""
-    return np.unique(np.minimum(src, dst) * n + np.maximum(src, dst))
+    squared = np.zeros(len(src))
+    for axis in points.T:
+        along = np.ascontiguousarray(axis)
+        step = along[src] - along[dst]
+        step *= step
+        squared += step
+    return np.sqrt(squared, out=squared)
