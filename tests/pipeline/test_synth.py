@@ -1,0 +1,252 @@
+"""Synthetic datasets: the same for the same seed, whole or not there, and flawed as a digital twin is."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from fidpipe.pipeline.experiments import synth
+from fidpipe.pipeline.experiments.scans import make_pair
+from fidpipe.pipeline.experiments.scene import KINDS
+from fidpipe.pipeline.experiments.synth import SynthRequest, make_dataset, make_files
+from fidpipe.pipeline.readers import read_scan
+from fidpipe.pipeline.readers.dataset import read_dataset
+from fidpipe.schemas.errors import FidpipeError
+from fidpipe.schemas.settings import GroundSettings, InputSettings
+from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.ground import remove_ground
+from fidpipe.stages.raycast import SENSORS
+
+N_POINTS = 400  # of a small scan
+CLASSES = ("wall", "car", "tree", "vegetation")
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    """Four pairs as the sensor has them."""
+    return [make_pair(0, index, SENSORS["vlp32c"]) for index in range(4)]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """The folder of two small pairs."""
+    out = tmp_path_factory.mktemp("synth") / "streets"
+    make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS))
+    return out
+
+
+def content(folder):
+    """Bytes by path."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def counts(pair):
+    """Points on each thing, real and simulated, and what the things are."""
+    n = len(pair.kinds)
+    return (
+        np.bincount(pair.real.thing_ids, minlength=n),
+        np.bincount(pair.sim.thing_ids, minlength=n),
+        np.array(pair.kinds),
+    )
+
+
+def distances(pair):
+    """Distance of each thing from the sensor: that of the middle of its real points, nan without any."""
+    n = len(pair.kinds)
+    points = pair.real.rows[:, :3].astype(np.float64)
+    number = np.bincount(pair.real.thing_ids, minlength=n)
+    sums = [np.bincount(pair.real.thing_ids, points[:, axis], minlength=n) for axis in range(3)]
+    with np.errstate(invalid="ignore"):
+        return np.linalg.norm(np.stack(sums) / number, axis=0)
+
+
+def test_the_same_seed_gives_the_same_bytes(dataset, tmp_path):
+    make_dataset(SynthRequest(tmp_path / "again", n_pairs=2, n_points=N_POINTS))
+    assert content(tmp_path / "again") == content(dataset)
+
+
+def test_another_seed_gives_other_bytes(dataset, tmp_path):
+    make_dataset(SynthRequest(tmp_path / "other", n_pairs=1, seed=1, n_points=N_POINTS))
+    ours, others = content(dataset), content(tmp_path / "other")
+    assert all(ours[name] != others[name] for name in ("real/0000.bin", "sim/0000.bin"))
+
+
+def test_a_pair_made_alone_is_the_pair_of_the_set(dataset, tmp_path):
+    for side in ("real", "sim"):
+        (tmp_path / side).mkdir()
+    make_files(SynthRequest(tmp_path, n_points=N_POINTS), 1)
+    ours = content(dataset)
+    assert {name: ours[name] for name in content(tmp_path)} == content(tmp_path)
+
+
+def test_two_processes_make_the_same_dataset(dataset, tmp_path):
+    make_dataset(SynthRequest(tmp_path / "two", n_pairs=2, n_points=N_POINTS, workers=2))
+    assert content(tmp_path / "two") == content(dataset)
+
+
+def test_the_reader_finds_pairs_labels_and_frames_over_a_minute_apart(dataset):
+    found = read_dataset(dataset)
+    assert [pair.pair_id for pair in found.pairs] == ["0000", "0001"]
+    assert not any(pair.fault for pair in found.pairs)
+    assert np.diff([pair.timestamp_s for pair in found.pairs]).min() > 60
+    for pair in found.pairs:
+        for path in (pair.real, pair.sim):
+            scan = read_scan(path, label_names=found.label_names)
+            assert path.with_suffix(".label").stat().st_size == 4 * len(scan.points)
+            assert set(scan.labels) <= set(KINDS)
+
+
+def test_a_folder_with_other_things_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(FidpipeError, match="holds other things than a synthetic dataset"):
+        make_dataset(SynthRequest(tmp_path))
+    assert content(tmp_path) == {"thesis.tex": b"years of work"}
+
+
+def test_the_recipe_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "synth.toml").write_text('wave = "saw"')
+    with pytest.raises(FidpipeError, match="holds other things than a synthetic dataset"):
+        make_dataset(SynthRequest(tmp_path))
+
+
+def test_a_folder_made_but_never_filled_is_taken(tmp_path):
+    (tmp_path / ".synth.toml.0badcafe").write_text("vers")
+    make_dataset(SynthRequest(tmp_path, n_pairs=1, n_points=N_POINTS))
+    assert len(read_dataset(tmp_path).pairs) == 1
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(FidpipeError, match="is a file, a folder is wanted"):
+        make_dataset(SynthRequest(tmp_path / "out"))
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FidpipeError, match=r"dataset .*file/out: cannot be written"):
+        make_dataset(SynthRequest(tmp_path / "file" / "out", n_pairs=1, n_points=N_POINTS))
+
+
+def test_an_unknown_sensor_or_no_pair_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(FidpipeError, match="known are vlp32c, hdl64"):
+        make_dataset(SynthRequest(tmp_path / "out", sensor="hdl32"))
+    with pytest.raises(FidpipeError, match="pairs 0: at least 1 is wanted"):
+        make_dataset(SynthRequest(tmp_path / "out", n_pairs=0))
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_was_interrupted_goes_on_where_it_stopped(dataset, tmp_path, monkeypatch):
+    made = []
+
+    def interrupted(seed, index, *rest):
+        if index == 1 and len(made) == 1:
+            made.append(None)
+            raise KeyboardInterrupt
+        made.append(index)
+        return make_pair(seed, index, *rest)
+
+    monkeypatch.setattr(synth, "make_pair", interrupted)
+    request = SynthRequest(tmp_path / "out", n_pairs=2, n_points=N_POINTS)
+    with pytest.raises(KeyboardInterrupt):
+        make_dataset(request)
+    assert not (tmp_path / "out" / "pairs.csv").exists()
+    (tmp_path / "out" / "sim" / ".0001.bin.0badcafe").write_bytes(b"half a file")
+    lines = []
+    make_dataset(request, lines.append)
+    assert made == [0, None, 1]
+    assert lines == ["1 of 2 pairs are there already"]
+    assert content(tmp_path / "out") == content(dataset)
+
+
+def test_another_recipe_replaces_the_pairs_and_fewer_pairs_leave_fewer(dataset, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(dataset, out)
+    (out / "synth.toml").write_text(SynthRequest(out, seed=5, n_points=N_POINTS).recipe())
+    for path in out.glob("*/0*"):
+        path.write_bytes(b"of seed 5")
+    make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS))
+    assert content(out) == content(dataset)
+    make_dataset(SynthRequest(out, n_pairs=1, n_points=N_POINTS))
+    assert sorted(path.name for path in out.glob("*/*")) == ["0000.bin", "0000.bin", "0000.label", "0000.label"]
+    assert len(read_dataset(out).pairs) == 1
+
+
+@pytest.mark.parametrize(("sensor", "n_points"), [("vlp32c", 3_000), ("hdl64", 10_000)])
+def test_a_scan_has_about_the_points_that_were_asked_for(sensor, n_points):
+    pair = make_pair(0, 0, SENSORS[sensor], n_points)
+    assert len(pair.real.rows) == pytest.approx(n_points, rel=0.1)
+    assert len(pair.sim.rows) == pytest.approx(n_points, rel=0.5)
+
+
+def test_real_ranges_lie_on_the_quantum_and_simulated_ones_do_not(pairs):
+    def off_quantum(scan):
+        ticks = np.linalg.norm(scan.rows[:, :3].astype(np.float64), axis=1) / 0.004
+        return np.abs(ticks - np.round(ticks))
+
+    assert off_quantum(pairs[0].real).max() < 0.01
+    assert off_quantum(pairs[0].sim).mean() > 0.2
+
+
+def test_streets_differ(pairs):
+    assert len({len(pair.kinds) for pair in pairs}) > 1
+    assert len({len(pair.real.rows) for pair in pairs}) == len(pairs)
+
+
+def test_all_classes_are_seen_on_both_sides(pairs):
+    for kind in KINDS:
+        for scans in ([pair.real for pair in pairs], [pair.sim for pair in pairs]):
+            seen = sum(
+                int((np.array(pair.kinds)[scan.thing_ids] == kind).sum())
+                for pair, scan in zip(pairs, scans, strict=True)
+            )
+            assert seen > 500, kind
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+def test_objects_have_from_under_a_quarter_to_over_four_times_the_real_points(pairs, kind):
+    ratios = []
+    for pair in pairs:
+        n_real, n_sim, kinds = counts(pair)
+        wanted = (kinds == kind) & (n_real >= 20) & (n_sim > 0)
+        ratios += (n_sim[wanted] / n_real[wanted]).tolist()
+    assert min(ratios) < 0.25
+    assert max(ratios) > 4.0
+    assert 0.3 < np.median(ratios) < 2.0
+
+
+def test_far_foliage_is_missing_more_often_than_near(pairs):
+    missing = {"near": [], "far": []}
+    for pair in pairs:
+        n_real, n_sim, kinds = counts(pair)
+        range_m = distances(pair)
+        foliage = np.isin(kinds, ["tree", "vegetation"]) & (n_real >= 5)
+        missing["near"] += (n_sim == 0)[foliage & (range_m < 15)].tolist()
+        missing["far"] += (n_sim == 0)[foliage & (range_m > 35)].tolist()
+    assert np.mean(missing["near"]) < 0.1
+    assert np.mean(missing["far"]) > 0.4
+
+
+def test_the_twin_stands_where_the_street_stands(pairs):
+    for pair in pairs:
+        walls = [
+            scan.rows[np.array(pair.kinds)[scan.thing_ids] == "wall", :3].astype(np.float64)
+            for scan in (pair.real, pair.sim)
+        ]
+        near = [points[np.linalg.norm(points, axis=1) < 25] for points in walls]
+        if min(map(len, near)) < 200:
+            continue
+        off_m, _ = cKDTree(near[0]).query(near[1])
+        assert 0.02 < np.median(off_m) < 0.5
+
+
+def test_the_ground_stage_takes_most_of_the_road_and_few_object_points(pairs):
+    for pair in pairs:
+        clean = clean_scan(pair.real.rows[:, :3].astype(np.float64), InputSettings())
+        cut = remove_ground(clean.points, GroundSettings())
+        is_road = np.array(pair.kinds)[pair.real.thing_ids[clean.point_ids]] == "ground"
+        assert cut.is_ground[is_road].mean() > 0.7
+        assert cut.is_ground[~is_road].mean() < 0.2
+        assert -2.1 < cut.peak_m < -1.5

@@ -1,0 +1,159 @@
+"""Sensor models and ray casting, on walls whose answer is worked out by hand."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from fidpipe.schemas.errors import FidpipeError
+from fidpipe.stages.raycast import SENSORS, RayTarget, fire, measure_ranges, return_probability
+
+VLP32C = SENSORS["vlp32c"]
+
+# Elevation / azimuth offset by laser id, as DESIGN section 5 has them.
+TABLE = """
+ 0 -25.000/-1.4   8  -7.254/-1.4  16 -4.667/-1.4  24 -3.000/-1.4
+ 1  -1.000/+4.2   9  +0.333/+4.2  17 +1.667/+4.2  25 +7.000/+1.4
+ 2  -1.667/-1.4  10  -0.333/-1.4  18 +1.000/-1.4  26 +4.667/-1.4
+ 3 -15.639/+1.4  11  -6.148/+1.4  19 -3.667/+4.2  27 -2.333/+4.2
+ 4 -11.310/-1.4  12  -5.333/-4.2  20 -3.333/-4.2  28 -2.000/-4.2
+ 5   0.000/+1.4  13  +1.333/+1.4  21 +3.333/+1.4  29 +15.00/+1.4
+ 6  -0.667/-4.2  14  +0.667/-4.2  22 +2.333/-1.4  30 +10.333/-1.4
+ 7  -8.843/+1.4  15  -4.000/+1.4  23 -2.667/+1.4  31 -1.333/+1.4
+"""
+
+
+def wall(x: float) -> RayTarget:
+    """An upright wall 40 m wide and high, x metres ahead."""
+    corners = np.array([[x, -20.0, -20.0], [x, 20.0, -20.0], [x, 20.0, 20.0], [x, -20.0, 20.0]])
+    return RayTarget(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def first_hit_by_hand(triangles, direction):
+    """Range to the nearest triangle (Moeller and Trumbore), or None: one ray, one triangle after the other."""
+    nearest = None
+    for a, b, c in triangles:
+        normal = np.cross(direction, c - a)
+        determinant = (b - a) @ normal
+        if abs(determinant) < 1e-12:
+            continue
+        u = (-a @ normal) / determinant
+        other = np.cross(-a, b - a)
+        v = (direction @ other) / determinant
+        range_m = ((c - a) @ other) / determinant
+        if u >= 0 and v >= 0 and u + v <= 1 and range_m > 0 and (nearest is None or range_m < nearest):
+            nearest = range_m
+    return nearest
+
+
+def test_the_lasers_of_the_vlp32c_are_those_of_its_table():
+    words = TABLE.split()
+    by_id = dict(zip(map(int, words[::2]), words[1::2], strict=True))
+    wanted = [tuple(map(float, by_id[laser].split("/"))) for laser in range(32)]
+    assert list(zip(VLP32C.elevation_deg, VLP32C.azimuth_offset_deg, strict=True)) == wanted
+
+
+def test_a_revolution_has_1808_firings_of_32_lasers():
+    assert VLP32C.azimuth_step_deg == pytest.approx(0.1990656)
+    assert len(fire(VLP32C).azimuth_rad) == 1808 * 32 == 57_856
+
+
+def test_a_laser_looks_at_the_azimuth_of_its_firing_plus_its_offset():
+    azimuth_deg = np.degrees(fire(VLP32C, start_deg=90.0).azimuth_rad).reshape(-1, 32)
+    elevation_deg = np.degrees(fire(VLP32C).elevation_rad).reshape(-1, 32)
+    assert azimuth_deg[0, 0] == pytest.approx(90.0 - 1.4)
+    assert azimuth_deg[0, 1] == pytest.approx(90.0 + 4.2)
+    assert azimuth_deg[10, 1] == pytest.approx(90.0 + 4.2 - 10 * 0.1990656)  # clockwise seen from above
+    assert elevation_deg[7, 3] == pytest.approx(-15.639)
+
+
+def test_x_is_forward_y_left_and_z_up():
+    left = fire(VLP32C, start_deg=90.0 - 1.4).directions()[5]  # laser 5 looks level
+    assert left == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
+    assert fire(VLP32C).directions()[29, 2] == pytest.approx(np.sin(np.radians(15.0)))
+
+
+def test_another_step_keeps_the_beams_and_changes_the_firings():
+    beams = fire(VLP32C, step_deg=2.0)
+    assert len(beams.azimuth_rad) == 180 * 32
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_every_sensor_has_an_offset_for_each_beam_and_unit_directions(name):
+    sensor = SENSORS[name]
+    assert len(sensor.azimuth_offset_deg) == sensor.n_beams
+    assert np.linalg.norm(fire(sensor, step_deg=10.0).directions(), axis=1) == pytest.approx(1.0)
+
+
+def test_a_wall_at_ten_metres_is_hit_at_its_range():
+    beams = fire(VLP32C, start_deg=30.0)
+    hits = wall(10.0).first_hits(beams.directions())
+    azimuth, elevation = beams.azimuth_rad[hits.ray_ids], beams.elevation_rad[hits.ray_ids]
+    assert set(hits.ray_ids % 32) == set(range(32))
+    assert hits.range_m == pytest.approx(10.0 / (np.cos(elevation) * np.cos(azimuth)), rel=1e-5)
+    assert hits.cos_incidence == pytest.approx(np.cos(elevation) * np.cos(azimuth), rel=1e-5)
+
+
+def test_a_ray_that_meets_nothing_has_no_row():
+    ahead, behind, up = [1.0, 0.0, 0.1], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]
+    assert wall(10.0).first_hits(np.array([behind, ahead, up])).ray_ids.tolist() == [1]
+
+
+def test_the_nearer_of_two_walls_hides_the_other():
+    near, far = [[5.0, -1, -1], [5, 1, -1], [5, 0, 2]], [[9.0, -9, -9], [9, 9, -9], [9, 0, 20]]
+    hits = RayTarget(np.array(near + far), np.array([[3, 4, 5], [0, 1, 2]])).first_hits(np.array([[1.0, 0, 0]]))
+    assert hits.face_ids.tolist() == [1]
+    assert hits.range_m == pytest.approx([5.0])
+
+
+def test_first_hits_agree_with_one_triangle_after_the_other():
+    rng = np.random.default_rng(3)
+    triangles = rng.uniform(-20, 20, (20, 1, 3)) + rng.normal(0, 8, (20, 3, 3))
+    directions = fire(VLP32C, step_deg=30.0).directions()
+    hits = RayTarget(triangles.reshape(-1, 3), np.arange(60).reshape(-1, 3)).first_hits(directions)
+    found = dict(zip(hits.ray_ids.tolist(), hits.range_m.tolist(), strict=True))
+    by_hand = {ray: first_hit_by_hand(triangles, direction) for ray, direction in enumerate(directions)}
+    wanted = {ray: range_m for ray, range_m in by_hand.items() if range_m is not None}
+    assert len(wanted) > 100
+    assert found == pytest.approx(wanted, rel=1e-4)
+
+
+@pytest.mark.parametrize("faces", [np.empty((0, 3), dtype=np.intp), np.array([[0, 1, 2]])])
+def test_no_surface_or_no_ray_gives_no_hit(faces):
+    target = RayTarget(np.eye(3), faces)
+    assert not len(target.first_hits(np.empty((0, 3))).ray_ids)
+    assert not len(target.first_hits(np.array([[-1.0, 0, 0]])).range_m)
+
+
+def test_ranges_are_multiples_of_the_quantum_with_three_centimetres_of_noise():
+    reported = measure_ranges(VLP32C, np.full(20_000, 12.3), np.random.default_rng(0))
+    assert np.abs(reported / 0.004 - np.round(reported / 0.004)).max() < 1e-6
+    assert reported.mean() == pytest.approx(12.3, abs=0.001)
+    assert reported.std() == pytest.approx(0.03, rel=0.03)
+
+
+def test_dropout_grows_with_range():
+    range_m = np.arange(1.0, 200.0)
+    kept = return_probability(VLP32C, range_m, np.ones_like(range_m), np.full_like(range_m, 0.3))
+    assert (np.diff(kept) <= 0).all()
+    assert kept[9] > 0.95 > 0.5 > kept[99] > 0.01
+
+
+def test_dark_and_grazed_surfaces_answer_less():
+    at = np.full(3, 40.0)
+    white, dark, grazed = return_probability(VLP32C, at, np.array([1.0, 1.0, 0.1]), np.array([0.8, 0.1, 0.8]))
+    assert white > grazed > 0
+    assert white > dark > 0
+
+
+def test_a_white_wall_that_faces_the_sensor_answers_63_percent_at_the_signal_range():
+    kept = return_probability(VLP32C, np.array([VLP32C.signal_range_m]), np.ones(1), np.ones(1))
+    assert kept == pytest.approx((1 - VLP32C.lost_share) * (1 - np.exp(-1)))
+
+
+def test_without_embreex_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    with pytest.raises(FidpipeError, match=r'pip install "fidpipe\[synth\]"'):
+        wall(10.0)
