@@ -60,11 +60,12 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
     --------
     >>> import numpy as np
     >>> rng = np.random.default_rng(0)
-    >>> road = np.column_stack([rng.uniform(-20, 20, (400, 2)), np.zeros(400)])
-    >>> car = rng.uniform([5, 2, 0.5], [9, 4, 1.5], (80, 3))
-    >>> result = evaluate_pair(np.vstack([road, car]), np.vstack([road, car + [0.5, 0, 0]]))
-    >>> result.summary["match_rate"], round(result.summary["centroid_distance_m_mean"], 6)
-    (1.0, 0.5)
+    >>> road = np.column_stack([rng.uniform(-20, 20, (400, 2)), rng.normal(-1.7, 0.01, 400)])
+    >>> houses = rng.uniform([-12, 8, -1], [12, 9, 4], (200, 3))
+    >>> scan = np.vstack([road, houses])
+    >>> result = evaluate_pair(scan, scan)
+    >>> result.summary["match_rate"], result.metrics.status.unique().tolist()
+    (1.0, ['identical'])
     """
     scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
     task = plan_pair(STAGES, ScanPair("pair", None, None), dict.fromkeys(SIDES, ""), settings or Settings())

@@ -71,7 +71,7 @@ def normalised_laplacian(weights: sparse.csr_matrix) -> sparse.csr_matrix:
     Examples
     --------
     >>> from scipy import sparse
-    >>> normalised_laplacian(sparse.csr_matrix([[0.0, 2, 0], [2, 0, 0], [0, 0, 0]])).toarray().tolist()
+    >>> normalised_laplacian(sparse.csr_matrix([[0.0, 4, 0], [4, 0, 0], [0, 0, 0]])).toarray().tolist()
     [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
     """
     degree = np.asarray(weights.sum(axis=1)).ravel()
