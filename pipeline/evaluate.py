@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings
-from ..schemas.tables import SIDES
+from ..schemas.tables import SIDES, TABLES
 from .fanout import one_blas_thread
 from .plan import plan_pair
 from .readers.dataset import ScanPair
@@ -78,7 +78,11 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
                 raise StageError(f"stage {job.stage}{', ' + job.side if job.side else ''}: {error}") from error
 
     def by_side(table: str) -> dict[str, pd.DataFrame]:
-        return {side: bench.table(table, side).to_pandas() for side in SIDES}
+        return {side: frame(table, side) for side in SIDES}
+
+    def frame(table: str, side: str = "") -> pd.DataFrame:
+        found: pd.DataFrame = TABLES[table].plain(bench.table(table, side)).to_pandas()
+        return found
 
     return PairResult(
         summary=record.facts["row"],
@@ -86,9 +90,9 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
         edges=by_side("graph"),
         communities=by_side("communities"),
         objects=by_side("objects"),
-        matching=bench.table("matching").to_pandas(),
-        selection=bench.table("selection").to_pandas(),
-        metrics=bench.table("metrics").to_pandas(),
+        matching=frame("matching"),
+        selection=frame("selection"),
+        metrics=frame("metrics"),
     )
 
 

@@ -28,6 +28,16 @@ _STOP_S = 2.0
 _KILL_S = 0.2
 
 
+#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; and in workers the
+#: allocator keeps blocks of up to 32 MiB instead of giving the pages back and faulting them in again for each array.
+_DASK_SETTINGS = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.admin.tick.limit": "1h",
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 25,
+}
+
+
 @dataclass(eq=False)
 class Handle:
     """A task that was submitted."""
@@ -65,7 +75,7 @@ class Pool(Protocol):
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Within it numeric libraries use one thread: two processes of two threads are slower, and sums would differ."""
-    import sklearn  # noqa: F401  (brings the libraries whose threads are to be limited)
+    import scipy.linalg  # noqa: F401  (brings the libraries whose threads are to be limited)
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):
@@ -80,8 +90,6 @@ class InProcess:
     def __init__(self) -> None:
         self._waiting: list[tuple[float, int, Handle, Callable[[], Any], bool]] = []
         self._count = itertools.count()
-        self._threads = one_blas_thread()
-        self._threads.__enter__()
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
@@ -96,12 +104,12 @@ class InProcess:
     def next_done(self) -> tuple[Handle, Any]:
         """See `Pool`."""
         _, _, handle, call, keep = heapq.heappop(self._waiting)
-        handle.future = call()
+        with one_blas_thread():
+            handle.future = call()
         return handle, None if keep else handle.future
 
     def close(self, *, now: bool = False) -> None:
         """See `Pool`."""
-        self._threads.__exit__(None, None, None)
 
 
 @dataclass
@@ -143,7 +151,7 @@ class DaskPool:
         import distributed
 
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        dask.config.set({"distributed.scheduler.allowed-failures": 0, "distributed.admin.tick.limit": "1h"})
+        dask.config.set(_DASK_SETTINGS)
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._handles: dict[str, tuple[Handle, bool]] = {}
         self._killed_worker = distributed.scheduler.KilledWorker

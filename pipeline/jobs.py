@@ -38,7 +38,7 @@ def run_jobs(task: PairTask, wanted: Iterable[tuple[str, str]], scans: Mapping[s
 
 def score_objects(task: PairTask, real_ids: tuple[int, ...]) -> ObjectScores | Failure:
     """Selection and scores of some matched objects of a pair whose matching is done; nothing is written."""
-    bench = Workbench(task)
+    bench = _kept_bench(task)
     job = bench.job("selection")
     try:
         selection = bench.table("selection") if job.stored else _select(bench, real_ids)
@@ -58,6 +58,19 @@ def gather_objects(task: PairTask, parts: list[ObjectScores | Failure]) -> Repor
     scores = [part for part in parts if isinstance(part, ObjectScores)]
     bench = Workbench(task, scores=scores)
     return _reported(bench, [job for job in task.jobs if job.stage in ("selection", "metrics") and not job.stored])
+
+
+def _kept_bench(task: PairTask) -> Workbench:
+    """The workbench of a pair whose objects are scored in several tasks; a process keeps the last two."""
+    keys = tuple(job.key for job in task.jobs)
+    if (task.token, keys) not in _KEPT:
+        while len(_KEPT) >= 2:
+            del _KEPT[next(iter(_KEPT))]
+        _KEPT[task.token, keys] = Workbench(task)
+    return _KEPT[task.token, keys]
+
+
+_KEPT: dict[tuple[str, tuple[str, ...]], Workbench] = {}
 
 
 def make_ground(bench: Workbench, side: str) -> tuple[Tables, Facts]:
@@ -176,6 +189,7 @@ def make_matching(bench: Workbench, side: str) -> tuple[Tables, Facts]:
 def make_selection(bench: Workbench, side: str) -> tuple[Tables, Facts]:
     """The aligned nodes of each matched object."""
     if bench.scores is not None:
+        bench.add_steps(part.selection_steps for part in bench.scores)
         rows = pa.concat_tables([part.selection for part in bench.scores] or [SELECTION.from_rows([])])
         rows = rows.sort_by([(key, "ascending") for key in SELECTION.keys]).combine_chunks()
     else:
@@ -186,6 +200,7 @@ def make_selection(bench: Workbench, side: str) -> tuple[Tables, Facts]:
 def make_metrics(bench: Workbench, side: str) -> tuple[Tables, Facts]:
     """The scores of each matched object, and the row of the pair."""
     if bench.scores is not None:
+        bench.add_steps(part.metrics_steps for part in bench.scores)
         rows = pa.concat_tables([part.metrics for part in bench.scores] or [METRICS.from_rows([])])
         rows = rows.sort_by([(key, "ascending") for key in METRICS.keys]).combine_chunks()
     else:

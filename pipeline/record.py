@@ -31,6 +31,7 @@ LIBRARIES = (
     "scikit-network",
     "python-louvain",
     "networkx",
+    "POT",
     "pyarrow",
     "pandas",
     "dask",

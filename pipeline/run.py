@@ -50,7 +50,7 @@ STAGES = (
         per_side=True,
         settings=("communities",),
         libraries=lambda settings: _LOUVAINS[settings.communities.backend],
-        version=1,
+        version=2,
         make=jobs.make_communities,
     ),
     Stage(
@@ -69,7 +69,7 @@ STAGES = (
         gives=("selection",),
         per_side=False,
         settings=("selection",),
-        libraries=lambda settings: (),
+        libraries=lambda settings: ("POT",),
         version=1,
         make=jobs.make_selection,
     ),

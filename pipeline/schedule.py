@@ -156,6 +156,9 @@ class Schedule:
     def _submit_objects(self, pair: _Active) -> None:
         """Selection and scores of a pair's objects: large ones alone, small ones together, largest first."""
         sizes = sorted(_n_keep(pair.task) or [], key=lambda of: (-of[1], of[0]))
+        first = (
+            1000.0 * object_seconds(sizes[0][1]) if sizes else 0.0
+        )  # one pair after the other: workers keep its tables
         parts = []
         batch: list[int] = []
         seconds = 0.0
@@ -163,7 +166,7 @@ class Schedule:
             batch.append(real_id)
             seconds += object_seconds(n)
             if seconds >= _BATCH_S or i + 1 == len(sizes):
-                parts.append(self._submit(pair, score_objects, tuple(batch), priority=seconds, keep=True))
+                parts.append(self._submit(pair, score_objects, tuple(batch), priority=first + seconds, keep=True))
                 batch, seconds = [], 0.0
         self._submit(pair, gather_objects, parts, priority=_FIRST)
 

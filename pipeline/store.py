@@ -34,6 +34,14 @@ _LOCK = ".lock"
 _TOKEN = ".writer"
 _LONGEST_NAME_BYTES = 120
 
+#: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
+_ENCODINGS = {
+    pa.int32(): "DELTA_BINARY_PACKED",
+    pa.float64(): "BYTE_STREAM_SPLIT",
+    pa.float32(): "BYTE_STREAM_SPLIT",
+    pa.bool_(): "PLAIN",
+}
+
 JobName = tuple[str, str, str]  #: stage, pair_id, side ("" where the stage takes both sides)
 
 
@@ -123,18 +131,21 @@ class TableFolder:
         schema = TABLES[table]
         rows = schema.check(rows)
         own = {
-            b"fidpipe.table": table.encode(),
-            b"fidpipe.schema_version": str(schema.version).encode(),
-            b"fidpipe.key": key.encode(),
+            "fidpipe.table": table,
+            "fidpipe.schema_version": str(schema.version),
+            "fidpipe.key": key,
         }
         sink = pa.BufferOutputStream()
-        pq.write_table(
-            rows.replace_schema_metadata(own),
+        with pq.ParquetWriter(
             sink,
+            rows.schema,
             compression="zstd",
-            use_dictionary=[field.name for field in schema.schema if field.type == pa.string()],
-            column_encoding=_encodings(schema.schema),
-        )
+            use_dictionary=[field.name for field in schema.schema if field.type not in _ENCODINGS],
+            column_encoding={f.name: _ENCODINGS[f.type] for f in schema.schema if f.type in _ENCODINGS},
+            store_schema=False,  # so that a dictionary is read as the strings it stands for
+        ) as writer:
+            writer.write_table(rows)
+            writer.add_key_value_metadata(own)
         content = sink.getvalue()
         self.replace(path, content)
         status = path.stat()
@@ -145,8 +156,9 @@ class TableFolder:
         content = path.read_bytes()
         if len(content) != stored.size or hashlib.sha256(content).hexdigest() != stored.sha256:
             raise RunError(f"{path}: the file changed while the run was using it; run the same command again")
-        rows = pq.read_table(pa.BufferReader(content), columns=columns)
-        return rows if columns else TABLES[table].check(rows.cast(TABLES[table].schema))
+        schema = TABLES[table]
+        rows = pq.read_table(pa.BufferReader(content), columns=columns, read_dictionary=schema.same, use_threads=False)
+        return rows if columns else schema.check(rows.cast(schema.schema))
 
     def replace(self, path: Path, content: bytes | memoryview | pa.Buffer) -> None:
         """Puts a whole file in place of another: written beside it under a dot name, flushed, renamed."""
@@ -314,9 +326,3 @@ def _agrees(path: Path, stored: StoredFile) -> bool:
     if (status.st_mtime_ns, status.st_ctime_ns) == (stored.mtime_ns, stored.ctime_ns):
         return True
     return hash_file(path) == stored.sha256
-
-
-def _encodings(schema: pa.Schema) -> dict[str, str]:
-    """Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane."""
-    of_type = {pa.int32(): "DELTA_BINARY_PACKED", pa.float64(): "BYTE_STREAM_SPLIT", pa.float32(): "BYTE_STREAM_SPLIT"}
-    return {field.name: of_type[field.type] for field in schema if field.type in of_type}

@@ -55,6 +55,11 @@ class Workbench:
         """The same, for a stage that names its steps."""
         return self.step(name)
 
+    def add_steps(self, of_parts: Iterable[tuple[tuple[str, float], ...]]) -> None:
+        """Counts steps of the job at hand that ran elsewhere."""
+        for steps in of_parts:
+            self._steps.extend(steps)
+
     def take_steps(self) -> tuple[tuple[str, float], ...]:
         """Seconds by step since the last call."""
         total: dict[str, float] = {}
@@ -71,8 +76,8 @@ class Workbench:
         """The facts of a finished job."""
         return self._facts[stage, side]
 
-    def table(self, name: str, side: str = "") -> pa.Table:
-        """A table of this pair."""
+    def table(self, name: str, side: str = "", columns: list[str] | None = None) -> pa.Table:
+        """A table of this pair; where it must be read, all of it or only some columns."""
         if (name, side) not in self._tables:
             job = next(job for job in self.task.jobs if name in job.gives and job.side == side)
             if self._folder is None or job.stored is None:
@@ -80,7 +85,7 @@ class Workbench:
             path = self._folder.path(name, self.pair_id, side)
             stored = job.stored[str(path.relative_to(self._folder.folder))]
             with self.step("read"):
-                self._tables[name, side] = self._folder.read(name, stored, path)
+                self._tables[name, side] = self._folder.read(name, stored, path, columns)
         return self._tables[name, side]
 
     def finish(self, job: Job, tables: Tables, facts: Facts) -> JobRecord:
@@ -118,7 +123,7 @@ class Workbench:
 
     def edges(self, side: str, point_ids: IntArray) -> Edges:
         """The graph of a side by node index."""
-        graph = self.table("graph", side)
+        graph = self.table("graph", side, ["src", "dst", "length_m"])
         index_of = np.zeros(int(point_ids[-1]) + 1, dtype=np.int32)
         index_of[point_ids] = np.arange(len(point_ids), dtype=np.int32)
         return Edges(index_of[as_numpy(graph, "src")], index_of[as_numpy(graph, "dst")], as_numpy(graph, "length_m"))

@@ -1,7 +1,7 @@
 """The tables that fidpipe writes: columns, types, nullability, units, keys and versions.
 
-This is the contract with everybody who reads our Parquet. `Table.check` is called before a table is written
-and after it is read; a column's unit and meaning travel in its field metadata.
+This is the contract with everybody who reads our Parquet. `Table.check` is called before a table is written and after
+it is read; a column's unit and meaning stand in the metadata of its field here.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 SIDES = ("real", "sim")
@@ -48,7 +49,7 @@ class Table:
             raise ValueError(f"table {self.name}: columns {table.schema.names} found, {self.schema.names} wanted")
         for field in self.schema:
             column = table.column(field.name)
-            if column.type != field.type:
+            if column.type != field.type and not (field.type == _SAME and column.type == pa.string()):
                 raise ValueError(f"table {self.name}, column {field.name}: {column.type} found, {field.type} wanted")
             if not field.nullable and column.null_count:
                 raise ValueError(
@@ -65,9 +66,21 @@ class Table:
             value = columns[field.name]
             if _is_column(value):
                 arrays.append(pa.array(value, type=field.type, from_pandas=False))
+            elif field.type == _SAME:
+                arrays.append(pa.DictionaryArray.from_arrays(np.zeros(n_rows, dtype=np.int32), pa.array([value])))
             else:
                 arrays.append(pa.repeat(pa.scalar(value, type=field.type), n_rows))
         return self.check(pa.Table.from_arrays(arrays, schema=self.schema))
+
+    @property
+    def same(self) -> list[str]:
+        """The columns that are dictionaries in memory."""
+        return [field.name for field in self.schema if field.type == _SAME]
+
+    def plain(self, table: pa.Table) -> pa.Table:
+        """The table with plain strings in place of dictionaries."""
+        plain = [field.with_type(pa.string()) if field.type == _SAME else field for field in table.schema]
+        return table.cast(pa.schema(plain))
 
     def from_rows(self, rows: Iterable[dict[str, Any]]) -> pa.Table:
         """A checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
@@ -87,9 +100,11 @@ def _field(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional:
 
 
 _STRING, _ID, _REAL, _FLAG, _COUNT = pa.string(), pa.int32(), pa.float64(), pa.bool_(), pa.int32()
+#: Strings that are the same in all rows of a file: in memory a dictionary, in Parquet plain strings.
+_SAME = pa.dictionary(pa.int32(), pa.string())
 
-_PAIR = _field("pair_id", _STRING, "name of the scan pair")
-_SIDE = _field("side", _STRING, "real or sim")
+_PAIR = _field("pair_id", _SAME, "name of the scan pair")
+_SIDE = _field("side", _SAME, "real or sim")
 _POINT = _field("point_id", _ID, "row of the point in its input file, from 0")
 _COMMUNITY = _field("community_id", _ID, "object of this side; 0 is the largest")
 _LABEL = _field("label", _STRING, "semantic class, where the input has labels", optional=True)
@@ -222,7 +237,7 @@ def _pairs_schema() -> pa.Schema:
         return _field(name, _REAL, meaning, unit, optional=True)
 
     fields = [
-        _PAIR,
+        _PAIR.with_type(_STRING),
         _field("status", _STRING, "scored or failed"),
         _field("reason", _STRING, "why the pair failed", optional=True),
     ]
@@ -264,7 +279,7 @@ TIMINGS = Table(
     "timings",
     pa.schema(
         [
-            _PAIR,
+            _PAIR.with_type(_STRING),
             _field("side", _STRING, "real, sim, or null for a step of the pair", optional=True),
             _field("stage", _STRING, "ground, graph, communities, matching, selection or metrics"),
             _field("step", _STRING, "read, write, or a step of the method"),

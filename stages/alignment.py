@@ -22,7 +22,7 @@ from .arrays import FloatArray, IndexArray
 
 _DENSE_NODES = 400  # up to here the dense solver is the faster one
 _COARSER = 4
-_ARCS_A_NODE = 24
+_ARCS_A_NODE = 48
 _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this to be added
 _BLOCK_DISTANCES = 2**20
 
@@ -50,83 +50,84 @@ def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
     if len(a) <= _DENSE_NODES:
         sim_of_real: IndexArray = linear_sum_assignment(cdist(a, b))[1]
         return sim_of_real
-    prices = _coarse_prices(a, b)
-    arcs, prices = _candidate_arcs(a, b, prices[1], _ARCS_A_NODE)
-    arcs_a_node = _ARCS_A_NODE
+    arcs = _candidate_arcs(a, b, _coarse_prices(a, b))
     while True:
-        solution = _solve(a, b, arcs, prices)
-        if solution is None:  # no perfect matching among the candidates
-            arcs_a_node *= 2
-            arcs = np.union1d(arcs, _candidate_arcs(a, b, prices[1], arcs_a_node)[0])
-            continue
-        sim_of_real, prices = solution
-        better = _promising_arcs(a, b, prices)
+        sim_of_real, prices = _solve(a, b, arcs)
+        better = np.setdiff1d(_promising_arcs(a, b, prices), arcs, assume_unique=True)
         if not len(better):
             return sim_of_real
         arcs = np.union1d(arcs, better)
 
 
-def _coarse_prices(a: FloatArray, b: FloatArray) -> Prices:
-    """Dual prices of a quarter of the nodes of each side, spread to all; of a quarter of those first, and so on."""
+def _coarse_prices(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Prices of b from those of a quarter of the nodes of each side; these from a quarter of the quarter, and so on."""
     n = len(a)
-    m = max(2, n // _COARSER)
-    some_a, some_b = a[_spread(a, m)], b[_spread(b, m)]
-    if m <= _DENSE_NODES:
-        arcs, start = np.arange(m * m), (np.zeros(m), np.zeros(m))
-    else:
-        arcs, start = _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b)[1], _ARCS_A_NODE)
-    solution = _solve(some_a, some_b, arcs, start)
-    of_some_b = start[1] if solution is None else solution[1][1]
-    of_a = np.concatenate([(cdist(a[rows], some_b) - of_some_b).min(axis=1) for rows in _blocks(n, m)])
-    of_b = np.concatenate([(cdist(b[rows], a) - of_a).min(axis=1) for rows in _blocks(n, n)])
-    return of_a, of_b
+    m = n // _COARSER
+    spread = np.linspace(0, n - 1, m).astype(np.intp)
+    some_a, some_b = a[_curve(a)[spread]], b[_curve(b)[spread]]
+    is_small = m <= _DENSE_NODES
+    arcs = np.arange(m * m) if is_small else _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b))
+    _, (_, of_some_b) = _solve(some_a, some_b, arcs)
+    of_a = _least(a, some_b, of_some_b)
+    return _least(b, a, of_a)
 
 
-def _candidate_arcs(a: FloatArray, b: FloatArray, of_b: FloatArray, arcs_a_node: int) -> tuple[IndexArray, Prices]:
-    """The cheapest arcs of each node of both sides under given prices of b, as codes i * n + j; and all prices."""
+def _candidate_arcs(a: FloatArray, b: FloatArray, of_b: FloatArray) -> IndexArray:
+    """Ascending codes i * n + j of the arcs that are cheapest for a node of either side, and of a whole assignment."""
     n = len(a)
-    k = min(arcs_a_node, n - 1)
-    codes, of_a = [], np.empty(n)
-    for rows in _blocks(n, n):
-        cost = cdist(a[rows], b) - of_b
-        cheapest = np.argpartition(cost, k, axis=1)[:, :k]
-        of_a[rows] = np.take_along_axis(cost, cheapest, axis=1).min(axis=1)
-        codes.append((rows[:, None] * n + cheapest).ravel())
-    for columns in _blocks(n, n):
-        cost = cdist(b[columns], a) - of_a
-        cheapest = np.argpartition(cost, k, axis=1)[:, :k]
-        codes.append((cheapest * n + columns[:, None]).ravel())
-    return np.unique(np.concatenate(codes)), (of_a, of_b)
+    from_a, of_a = _cheapest(a, b, of_b)
+    from_b, _ = _cheapest(b, a, of_a)
+    rows = np.repeat(np.arange(n), _ARCS_A_NODE)
+    ones = np.ones(len(rows), np.int8)
+    arcs = sparse.csr_array((ones, (rows, from_a.ravel())), (n, n))
+    arcs += sparse.csr_array((ones, (from_b.ravel(), rows)), (n, n))
+    arcs += sparse.csr_array((ones[:n], (_curve(a), _curve(b))), (n, n))
+    arcs.sort_indices()
+    codes: IndexArray = np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
+    return codes
 
 
-def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray, start: Prices) -> tuple[IndexArray, Prices] | None:
-    """The best assignment along the given arcs and its dual prices; None if there is no perfect one."""
-    import warnings
+def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """The others that are cheapest for each node, (n, arcs), and the least cost, (n,); to single precision."""
+    x, y, price_of_y = (of.astype(np.float32) for of in (nodes, others, price))
+    found, least = [], []
+    for rows in _blocks(len(x), len(y)):
+        cost = x[rows] @ (-2 * y.T)
+        cost += (y**2).sum(axis=1)
+        cost += (x[rows] ** 2).sum(axis=1)[:, None]
+        np.sqrt(np.maximum(cost, 0, out=cost), out=cost)
+        cost -= price_of_y
+        cheapest = np.argpartition(cost, _ARCS_A_NODE, axis=1)[:, :_ARCS_A_NODE]
+        found.append(cheapest)
+        least.append(np.take_along_axis(cost, cheapest, axis=1).min(axis=1))
+    return np.concatenate(found), np.concatenate(least).astype(np.float64)
 
+
+def _least(nodes: FloatArray, others: FloatArray, price: FloatArray) -> FloatArray:
+    """min_j (|x_i - y_j| - price_j) for each node i."""
+    blocks = _blocks(len(nodes), len(others))
+    return np.concatenate([(cdist(nodes[rows], others) - price).min(axis=1) for rows in blocks])
+
+
+def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, Prices]:
+    """The best assignment along the given arcs, and the dual prices of both sides that prove it."""
     import ot
 
     n = len(a)
     i, j = np.divmod(arcs, n)
-    cost = np.linalg.norm(a[i] - b[j], axis=1)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Problem infeasible")
-        plan, log = ot.emd(
-            np.ones(n),
-            np.ones(n),
-            sparse.coo_matrix((cost, (i, j)), (n, n)),
-            numItermax=np.iinfo(np.int64).max // 2,
-            log=True,
-            center_dual=False,
-            check_marginals=False,
-            potentials_init=start,
-        )
+    cost = np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1))
+    plan, log = ot.emd(
+        np.ones(n),
+        np.ones(n),
+        sparse.coo_array((cost, (i, j)), (n, n)),
+        numItermax=np.iinfo(np.int64).max // 2,
+        log=True,
+        center_dual=False,
+        check_marginals=False,
+    )
     chosen = plan.data > 0.5
-    if np.count_nonzero(chosen) != n:
-        if log["warning"] is None:
-            raise StageError(
-                f"alignment of {n} nodes: the network simplex gave no assignment; please report this object"
-            )
-        return None
+    if log["warning"] or np.count_nonzero(chosen) != n:
+        raise StageError(f"alignment of {n} nodes: the network simplex gave no assignment ({log['warning']})")
     sim_of_real = np.empty(n, dtype=np.intp)
     sim_of_real[plan.row[chosen]] = plan.col[chosen]
     return sim_of_real, (log["u"], log["v"])
@@ -138,21 +139,21 @@ def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
     of_a, of_b = prices
     codes = []
     for rows in _blocks(n, n):
-        slack = cdist(a[rows], b) - of_b
-        i, j = np.nonzero(slack < (of_a[rows] - _SLACK_M)[:, None])
-        codes.append(rows[i] * n + j)
+        slack = cdist(a[rows], b)
+        slack -= of_b
+        codes.append(rows[0] * n + np.flatnonzero(slack < (of_a[rows] - _SLACK_M)[:, None]))
     return np.concatenate(codes)
 
 
-def _spread(points: FloatArray, m: int) -> IndexArray:
-    """Indices of m points spread evenly along a space-filling (Morton) curve."""
-    low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), np.finfo(float).tiny)
-    cell = ((points - low) / size * 1023).astype(np.int64)
+def _curve(points: FloatArray) -> IndexArray:
+    """The order of points along a space-filling (Morton) curve through their bounding box."""
+    size = np.maximum(np.ptp(points, axis=0), np.finfo(float).tiny)
+    cell = ((points - points.min(axis=0)) / size * 1023).astype(np.int64)
     code = np.zeros(len(points), dtype=np.int64)
     for bit in range(10):
         for axis in range(3):
             code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")[np.linspace(0, len(points) - 1, m).astype(np.intp)]
+    return np.argsort(code, kind="stable")
 
 
 def _blocks(n_rows: int, n_columns: int) -> Iterator[IndexArray]:

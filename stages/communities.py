@@ -14,6 +14,10 @@ from ..schemas.settings import CommunitySettings
 from .arrays import FloatArray, IntArray
 from .graph import Edges
 
+#: Smallest gain of modularity for which a level is gone through once more, and for which another level is begun.
+_TOLERANCE_OPTIMISATION = 1e-3
+_TOLERANCE_AGGREGATION = 1e-7
+
 
 @dataclass(frozen=True)
 class Partition:
@@ -77,8 +81,8 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int) -> IntArray:
     louvain = Louvain(
         resolution=1,
         shuffle_nodes=True,
-        tol_optimization=1e-7,
-        tol_aggregation=1e-7,
+        tol_optimization=_TOLERANCE_OPTIMISATION,
+        tol_aggregation=_TOLERANCE_AGGREGATION,
         random_state=seed,
         return_probs=False,
         return_aggregate=False,

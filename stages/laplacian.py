@@ -78,8 +78,10 @@ def normalised_laplacian(weights: sparse.csr_matrix) -> sparse.csr_matrix:
     joined = degree > 0
     scale = np.zeros(len(degree))
     scale[joined] = 1.0 / np.sqrt(degree[joined])
-    scaled = sparse.diags_array(scale) @ weights @ sparse.diags_array(scale)
-    return (sparse.diags_array(joined.astype(np.float64)) - scaled).tocsr()
+    scaled = weights.copy()
+    scaled.data *= np.repeat(scale, np.diff(weights.indptr))
+    scaled.data *= scale[weights.indices]
+    return sparse.diags_array(joined.astype(np.float64)).tocsr() - scaled
 
 
 def induced_laplacian(graph: Subgraph, nodes: IndexArray) -> sparse.csr_matrix:

@@ -8,18 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import eigvalsh
-from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 from scipy.spatial import cKDTree
 
 from .arrays import FloatArray, Watch, unwatched
 from .laplacian import Subgraph, induced_laplacian
 from .selection import Selection
+from .spectrum import eigenvalues, spectral_norm
 
 MIN_NODES = 3
 IDENTICAL_CHANGE = 1e-5
-_DENSE_NORM_NODES = 64
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
         laplacian_real = induced_laplacian(real, selection.real_nodes)
         laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
     with watch("spectra"):
-        spectrum_real, spectrum_sim = spectrum(laplacian_real), spectrum(laplacian_sim)
+        spectrum_real, spectrum_sim = eigenvalues(laplacian_real), eigenvalues(laplacian_sim)
     with watch("norm"):
         change = spectral_norm(laplacian_sim - laplacian_real)
     shift = float(np.max(np.abs(spectrum_sim - spectrum_real)))
@@ -105,26 +102,6 @@ def chamfer_density_aware(real: FloatArray, sim: FloatArray) -> float:
     to_sim, _ = cKDTree(sim).query(real)
     to_real, _ = cKDTree(real).query(sim)
     return float(np.mean(-np.expm1(-(to_sim**2))) + np.mean(-np.expm1(-(to_real**2))))
-
-
-def spectrum(laplacian: sparse.csr_matrix) -> FloatArray:
-    """All eigenvalues in ascending order, (n,) float64."""
-    eigenvalues: FloatArray = eigvalsh(laplacian.toarray(), overwrite_a=True, check_finite=False)
-    return eigenvalues
-
-
-def spectral_norm(symmetric: sparse.csr_matrix) -> float:
-    """The largest absolute eigenvalue of a symmetric matrix, by Lanczos iteration to machine precision."""
-    n = symmetric.shape[0]
-    if symmetric.count_nonzero() == 0:
-        return 0.0
-    if n > _DENSE_NORM_NODES:
-        start = np.random.default_rng(0).standard_normal(n)
-        try:
-            return float(abs(eigsh(symmetric, k=1, which="LM", v0=start, return_eigenvectors=False)[0]))
-        except ArpackNoConvergence:
-            pass  # a crowded edge of the spectrum; the dense way always ends
-    return float(np.max(np.abs(eigvalsh(symmetric.toarray(), check_finite=False))))
 
 
 def _alignment_rms(real: FloatArray, sim: FloatArray) -> float:

@@ -103,8 +103,8 @@ def test_a_large_alignment_of_many_ties_is_as_short_as_the_hungarian_one():
         assert total_distance(real, sim, found) == pytest.approx(total_distance(real, sim, hungarian(real, sim)))
 
 
-def test_too_few_candidates_are_noticed_and_more_are_taken(rng, monkeypatch):
-    monkeypatch.setattr("fidpipe.stages.alignment._ARCS_A_NODE", 1)
+def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng, monkeypatch):
+    monkeypatch.setattr("fidpipe.stages.alignment._ARCS_A_NODE", 2)
     real, sim = rng.normal(0, 1, (600, 3)), rng.normal(0, 1.3, (600, 3))
     np.testing.assert_array_equal(align_nodes(real, sim), hungarian(real, sim))
 

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+from scipy import sparse
+
+from fidpipe.schemas.settings import GraphSettings
+from fidpipe.stages import spectrum
+from fidpipe.stages.communities import adjacency
+from fidpipe.stages.graph import build_graph
+from fidpipe.stages.laplacian import normalised_laplacian
+from fidpipe.stages.spectrum import eigenvalues, spectral_norm
+
+
+def laplacian(points, k=8):
+    return normalised_laplacian(adjacency(len(points), build_graph(points, GraphSettings(k=k))))
+
+
+@pytest.fixture
+def two_stages(monkeypatch):
+    monkeypatch.setattr(spectrum, "_TWO_STAGE_NODES", 0)
+
+
+@pytest.mark.parametrize("n", [3, 20, 41, 42, 43, 81, 82, 120, 333])
+def test_two_stages_give_the_eigenvalues_of_one(rng, two_stages, n):
+    dense = rng.normal(0, 1, (n, n))
+    dense += dense.T
+    found = eigenvalues(sparse.csr_matrix(dense))
+    np.testing.assert_allclose(found, np.linalg.eigvalsh(dense), atol=1e-12 * n)
+
+
+@pytest.mark.parametrize("width", [1, 7, 64])
+def test_any_width_of_the_band_gives_the_same(rng, two_stages, monkeypatch, width):
+    monkeypatch.setattr(spectrum, "_BAND_WIDTH", width)
+    L = laplacian(rng.normal(0, 1, (150, 3)))
+    np.testing.assert_allclose(eigenvalues(L), np.linalg.eigvalsh(L.toarray()), atol=1e-13)
+
+
+def test_a_graph_in_pieces_has_a_zero_for_each(rng, two_stages):
+    piece = laplacian(rng.normal(0, 1, (60, 3)))
+    found = eigenvalues(sparse.block_diag([piece, piece, sparse.csr_matrix((1, 1))], format="csr"))
+    assert np.count_nonzero(np.abs(found) < 1e-12) == 3
+
+
+def test_a_diagonal_matrix_keeps_its_diagonal(two_stages):
+    np.testing.assert_allclose(
+        eigenvalues(sparse.diags_array(np.arange(90.0)[::-1]).tocsr()), np.arange(90.0), atol=1e-12
+    )
+
+
+def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng, two_stages, monkeypatch):
+    monkeypatch.setattr(spectrum, "_kernels", lambda: None)
+    L = laplacian(rng.normal(0, 1, (90, 3)))
+    np.testing.assert_array_equal(eigenvalues(L), spectrum.eigvalsh(L.toarray()))
+
+
+def test_a_large_object_takes_two_stages_and_agrees_with_the_direct_way(rng):
+    L = laplacian(rng.uniform(0, 1, (spectrum._TWO_STAGE_NODES + 1, 3)) * [20, 2, 1], k=12)
+    np.testing.assert_allclose(eigenvalues(L), np.linalg.eigvalsh(L.toarray()), atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [10, 200, 400])
+def test_the_norm_agrees_with_the_dense_one(rng, n):
+    change = laplacian(rng.normal(0, 1, (n, 3))) - laplacian(rng.normal(0, 1, (n, 3)))
+    assert spectral_norm(change) == pytest.approx(np.linalg.norm(change.toarray(), 2), rel=1e-10)
+
+
+def test_the_norm_of_nothing_is_zero():
+    assert spectral_norm(sparse.csr_matrix((100, 100))) == 0
+
+
+def test_the_largest_negative_eigenvalue_counts_too():
+    assert spectral_norm(sparse.diags_array(np.linspace(-3, 1, 90)).tocsr()) == pytest.approx(3)
+
+
+def test_two_extremes_of_nearly_the_same_size_do_not_confuse_the_norm(rng):
+    diagonal = np.concatenate([[-1.0000001, 1.0], rng.uniform(-0.99, 0.99, 300)])
+    assert spectral_norm(sparse.diags_array(diagonal).tocsr()) == pytest.approx(1.0000001, rel=1e-9)
