@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -122,6 +122,58 @@ class SelectionSettings(_Group):
     t: Annotated[float, Field(gt=0, le=100, description="diffusion time of the heat kernel")] = 1.0
 
 
+#: The baselines in the order in which they are computed and shown.
+BaselineName = Literal[
+    "chamfer", "hausdorff", "f_score", "dcd", "emd", "sliced_wasserstein", "histogram", "icp", "netlsd", "r_h"
+]
+BASELINE_NAMES: tuple[BaselineName, ...] = get_args(BaselineName)
+
+
+class MetricsSettings(_Group):
+    """Which distances of others are computed beside our scores, and their parameters."""
+
+    baselines: tuple[BaselineName, ...] = Field(
+        (), description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none'
+    )
+    f_score_distance_m: Annotated[float, Field(gt=0, description="F-score: nearer points count as found")] = 0.2
+    dcd_alpha: Annotated[
+        float, Field(gt=0, description="DCD: weight of the squared distance, objects of unit size")
+    ] = 1000.0
+    projections: Annotated[int, Field(ge=1, le=10_000, description="sliced Wasserstein: random directions")] = 200
+    histogram_points: Annotated[
+        int, Field(ge=2, le=10_000, description="histogram: points sampled a side, all pairs of which are measured")
+    ] = 2000
+    histogram_bins: Annotated[int, Field(ge=2, le=10_000, description="histogram: equal bins from 0 to 1")] = 100
+    histogram_order: Annotated[float, Field(ge=1, description="histogram: order of the Minkowski distance")] = 2.0
+    icp_distance_m: Annotated[float, Field(gt=0, description="ICP: farther points are no correspondence")] = 1.0
+    heat_times: Annotated[int, Field(ge=2, le=10_000, description="NetLSD: number of times, log-spaced")] = 250
+    heat_time_min: Annotated[float, Field(gt=0, description="NetLSD: first time")] = 0.01
+    heat_time_max: Annotated[float, Field(gt=0, description="NetLSD: last time")] = 100.0
+    heat_max_nodes: Annotated[
+        int, Field(ge=2, description="NetLSD: larger objects are left out, their dense matrices would not fit")
+    ] = 8000
+
+    @field_validator("baselines", mode="before")
+    @classmethod
+    def _read_names(cls, value: Any) -> Any:
+        """`all` is every one; `chamfer,emd` is read as a list."""
+        if isinstance(value, str):
+            value = BASELINE_NAMES if value == "all" else value.replace(",", " ").split()
+        return value
+
+    @field_validator("baselines")
+    @classmethod
+    def _in_order(cls, value: tuple[BaselineName, ...]) -> tuple[BaselineName, ...]:
+        """Each once, in our order: the same list written otherwise asks for the same tables."""
+        return tuple(name for name in BASELINE_NAMES if name in value)
+
+    @model_validator(mode="after")
+    def _times_in_order(self) -> MetricsSettings:
+        if self.heat_time_min >= self.heat_time_max:
+            raise ValueError(f"heat_time_min {self.heat_time_min} must be below heat_time_max {self.heat_time_max}")
+        return self
+
+
 class Settings(_Group):
     """All settings of a run; `fidpipe run --set graph.k=60` changes one."""
 
@@ -131,6 +183,7 @@ class Settings(_Group):
     communities: CommunitySettings = CommunitySettings()
     matching: MatchingSettings = MatchingSettings()
     selection: SelectionSettings = SelectionSettings()
+    metrics: MetricsSettings = MetricsSettings()
 
 
 def load(path: Path | None = None, assignments: Iterable[str] = ()) -> Settings:

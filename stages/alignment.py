@@ -46,10 +46,19 @@ def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
     >>> align_nodes(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[6.0, 0, 0], [5, 0, 0]])).tolist()
     [1, 0]
     """
-    a, b = real - real.mean(axis=0), sim - sim.mean(axis=0)
+    return assign_nodes(real - real.mean(axis=0), sim - sim.mean(axis=0))
+
+
+def assign_nodes(a: FloatArray, b: FloatArray) -> IndexArray:
+    """The permutation p that minimises sum_i |a_i - b_p(i)| of two sets of equal size as they lie; exact.
+
+    Parameters
+    ----------
+    a, b : (n, 3) float64, metres
+    """
     if len(a) <= _DENSE_NODES:
-        sim_of_real: IndexArray = linear_sum_assignment(cdist(a, b))[1]
-        return sim_of_real
+        found: IndexArray = linear_sum_assignment(cdist(a, b))[1]
+        return found
     arcs = _candidate_arcs(a, b, _coarse_prices(a, b))
     while True:
         sim_of_real, prices = _solve(a, b, arcs)

@@ -1,0 +1,158 @@
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+import fidpipe.stages.registration
+from fidpipe.schemas.settings import BASELINE_NAMES, GraphSettings, MetricsSettings, SelectionSettings
+from fidpipe.stages.baselines import compare_objects, compare_points
+from fidpipe.stages.communities import adjacency
+from fidpipe.stages.graph import build_graph
+from fidpipe.stages.laplacian import Subgraph
+from fidpipe.stages.pairwise import histogram_distance
+from fidpipe.stages.registration import register
+from fidpipe.stages.selection import Selection, select_nodes
+from scenes import box, moved, rigid
+
+ALL = MetricsSettings(baselines=BASELINE_NAMES)
+
+
+def subgraph(points):
+    edges = build_graph(points, GraphSettings(k=8))
+    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
+
+
+def compare(real, sim, settings=ALL):
+    graphs = subgraph(real), subgraph(sim)
+    found = compare_objects(*graphs, select_nodes(*graphs, SelectionSettings()), 1.0, settings)
+    return {of.name: of for of in found}
+
+
+@pytest.fixture
+def car():
+    return box([5, 3, 0], [4, 2, 1.5], 120)
+
+
+def test_histograms_agree_with_a_loop_over_pairs(rng):
+    real, sim = rng.normal(0, 1, (9, 3)), rng.normal(0, 1, (12, 3)) * [1, 1, 4]
+
+    def shares(points):
+        distances = pdist(points)
+        bins = [0] * 10
+        for d in distances:
+            bins[min(9, int(10 * d / max(distances)))] += 1
+        return [n / len(distances) for n in bins]
+
+    wanted = sum(abs(a - b) ** 3 for a, b in zip(shares(real), shares(sim), strict=True)) ** (1 / 3)
+    assert histogram_distance(real, sim, 100, 10, 3) == pytest.approx(wanted)
+
+
+def test_histograms_by_hand():
+    # distances 1, 1, 2 against 1: shares of the lower and the upper half of the range
+    three, two = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0.0, 0, 0], [7, 0, 0]])
+    assert histogram_distance(three, two, 10, 2, 1) == pytest.approx(0)  # 1/2 lies in the upper half
+    assert histogram_distance(three, two, 10, 3, 1) == pytest.approx(2 / 3 + 2 / 3)
+
+
+def test_histograms_see_neither_place_nor_turn_nor_size(car):
+    assert histogram_distance(car, 2 * moved(car, rigid(40, [3, 1, 2])), 500, 20, 2) == pytest.approx(0, abs=1e-12)
+
+
+def test_large_sides_are_sampled_alike(rng):
+    points = rng.normal(0, 1, (300, 3))
+    assert histogram_distance(points, points.copy(), 50, 20, 2) == 0
+    assert 0 < histogram_distance(points, points[:200], 50, 20, 2) < 0.3
+
+
+def test_icp_undoes_a_small_motion(car):
+    found = register(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], 1.0)
+    assert found.has_converged
+    assert found.fitness == 1
+    assert found.rmse_m == pytest.approx(0, abs=1e-5)
+
+
+def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
+    far = np.array([[5.0, 60, 0]]) + np.random.default_rng(0).normal(0, 1, (40, 3))
+    found = register(car, np.vstack([car, far]), 0.5)
+    assert found.fitness == pytest.approx(120 / 160)
+    assert found.rmse_m == pytest.approx(0, abs=1e-9)
+    nowhere = register(car, far, 0.5)
+    assert (nowhere.fitness, nowhere.rmse_m) == (0, None)
+
+
+def test_an_object_compared_with_itself_is_perfect_in_every_baseline(car):
+    found = compare(car, car)
+    assert list(found) == [
+        "chamfer_mean_m",
+        "chamfer_squared_m2",
+        "chamfer_one_way_sum_m",
+        "hausdorff_m",
+        "f_score",
+        "dcd",
+        "emd_mean_m",
+        "emd_centred_mean_m",
+        "sliced_wasserstein_m",
+        "histogram",
+        "icp_fitness",
+        "icp_rmse_m",
+        "netlsd",
+        "r_h",
+    ]
+    for name, of in found.items():
+        assert of.value == pytest.approx(1 if name in ("f_score", "icp_fitness") else 0, abs=1e-9), name
+        assert of.reason is None
+
+
+def test_a_shift_moves_the_distances_and_not_the_shapes(car):
+    found = compare(car, car + [0, 0, 0.3])
+    assert found["emd_mean_m"].value == pytest.approx(0.3)
+    for name in ("emd_centred_mean_m", "histogram", "icp_rmse_m", "netlsd", "r_h"):
+        assert found[name].value == pytest.approx(0, abs=1e-5), name
+    assert found["hausdorff_m"].value == pytest.approx(0.3, abs=0.15)
+
+
+def test_units_stand_beside_the_values(car):
+    found = compare(car, car[:100])
+    for name, of in found.items():
+        assert of.unit == ("m2" if name.endswith("_m2") else "m" if name.endswith("_m") else None)
+
+
+def test_unequal_sizes_are_said_where_dcd_was_cut(car):
+    found = compare(car, np.vstack([car[:60], car[:20] + 0.01]))
+    assert found["dcd"].value is not None
+    assert found["dcd"].reason.startswith("120 real and 80 simulated points: ")
+    assert found["dcd"].reason.endswith("of 200 count weights cut at 1")
+
+
+def test_what_cannot_be_computed_is_null_with_its_reason():
+    two = np.array([[0.0, 0, 0], [0, 0, 1]])
+    found = compare(two, two[:1])
+    assert {name for name, of in found.items() if of.value is None} == {"histogram", "icp_fitness", "icp_rmse_m", "r_h"}
+    assert all(of.reason for of in found.values() if of.value is None)
+    assert found["r_h"].reason == "1 aligned nodes, at least 3 are needed"
+    single = compare(two[:1], two)
+    assert (single["dcd"].value, single["dcd"].reason) == (None, "the real points have no extent to scale by")
+
+
+def test_objects_too_large_for_their_spectrum_are_left_out(car):
+    found = compare(car, car, ALL.model_copy(update={"heat_max_nodes": 100}))
+    assert (found["netlsd"].value, found["netlsd"].reason) == (None, "120 points, metrics.heat_max_nodes allows 100")
+
+
+def test_without_the_library_icp_is_null_with_its_reason(car, monkeypatch):
+    monkeypatch.setattr(fidpipe.stages.registration, "find_spec", lambda name: None)
+    found = compare_points(car, car, MetricsSettings(baselines=("icp",)))
+    assert [(of.value, of.reason) for of in found] == [(None, 'small_gicp is not installed; pip install ".[icp]"')] * 2
+
+
+def test_two_point_sets_have_the_baselines_that_need_no_objects(car):
+    names = [of.name for of in compare_points(car, car, ALL)]
+    assert not {"emd_mean_m", "netlsd", "r_h"} & set(names)
+    assert len(names) == 10
+
+
+def test_nodes_of_the_alignment_are_what_the_earth_is_moved_between(car):
+    graphs = subgraph(car), subgraph(car + [1, 0, 0])
+    nodes = np.arange(50)
+    selection = Selection(nodes, nodes, np.ones(50), np.ones(50))
+    found = compare_objects(*graphs, selection, 1.0, MetricsSettings(baselines=("emd",)))
+    assert [of.value for of in found] == [pytest.approx(1), pytest.approx(0, abs=1e-12)]

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy import sparse
+
+import literal
+from fidpipe.stages.diffusion import diffusion_change, heat_trace_distance
+from fidpipe.stages.laplacian import normalised_laplacian
+
+TIMES = np.geomspace(0.01, 100, 50)
+
+
+def random_laplacian(rng, n, density=0.3):
+    weights = np.triu(rng.uniform(0.1, 1, (n, n)) * (rng.random((n, n)) < density), 1)
+    return normalised_laplacian(sparse.csr_matrix(weights + weights.T))
+
+
+def path(n):
+    return normalised_laplacian(sparse.csr_matrix(np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)))
+
+
+def test_heat_traces_of_an_edge_and_of_a_path_by_hand():
+    # spectra 0, 2 and 0, 1, 2
+    edge, three = (1 + np.exp(-2 * TIMES)) / 2, (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
+    assert heat_trace_distance(path(2), path(3), TIMES) == pytest.approx(np.linalg.norm(edge - three))
+
+
+def test_heat_traces_agree_with_the_dense_exponential(rng):
+    a, b = random_laplacian(rng, 20), random_laplacian(rng, 31)
+    traces = [[np.trace(scipy.linalg.expm(-t * L.toarray())) / L.shape[0] for t in TIMES] for L in (a, b)]
+    assert heat_trace_distance(a, b, TIMES) == pytest.approx(np.linalg.norm(np.subtract(*traces)))
+
+
+def test_heat_traces_do_not_depend_on_how_nodes_are_numbered(rng):
+    a = random_laplacian(rng, 20)
+    order = rng.permutation(20)
+    assert heat_trace_distance(a, a[order][:, order], TIMES) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("t", [0.1, 1.0, 30.0])
+@pytest.mark.parametrize("n", [12, 90])
+def test_the_diffusion_change_agrees_with_the_dense_exponential(rng, n, t):
+    a, b = random_laplacian(rng, n, 0.1), random_laplacian(rng, n, 0.1)
+    kernels = [scipy.linalg.expm(-t * L.toarray()) for L in (a, b)]
+    wanted = np.linalg.norm(kernels[1] - kernels[0], 2) / (t * np.linalg.norm((b - a).toarray(), 2))
+    found = diffusion_change(a, b, t, 1e-5)
+    assert found == pytest.approx(wanted, rel=1e-9)
+    assert 0 < found <= 1
+
+
+def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():
+    # d exp(-tL) = -t dL + O(t^2)
+    a = path(6)
+    b = normalised_laplacian(sparse.csr_matrix(literal.adjacency(6, {(i, i + 1): 1 + 0.1 * i for i in range(5)})))
+    assert diffusion_change(a, b, 1e-4, 1e-5) == pytest.approx(1, abs=1e-3)
+
+
+def test_identical_laplacians_have_no_diffusion_change(rng):
+    a = random_laplacian(rng, 90)
+    assert diffusion_change(a, a.copy(), 1.0, 1e-5) == 0
