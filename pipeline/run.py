@@ -124,14 +124,17 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     return selected
 
 
-def check_folder(out: Path, dataset: Path) -> None:
-    """Refuses a folder that is not a run, or is the run of another dataset."""
+def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
+    """Refuses a folder that is not a run, or is the run of another dataset or of another command."""
     if not out.exists():
         return
     if not out.is_dir():
         raise RunError(f"run {out}: is a file, a folder is wanted; give another --out")
     if not (out / INDEX).exists() and any(not path.name.startswith(".") for path in out.iterdir()):
         raise RunError(f"run {out}: the folder holds other things than a run; give another --out")
-    before = read_run(out).get("dataset")
-    if before and Path(before) != dataset.resolve() and Path(before).is_dir():
+    record = read_run(out)
+    before, made_by = record.get("dataset"), record.get("experiment", "run")
+    if before and made_by != experiment:
+        raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
+    if before and Path(before) != dataset.resolve() and Path(before).exists():
         raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")

@@ -290,7 +290,127 @@ TIMINGS = Table(
     ("pair_id", "stage", "side", "step"),
 )
 
+_LEVEL = [
+    _field("kind", _STRING, "noise, dropout, rigid, hallucination or density"),
+    _field("amount", _REAL, "noise: m; dropout, hallucination: share of the points; rigid: degrees; density: factor"),
+    _field("shift_m", _REAL, "rigid: length of the translation; else 0", "m"),
+]
+_REPEAT = [
+    _field("repeat", _ID, "from 0"),
+    _field("seed", pa.int64(), "of the random numbers of this repeat, derived from the job's name"),
+]
+_UNDER_TEST = [
+    _PAIR.with_type(_STRING),
+    _field("community_id", _ID, "object of the unaltered scan"),
+    _field("object", _STRING, "class of the object: its label or its shape, or its number"),
+]
+
+PERTURB_GLOBAL = Table(
+    "perturb_global",
+    pa.schema(
+        [
+            _PAIR.with_type(_STRING),
+            *_LEVEL,
+            *_REPEAT,
+            _field("n_points", _COUNT, "object points of the unaltered scan"),
+            _field("n_points_altered", _COUNT, "object points of the altered scan"),
+            _field("n_communities", _COUNT, "objects of the unaltered scan"),
+            _field("n_communities_altered", _COUNT, "objects of the altered scan", optional=True),
+            _field("n_matched", _COUNT, "objects that both have", optional=True),
+            _field("n_identical", _COUNT, "matched objects whose Laplacians do not differ", optional=True),
+            _field("n_too_small", _COUNT, "matched objects with fewer than 3 nodes", optional=True),
+            _field("match_rate", _REAL, "matched / max(communities of either)", optional=True),
+            *(
+                _field(f"{name}_mean", _REAL, f"mean of {name} over matched objects", optional=True)
+                for name in OBJECT_METRICS
+            ),
+            _field("reason", _STRING, "why nothing could be computed", optional=True),
+        ]
+    ),
+    ("pair_id", "kind", "shift_m", "amount", "repeat"),
+)
+
+PERTURB_OBJECTS = Table(
+    "perturb_objects",
+    pa.schema(
+        [
+            *_UNDER_TEST,
+            *_LEVEL,
+            *_REPEAT,
+            _field("n_points", _COUNT, "points of the unaltered object"),
+            _field("n_points_altered", _COUNT, "points of the altered object"),
+            *(
+                _field(name, _REAL, "of the altered against the unaltered object, as in metrics", optional=True)
+                for name in OBJECT_METRICS
+            ),
+            _field("status", _STRING, "scored, identical or too_small"),
+            _field("reason", _STRING, "why a score is null", optional=True),
+        ]
+    ),
+    ("pair_id", "community_id", "kind", "shift_m", "amount", "repeat"),
+)
+
+PERTURB_SUMMARY = Table(
+    "perturb_summary",
+    pa.schema(
+        [
+            _field("scope", _STRING, "global (whole scan) or object"),
+            _field("object", _STRING, "class of the object; null where global", optional=True),
+            *_LEVEL,
+            _field("metric", _STRING, "column of perturb_global or perturb_objects"),
+            _field("n", _COUNT, "repeats, over all scans, in which the metric could be computed"),
+            _field("mean", _REAL, "over these", optional=True),
+            _field("std", _REAL, "standard deviation (n - 1) over these", optional=True),
+        ]
+    ),
+    ("scope", "object", "kind", "shift_m", "amount", "metric"),
+)
+
+_ABLATED = [
+    _field("k", _COUNT, "graph.k"),
+    _field("tau_m", _REAL, "graph.tau_m", "m"),
+    _field("delta_m", _REAL, "matching.delta_m", "m"),
+    _field("t", _REAL, "selection.t"),
+]
+
+ABLATE = Table(
+    "ablate",
+    pa.schema(
+        [
+            _PAIR.with_type(_STRING),
+            *_ABLATED,
+            _field("n_communities_real", _COUNT, "objects of the real side"),
+            _field("n_communities_sim", _COUNT, "objects of the simulated side"),
+            _field("n_matched", _COUNT, "objects that both sides have"),
+            _field("match_rate", _REAL, "matched / max(communities of either side)"),
+            *(
+                _field(f"{name}_mean", _REAL, f"mean of {name} over matched objects", optional=True)
+                for name in OBJECT_METRICS
+            ),
+        ]
+    ),
+    ("pair_id", "k", "tau_m", "delta_m", "t"),
+)
+
+ABLATE_SUMMARY = Table(
+    "ablate_summary",
+    pa.schema(
+        [
+            *_ABLATED,
+            _field("metric", _STRING, "column of ablate"),
+            _field("n_pairs", _COUNT, "pairs in which the metric could be computed"),
+            _field("mean", _REAL, "over these", optional=True),
+            _field("std", _REAL, "standard deviation (n - 1) over these", optional=True),
+        ]
+    ),
+    ("k", "tau_m", "delta_m", "t", "metric"),
+)
+
 #: All tables by name; the name is also the folder or file in a run.
 TABLES = {
-    table.name: table for table in (GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, PAIRS, TIMINGS)
+    table.name: table
+    for table in (
+        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, PAIRS, TIMINGS),
+        *(PERTURB_GLOBAL, PERTURB_OBJECTS, PERTURB_SUMMARY, ABLATE, ABLATE_SUMMARY),
+    )
 }

@@ -66,7 +66,9 @@ def read_dataset(folder: Path) -> Dataset:
             if manifest.exists()
             else f"dataset {folder}: no scan pairs found; files are wanted in real/ and sim/, or a {MANIFEST}"
         )
-    return Dataset(folder, tuple(sorted(pairs, key=lambda pair: pair.pair_id)), _label_names(folder), tuple(warnings))
+    return Dataset(
+        folder, tuple(sorted(pairs, key=lambda pair: pair.pair_id)), read_label_names(folder), tuple(warnings)
+    )
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
@@ -186,7 +188,8 @@ def _transform(where: str, text: str) -> tuple[float, ...] | None:
     return tuple(float(value) for value in values if value is not None)
 
 
-def _label_names(folder: Path) -> dict[int, str]:
+def read_label_names(folder: Path) -> dict[int, str]:
+    """Class names by number from `labels.toml` in a folder; {} where there is none."""
     path = folder / LABEL_NAMES
     if not path.exists():
         return {}
