@@ -5,9 +5,12 @@ from __future__ import annotations
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+
+from .cli_results import show
+from .console import print_view as _print
 
 app = typer.Typer(
     name="fidpipe",
@@ -65,12 +68,6 @@ def _complain(text: str) -> None:
     from rich.console import Console
 
     Console(stderr=True, soft_wrap=True, highlight=False).print(text, markup=False, style="red")
-
-
-def _print(view: Any) -> None:
-    from rich.console import Console
-
-    Console(soft_wrap=not sys.stdout.isatty(), highlight=False).print(view)
 
 
 def _version(wanted: bool) -> None:
@@ -225,3 +222,6 @@ def status(
     from .status import run_status
 
     _print(status_view(run_status(run)))
+
+
+app.command()(show)

@@ -83,6 +83,9 @@ def run_record(
     rows: list[dict[str, Any]],
     wall_s: Mapping[str, float],
     n_workers: int,
+    seconds: Mapping[str, Any],
+    findings: Mapping[str, Any],
+    n_to_do: int,
 ) -> dict[str, Any]:
     """What `run.json` holds at the end of a run.
 
@@ -93,15 +96,46 @@ def run_record(
     rows : of `pairs`
     wall_s : seconds of this command by phase
     n_workers : of this command; 0 where there was nothing to do
+    seconds : from `stage_seconds`
+    findings : what the objects of all pairs say together
+    n_to_do : pairs of the dataset that are neither scored nor failed
     """
     scored = [row for row in rows if row["status"] == "scored"]
     return {
         **header,
         "workers": n_workers,
         "wall_s": dict(wall_s),
-        "pairs": {"scored": len(scored), "failed": len(rows) - len(scored)},
-        "summary": summarise_dataset({name: [row[name] for row in scored] for name in DATASET_VALUES}),
+        "pairs": {"scored": len(scored), "failed": len(rows) - len(scored), "to_do": n_to_do},
+        "summary": summarise_pairs(rows),
+        "findings": dict(findings),
+        "seconds": dict(seconds),
         "inputs": {pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
+    }
+
+
+def summarise_pairs(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Mean and standard deviation over the scored pairs of each score."""
+    scored = [row for row in rows if row["status"] == "scored"]
+    return summarise_dataset({name: [row[name] for row in scored] for name in DATASET_VALUES})
+
+
+def stage_seconds(records: Iterable[JobRecord]) -> dict[str, Any]:
+    """Seconds of finished jobs: `mean` over pairs by stage and step, and `pairs` by pair and stage.
+
+    Both sides of a pair are counted together; a reused job keeps the seconds of the run that made it.
+    """
+    steps: dict[str, dict[str, float]] = {}
+    pairs: dict[str, dict[str, float]] = {}
+    for record in records:
+        total, of_pair = steps.setdefault(record.stage, {}), pairs.setdefault(record.pair_id, {})
+        of_pair.setdefault(record.stage, 0.0)
+        for step, seconds in record.steps:
+            total[step] = total.get(step, 0.0) + seconds
+            of_pair[record.stage] += seconds
+    n_pairs = {stage: sum(stage in of_pair for of_pair in pairs.values()) for stage in steps}
+    return {
+        "mean": {stage: {step: s / n_pairs[stage] for step, s in total.items()} for stage, total in steps.items()},
+        "pairs": {pair_id: {stage: round(s, 6) for stage, s in pairs[pair_id].items()} for pair_id in sorted(pairs)},
     }
 
 

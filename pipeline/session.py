@@ -12,9 +12,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import pyarrow as pa
+
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, SIDES, TIMINGS
 from .fanout import DaskPool, InProcess, Pool, cpu_count
+from .findings import run_findings
 from .intake import ScanFacts, file_marks, inspect_pairs, pair_warnings, settings_key
 from .plan import Stage, library_versions, plan_pair, with_whole_results
 from .progress import Reporter
@@ -27,6 +30,8 @@ from .record import (
     read_run,
     run_header,
     run_record,
+    stage_seconds,
+    summarise_pairs,
     timing_rows,
     what_changed,
 )
@@ -215,10 +220,10 @@ class Session:
     def write(self) -> RunOutcome:
         """Writes the tables of the whole run and its record."""
         rows = PAIRS.from_rows(self.rows())
-        key = key_of([record.key for record in self._current_records() if record.stage == "metrics"], self.failures)
+        key = key_of([record.key for record in self.current_records() if record.stage == "metrics"], self.failures)
         table = self.store.write_at(self.request.out / "pairs.parquet", "pairs", rows, key)
         self.store.records["pairs", "", ""] = JobRecord("pairs", "", "", key, {"pairs.parquet": table})
-        timings = TIMINGS.from_rows(timing_rows(self._current_records(), self.made))
+        timings = TIMINGS.from_rows(timing_rows(self.current_records(), self.made))
         self.store.write_at(self.request.out / "timings.parquet", "timings", timings, key)
         self._end_phase("tables")
         self.wall_s["total"] = perf_counter() - self._start
@@ -229,11 +234,21 @@ class Session:
         }
         n_workers = self._pool.n_workers if self._pool else 0
         header = run_header(self.request.dataset, self.settings, self.stages)
-        record = run_record(header, hashes, rows.to_pylist(), self.wall_s, n_workers)
+        n_to_do = len({pair.pair_id for pair in self.dataset.pairs}) - rows.num_rows
+        seconds = stage_seconds(self.current_records())
+        record = run_record(
+            header, hashes, rows.to_pylist(), self.wall_s, n_workers, seconds, self._findings(rows, key), n_to_do
+        )
         self.store.replace(self.request.out / RUN_JSON, dumps(record))
         self.store.compact()
-        n_reused = len(self._current_records()) - len(self.made)
+        n_reused = len(self.current_records()) - len(self.made)
         return RunOutcome(self.request.out, rows.to_pylist(), record, len(self.made), n_reused)
+
+    def _findings(self, rows: pa.Table, key: str) -> dict[str, Any]:
+        scored = [row for row in rows.to_pylist() if row["status"] == "scored"]
+        times = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
+        before = self.before.get("findings", {})
+        return run_findings(self.store, [row["pair_id"] for row in scored], times, summarise_pairs(scored), key, before)
 
     def close(self) -> None:
         """Ends the pool, whatever it is doing."""
@@ -308,7 +323,8 @@ class Session:
             self._traces.add(failure.trace)
             self.reporter.say(failure.trace)
 
-    def _current_records(self) -> list[JobRecord]:
+    def current_records(self) -> list[JobRecord]:
+        """The finished jobs whose results are as wanted."""
         return [
             self.store.records[job.stage, pair_id, job.side]
             for pair_id, task in self.tasks.items()

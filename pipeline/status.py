@@ -15,7 +15,7 @@ from ..schemas.errors import RunError
 from ..schemas.settings import parse
 from .progress import Reporter
 from .readers.dataset import read_dataset
-from .record import read_run
+from .record import read_run, stage_seconds
 from .run import STAGES
 from .session import RunRequest, Session
 from .store import Store
@@ -30,6 +30,7 @@ class RunStatus:
 
     stages : by stage, how many pairs are in which state
     failures : why each failed pair failed
+    mean_seconds : by stage and step, mean over the pairs that have it
     """
 
     folder: Path
@@ -37,6 +38,7 @@ class RunStatus:
     n_pairs: int
     stages: dict[str, Counter[str]]
     failures: dict[str, str]
+    mean_seconds: dict[str, dict[str, float]]
 
 
 def run_status(folder: Path) -> RunStatus:
@@ -62,7 +64,8 @@ def run_status(folder: Path) -> RunStatus:
         task = session.tasks.get(pair.pair_id)
         for stage in STAGES:
             stages[stage.name][_state(store, stage.name, pair.pair_id, task, pair.pair_id in failures)] += 1
-    return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures)
+    seconds = stage_seconds(session.current_records())
+    return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures, seconds["mean"])
 
 
 def _state(store: Store, stage: str, pair_id: str, task: PairTask | None, failed: bool) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -13,6 +13,9 @@ from ...schemas.tables import SIDES
 from ..check import DatasetCheck
 from ..session import RunOutcome
 from ..status import STATES, RunStatus
+from .findings_view import claims_line, findings_view
+from .layout import number, plain_table
+from .timing_view import timing_view
 
 _MOST_PAIRS = 20
 
@@ -32,27 +35,35 @@ _SCORES = (
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The results of a run, as a newcomer should see them first."""
-    scored = [row for row in outcome.rows if row["status"] == "scored"]
+    wall_s = outcome.record["wall_s"]["total"]
+    return Group(
+        summary_view(outcome.folder, outcome.rows, outcome.record),
+        Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {wall_s:.1f} s"),
+        Text(f"results: {outcome.folder}/pairs.parquet (a row a pair), {outcome.folder}/metrics/ (a row an object)"),
+        Text(f"to look at them: fidpipe report {outcome.folder}"),
+    )
+
+
+def summary_view(folder: Path, rows: list[dict[str, Any]], record: dict[str, Any]) -> RenderableType:
+    """The pairs of a run, what they say together, and which failed."""
+    scored = [row for row in rows if row["status"] == "scored"]
     parts: list[RenderableType] = []
     if scored:
-        parts += [_pairs_table(scored), _dataset_table(outcome.record["summary"])]
-    failures = outcome.failures
+        findings = record["findings"]
+        parts += [_pairs_table(scored), _dataset_table(record["summary"]), findings_view(findings)]
+        parts.append(Text(f"{claims_line(findings)}; see: fidpipe show {folder} --paper"))
+    failures = [row for row in rows if row["status"] == "failed"]
     if failures:
-        parts.append(Text(f"{len(failures)} of {len(outcome.rows)} pairs failed:", style="red"))
-        parts += [Text(f"  {pair_id}: {reason}") for pair_id, reason in list(failures.items())[:_MOST_PAIRS]]
+        parts.append(Text(f"{len(failures)} of {len(rows)} pairs failed:", style="red"))
+        parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in failures[:_MOST_PAIRS]]
         if len(failures) > _MOST_PAIRS:
             parts.append(Text(f"  and {len(failures) - _MOST_PAIRS} more, see pairs.parquet"))
-    wall_s = outcome.record["wall_s"]["total"]
-    parts.append(Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {wall_s:.1f} s"))
-    parts.append(
-        Text(f"results: {outcome.folder}/pairs.parquet (a row a pair), {outcome.folder}/metrics/ (a row an object)")
-    )
     return Group(*parts)
 
 
 def check_view(found: DatasetCheck) -> RenderableType:
     """The pairs of a dataset with points, extents and dropped points, then warnings and faults."""
-    table = _table(f"{found.folder}: {len(found.pairs)} pairs")
+    table = plain_table(f"{found.folder}: {len(found.pairs)} pairs")
     for heading in ("pair", "side", "points", "clean", "extent x y z, m", "dropped"):
         table.add_column(heading, justify="right" if heading in ("points", "clean") else "left", overflow="fold")
     for pair, sides in found.pairs:
@@ -74,15 +85,14 @@ def check_view(found: DatasetCheck) -> RenderableType:
 
 def status_view(status: RunStatus) -> RenderableType:
     """Stages by pairs."""
-    table = _table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}")
+    table = plain_table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}")
     table.add_column("stage")
     for state in STATES:
         table.add_column(state, justify="right")
     for stage, counts in status.stages.items():
         table.add_row(stage, *(str(counts[state]) if counts[state] else "-" for state in STATES))
-    return Group(
-        table, *(Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items())
-    )
+    failures = [Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()]
+    return Group(table, *([timing_view(status.mean_seconds)] if status.mean_seconds else []), *failures)
 
 
 def _pairs_table(rows: list[dict[str, Any]]) -> Table:
@@ -90,7 +100,7 @@ def _pairs_table(rows: list[dict[str, Any]]) -> Table:
     if len(rows) > _MOST_PAIRS:
         rows = sorted(rows, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
         title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
-    table = _table(title)
+    table = plain_table(title)
     table.add_column("pair", overflow="fold", min_width=6)
     for heading in ("objects\nreal", "\nsim", "\nboth", "only\nreal", "only\nsim"):
         table.add_column(heading, justify="right")
@@ -101,25 +111,17 @@ def _pairs_table(rows: list[dict[str, Any]]) -> Table:
         table.add_row(
             Text(row["pair_id"]),
             *(str(row[name]) for name in counts),
-            *(_number(row[column]) for column, _, _ in _SCORES),
+            *(number(row[column]) for column, _, _ in _SCORES),
         )
     return table
 
 
 def _dataset_table(summary: dict[str, Any]) -> Table:
-    table = _table("Dataset (mean and standard deviation over pairs)")
+    table = plain_table("Dataset (mean and standard deviation over pairs)")
     table.add_column("score", no_wrap=True)
     table.add_column("mean", justify="right", no_wrap=True)
     table.add_column("std", justify="right", no_wrap=True)
     table.add_column("how to read it")
     for column, name, meaning in _SCORES:
-        table.add_row(name, _number(summary[column]["mean"]), _number(summary[column]["std"]), meaning)
+        table.add_row(name, number(summary[column]["mean"]), number(summary[column]["std"]), meaning)
     return table
-
-
-def _table(title: str) -> Table:
-    return Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"

@@ -1,0 +1,19 @@
+"""The way to standard output of the commands: views for people, JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+
+def print_view(view: Any) -> None:
+    """Prints a view: as wide as the terminal, unwrapped into a file or a pipe."""
+    from rich.console import Console
+
+    Console(soft_wrap=not sys.stdout.isatty(), highlight=False).print(view)
+
+
+def print_json(found: Any) -> None:
+    """Prints plain values as strict JSON, in ASCII, so that no terminal and no name can spoil it."""
+    sys.stdout.write(json.dumps(found, indent=1, allow_nan=False) + "\n")

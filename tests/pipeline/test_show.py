@@ -1,0 +1,126 @@
+"""A finished run read again: the same numbers as its tables, for people and for programs."""
+
+import json
+import shutil
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from fidpipe.pipeline.cli import app
+from fidpipe.pipeline.finished import FinishedRun
+from fidpipe.pipeline.show import object_facts, pair_facts
+from fidpipe.schemas.errors import RunError
+from runs import command, run
+from scenes import drifted, street, write_bin
+
+HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300, "../x")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("show")
+    scan = street()
+    write_bin(folder / "streets" / "real.bin", scan)
+    write_bin(folder / "streets" / "sim.bin", drifted(scan))
+    (folder / "streets" / "empty.bin").write_bytes(b"")
+    rows = [f'"{name}",real.bin,sim.bin' for name in HOSTILE] + ["failed,real.bin,empty.bin"]
+    (folder / "streets" / "pairs.csv").write_text("pair_id,real,sim\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    run(folder / "streets", folder / "run")
+    return folder / "run"
+
+
+def shown(*words):
+    result = CliRunner().invoke(app, ["show", *map(str, words)])
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    return result.stdout
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_json_holds_the_numbers_of_the_tables_whatever_the_pair_is_called(finished, name):
+    metrics = pd.read_parquet(finished / "metrics").query("pair_id == @name").set_index("real_id")
+    found = json.loads(shown(finished, name, "--json"))
+    assert found["pair"]["pair_id"] == name
+    of_both = [of for of in found["objects"] if of["status"] == "matched"]
+    assert len(of_both) == len(metrics) > 0
+    for of in of_both:
+        row = metrics.loc[of["scores"]["real_id"]]
+        assert of["scores"]["r_lambda"] == row.r_lambda
+        assert (of["real"]["n_points"], of["sim"]["n_points"]) == (row.n_real, row.n_sim)
+    assert [of["scores"]["r_lambda"] for of in of_both] == sorted(metrics.r_lambda, reverse=True)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_the_terminal_shows_any_name_as_it_is(finished, name):
+    assert "Pairs (means over matched objects)" in shown(finished)
+    for words in ([finished, name], [finished, name, "0"]):
+        assert name.replace(" ", "") in "".join(shown(*words).split())
+
+
+def test_every_object_of_either_side_stands_in_its_pair_once(finished):
+    run_ = FinishedRun(finished)
+    found = pair_facts(run_, HOSTILE[0])["objects"]
+    objects = pd.read_parquet(finished / "objects").query("pair_id == @HOSTILE[0]")
+    for side in ("real", "sim"):
+        ids = sorted(of[side]["community_id"] for of in found if of[side])
+        assert ids == sorted(objects[objects.side == side].community_id)
+
+
+def test_an_object_is_named_by_its_side_and_number(finished):
+    run_ = FinishedRun(finished)
+    real = object_facts(run_, HOSTILE[0], "0")
+    partner = real["sim"]["community_id"]
+    assert object_facts(run_, HOSTILE[0], f"sim:{partner}") == real == object_facts(run_, HOSTILE[0], "real:0")
+    alone = next(of for of in pair_facts(run_, HOSTILE[0])["objects"] if of["status"] == "missing")
+    assert object_facts(run_, HOSTILE[0], str(alone["real"]["community_id"]))["scores"] is None
+
+
+@pytest.mark.parametrize("name", ["99", "sim:99", "nose:1", "-1", "٣", ""])
+def test_an_object_that_is_not_there_is_named_with_what_is(finished, name):
+    with pytest.raises(RunError, match=r"no object .* 7 is a real object, sim:7 a simulated one"):
+        object_facts(FinishedRun(finished), HOSTILE[0], name)
+
+
+def test_a_failed_pair_shows_why_and_has_no_objects(finished):
+    assert "empty.bin: the file is empty" in shown(finished, "failed")
+    assert json.loads(shown(finished, "failed", "--json"))["objects"] == []
+
+
+def test_the_whole_run_as_json_is_its_record_and_its_pairs(finished):
+    found = json.loads(shown(finished, "--json"))
+    assert {row["pair_id"] for row in found["pairs"]} == {*HOSTILE, "failed"}
+    assert found["record"] == json.loads((finished / "run.json").read_text())
+    claims = json.loads(shown(finished, "--paper", "--json"))
+    assert claims == found["record"]["findings"]["claims"]
+
+
+def test_a_name_that_is_nearly_right_is_suggested(finished):
+    result = command("show", finished, "faild")
+    assert result.returncode == 1
+    assert "it has 'failed'" in result.stderr
+
+
+def test_a_damaged_table_is_named_and_not_believed(finished, tmp_path):
+    folder = shutil.copytree(finished, tmp_path / "run")
+    path = next((folder / "metrics").glob("script*.parquet"), None) or next((folder / "metrics").iterdir())
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    names = {row["pair_id"] for row in FinishedRun(folder).scored}
+    faults = 0
+    for name in names:
+        try:
+            pair_facts(FinishedRun(folder), name)
+        except RunError as error:
+            faults += 1
+            assert path.name in str(error)
+    assert faults == 1
+
+
+def test_a_folder_without_a_finished_run_is_refused(tmp_path):
+    with pytest.raises(RunError, match=r"no run.json of fidpipe run found"):
+        FinishedRun(tmp_path)
+    (tmp_path / "run.json").write_text('{"dataset": "/data/streets"}')
+    with pytest.raises(RunError, match="the run has not ended"):
+        FinishedRun(tmp_path)

@@ -1,0 +1,89 @@
+import copy
+
+import numpy as np
+import pytest
+
+from fidpipe.stages.claims import FAILS, HOLDS, UNKNOWN, check_claims
+from fidpipe.stages.findings import MatchedObjects, SideObjects, summarise_objects
+
+SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean")
+
+
+def dataset(seed=0, labels=("tree", "vegetation", "car", "wall"), times=True):
+    """Objects as the paper describes them: CDC high and narrow, r_lambda lower and wide, foliage often missing."""
+    rng = np.random.default_rng(seed)
+    n_pairs, n = 20, 60
+    pair = np.repeat(np.arange(n_pairs, dtype=np.int32), n)
+    label = np.array([labels[i % len(labels)] for i in range(len(pair))])
+    is_foliage = np.isin(label, ["tree", "vegetation"])
+    range_m = rng.uniform(3, 50, len(pair))
+    is_matched = rng.random(len(pair)) > np.where(is_foliage, 0.6, 0.2) * (range_m / 35)
+    side = SideObjects(pair, range_m, label, is_matched)
+    of = is_matched.nonzero()[0]
+    wall, far = label[of] == "wall", range_m[of] / 50
+    cdc = np.clip(rng.normal(0.75, 0.03, len(of)) + 0.04 * is_foliage[of] - 0.04 * wall, 0.41, 2)
+    r_lambda = np.clip(0.15 + 0.35 * far + rng.normal(0, 0.15, len(of)) - 0.1 * wall, 0.02, 1)
+    n_real = rng.integers(50, 100, len(of)).astype(np.int32)
+    n_sim = (n_real * np.exp(rng.uniform(-1.8, 1.8, len(of)))).astype(np.int32)
+    both = MatchedObjects(pair[of], range_m[of], label[of], n_real, n_sim, cdc, r_lambda, r_lambda / 10)
+    findings = summarise_objects(side, side, both, [100.0 * i if times else None for i in range(n_pairs)])
+    values = zip(SCORES, (0.594, 0.75, 0.37, 0.028), (0.066, 0.02, 0.03, 0.014), strict=True)
+    return {name: {"mean": mean, "std": std} for name, mean, std in values}, findings
+
+
+def verdicts(summary, findings):
+    return {claim.claim: claim.verdict for claim in check_claims(summary, findings)}
+
+
+def test_what_looks_like_the_paper_bears_out_its_orders():
+    found = verdicts(*dataset())
+    assert set(found.values()) <= {HOLDS, FAILS}
+    for claim, verdict in found.items():
+        if not claim.startswith(("matched objects a pair", "median range of unmatched")):
+            assert verdict == HOLDS, claim
+
+
+def test_a_mean_beyond_the_papers_spread_does_not_hold():
+    summary, findings = dataset()
+    summary["r_lambda_mean"]["mean"] = 0.401
+    assert verdicts(summary, findings)["mean r_lambda over pairs"] == FAILS
+    summary["r_lambda_mean"]["mean"] = 0.399
+    assert verdicts(summary, findings)["mean r_lambda over pairs"] == HOLDS
+
+
+def test_the_opposite_order_does_not_hold():
+    summary, findings = dataset()
+    turned = copy.deepcopy(findings)
+    turned["distributions"] = {
+        "cdc": findings["distributions"]["r_lambda"],
+        "r_lambda": findings["distributions"]["cdc"],
+    }
+    found = verdicts(summary, turned)
+    for claim in (
+        "r_lambda varies more than CDC relative to its mean",
+        "r_lambda spans a wider range than CDC",
+        "the peak of CDC is higher and sharper than that of r_lambda",
+        "CDC takes no value below 0.4",
+    ):
+        assert found[claim] == FAILS, claim
+
+
+def test_a_difference_within_chance_does_not_hold():
+    summary, findings = dataset()
+    for row in findings["classes"]:
+        row["r_lambda_near_mean"], row["r_lambda_far_mean"] = 0.400, 0.401
+    assert verdicts(summary, findings)["near trees keep their structure, distant ones less"] == FAILS
+
+
+def test_without_labels_and_timestamps_those_claims_are_not_checkable():
+    summary, findings = dataset(labels=("",), times=False)
+    unknown = [claim for claim in check_claims(summary, findings) if claim.verdict == UNKNOWN]
+    assert len(unknown) == 7
+    assert {claim.here for claim in unknown} == {"-"}
+
+
+@pytest.mark.parametrize("name", SCORES)
+def test_a_mean_that_is_null_is_not_checkable(name):
+    summary, findings = dataset()
+    summary[name] = {"mean": None, "std": None}
+    assert UNKNOWN in verdicts(summary, findings).values()
