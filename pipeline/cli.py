@@ -211,6 +211,36 @@ def synth(
 
 
 @app.command()
+def report(
+    run: Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)],
+    pairs: Annotated[
+        str | None,
+        typer.Option("--pairs", metavar="PATTERN", help="Show pairs whose name matches in 3D, such as '0000*'."),
+    ] = None,
+    folder: Annotated[bool, typer.Option("--folder", help="One page a pair and an index, in RUN/report.")] = False,
+) -> None:
+    """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
+
+    RUN/report.html: verdict, scores, missing and invented objects, tables, the points of some pairs in 3D (the worst,
+    the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG and SVG.
+
+    Examples
+    --------
+    fidpipe report runs/dataset
+
+    fidpipe report runs/dataset --pairs '0007'
+
+    fidpipe report runs/dataset --folder
+    """
+    from .report.page import write_report
+
+    made = write_report(run, pairs, one_page_a_pair=folder)
+    pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
+    print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
+    print(f"figures: {made.figures[0].parent} ({', '.join(path.stem for path in made.figures[::2])}; PNG and SVG)")
+
+
+@app.command()
 def status(
     run: Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)],
 ) -> None:

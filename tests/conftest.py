@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from reports import finished_run
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -20,6 +22,12 @@ def real_data() -> Path:
             pytest.fail(f"FIDPIPE_REQUIRE_REAL_DATA=1 and {REAL_DATA} is absent")
         pytest.skip(f"{REAL_DATA} is absent")
     return REAL_DATA
+
+
+@pytest.fixture(scope="session")
+def report_run(tmp_path_factory) -> Path:
+    """A small finished run whose pairs and classes have hostile names; not to be written to."""
+    return finished_run(tmp_path_factory.mktemp("report"))
 
 
 @pytest.fixture

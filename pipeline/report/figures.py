@@ -1,0 +1,31 @@
+"""The paper's figures of a run, each as PNG and SVG: scores over all objects, and points of one scan.
+
+Leaves to others: the drawing (`figures_scores`, `figures_scan`), how it looks (`figure_style`).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .figures_scan import draw_objects, draw_overview, draw_unmatched
+from .figures_scores import draw_boxes, draw_distributions
+from .results import RunResults
+
+
+def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[Path]:
+    """Draws all figures; those of one scan show the pair in the middle of the order from worst to best.
+
+    Parameters
+    ----------
+    chosen : names of the pairs to choose that pair from, worst first
+    folder : where the files go; made if it is not there
+    """
+    folder.mkdir(exist_ok=True)
+    pair_id = chosen[len(chosen) // 2]
+    return [
+        *draw_overview(results, pair_id, folder),
+        *draw_unmatched(results, pair_id, folder),
+        *draw_distributions(results, folder),
+        *draw_boxes(results, folder),
+        *draw_objects(results, folder),
+    ]

@@ -1,0 +1,192 @@
+"""The tables of a finished run as a report reads them: one frozen object, checked before anything is drawn.
+
+Leaves to others: the points of a pair (`clouds`), what the numbers say (`verdict`, `aggregates`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ...schemas.errors import RunError
+from ...schemas.settings import Settings, parse
+from ...schemas.tables import SIDES
+from ..plan import Stage
+from ..record import read_run
+from ..run import STAGES
+from ..store import JobRecord, Store
+from .quadrants import quadrant_of
+
+SHAPES = ("linear", "planar", "scattered")
+_SHAPE_COLUMNS = ["linearity", "planarity", "scattering"]
+_PLACE = ["n_points", "range_m", "bearing_deg", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"]
+
+
+@dataclass(frozen=True)
+class RunResults:
+    """A finished run.
+
+    record : what `run.json` holds
+    pairs : `pairs.parquet`, the scored pairs only, worst first
+    failures : why each failed pair failed
+    matched : `metrics` with place and class of the real object, `quadrant`, and the position of its pair; worst first
+    unmatched : `objects` that only one side has, with `status`; largest first
+    timings : `timings.parquet`
+    class_is : "label" where the scans are labelled, else "shape"
+    """
+
+    folder: Path
+    record: dict[str, Any]
+    pairs: pd.DataFrame
+    failures: dict[str, str]
+    matched: pd.DataFrame
+    unmatched: pd.DataFrame
+    timings: pd.DataFrame
+    class_is: str
+    jobs: dict[str, tuple[JobRecord, ...]]
+
+    @property
+    def settings(self) -> Settings:
+        """The settings that the run was made with."""
+        return parse(self.record["settings"])
+
+    def select(self, pattern: str | None) -> list[str]:
+        """Names of the scored pairs that match, worst first.
+
+        Raises
+        ------
+        RunError
+            None does.
+        """
+        names: list[str] = self.pairs.pair_id.tolist()
+        if pattern is None:
+            return names
+        chosen = [name for name in names if fnmatchcase(name, pattern)]
+        if not chosen:
+            known = ", ".join(sorted(names)[:5])
+            raise RunError(f"--pairs {pattern!r} matches none of the {len(names)} scored pairs ({known} ...)")
+        return chosen
+
+
+def read_results(folder: Path) -> RunResults:
+    """The tables of a run that has ended, checked against its index.
+
+    Pairs are ordered by the mean of their ranks in match rate, CDC and r_lambda, matched objects by the mean of their
+    ranks in CDC and r_lambda (those without r_lambda last): an order to look at, no score.
+
+    Raises
+    ------
+    RunError
+        The folder is no run, the run has not ended, a table is damaged, or no pair is scored.
+    """
+    record = read_run(folder)
+    if not record:
+        raise RunError(f"run {folder}: no run.json found; a folder written by fidpipe run is wanted")
+    if record.get("experiment", "run") != "run":
+        raise RunError(f"run {folder}: was written by fidpipe {record['experiment']}; one of fidpipe run is wanted")
+    if "summary" not in record:
+        raise RunError(
+            f"run {folder}: the run has not ended; wait for it, or finish it with: fidpipe run {record['dataset']}"
+        )
+    store = Store(folder)
+    of_run = store.records.get(("pairs", "", ""))
+    if of_run is None or not store.is_whole(of_run):
+        raise RunError(f"run {folder}: pairs.parquet is damaged or gone; run fidpipe run again")
+    pairs = pq.read_table(folder / "pairs.parquet").to_pandas()
+    is_scored = pairs.status == "scored"
+    failures = dict(zip(pairs.pair_id[~is_scored], pairs.reason[~is_scored], strict=True))
+    if not is_scored.any():
+        raise RunError(f"run {folder}: none of its {len(pairs)} pairs is scored, so there is nothing to report")
+    pairs = _worst_first(pairs[is_scored], ("match_rate", "cdc_mean", "r_lambda_mean"))
+    names = pairs.pair_id.tolist()
+    jobs = _jobs(store, names)
+    objects = _with_place(_read(folder, _files(jobs, "objects")))
+    metrics = _read(folder, _files(jobs, "metrics"))
+    matching = _read(folder, _files(jobs, "matching"))
+    return RunResults(
+        folder=folder,
+        record=record,
+        pairs=pairs,
+        failures=failures,
+        matched=_matched(metrics, objects, names),
+        unmatched=_unmatched(matching, objects, names),
+        timings=pq.read_table(folder / "timings.parquet").to_pandas(),
+        class_is="label" if objects.label.notna().any() else "shape",
+        jobs=jobs,
+    )
+
+
+def _jobs(store: Store, names: Iterable[str]) -> dict[str, tuple[JobRecord, ...]]:
+    """The finished jobs of each pair in their order; every table must be as it was written."""
+    jobs = {}
+    for name in names:
+        found = [store.records.get((stage.name, name, side)) for stage in STAGES for side in stage.sides]
+        whole = [record for record in found if record is not None and store.is_whole(record)]
+        if len(whole) < len(found):
+            raise RunError(f"run {store.folder}, pair {name}: a table is damaged or gone; run fidpipe run again")
+        jobs[name] = tuple(whole)
+    return jobs
+
+
+def stage_of(record: JobRecord) -> Stage:
+    """The row of the pipeline that a job belongs to."""
+    return next(stage for stage in STAGES if stage.name == record.stage)
+
+
+def _files(jobs: dict[str, tuple[JobRecord, ...]], table: str) -> list[str]:
+    return [
+        name for records in jobs.values() for record in records for name in record.files if name.startswith(f"{table}/")
+    ]
+
+
+def _read(folder: Path, files: Iterable[str]) -> pd.DataFrame:
+    return pa.concat_tables([pq.read_table(folder / name, use_threads=False) for name in files]).to_pandas()
+
+
+def _with_place(objects: pd.DataFrame) -> pd.DataFrame:
+    """Objects with bearing (degrees, 0 ahead, 90 left), shape class, and the class that the report goes by."""
+    bearing = np.degrees(np.arctan2(objects.cy, objects.cx))
+    shape = np.array(SHAPES)[objects[_SHAPE_COLUMNS].to_numpy().argmax(axis=1)]
+    objects = objects.assign(bearing_deg=bearing, shape=shape)
+    labels = objects.label
+    group = labels.fillna("(no label)") if labels.notna().any() else objects["shape"]
+    found: pd.DataFrame = objects.assign(group=group)
+    return found
+
+
+def _matched(metrics: pd.DataFrame, objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    real = objects[objects.side == "real"][["pair_id", "community_id", *_PLACE, "group", "shape"]]
+    both = metrics.merge(real, left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"], validate="1:1")
+    both = both.drop(columns=["community_id", "n_points"])
+    both["quadrant"] = quadrant_of(both.cdc.to_numpy(), both.r_lambda.to_numpy(dtype=float))
+    both["pair"] = both.pair_id.map({name: i for i, name in enumerate(names)})
+    return _worst_first(both, ("cdc", "r_lambda"))
+
+
+def _unmatched(matching: pd.DataFrame, objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    parts = []
+    for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True):
+        alone = matching[matching.status == status][["pair_id", f"{side}_id", "status"]]
+        alone = alone.rename(columns={f"{side}_id": "community_id"}).astype({"community_id": "int32"})
+        parts.append(objects[objects.side == side].merge(alone, on=["pair_id", "community_id"], validate="1:1"))
+    unmatched = pd.concat(parts)
+    unmatched["pair"] = unmatched.pair_id.map({name: i for i, name in enumerate(names)})
+    found: pd.DataFrame = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
+    return found
+
+
+def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
+    """Rows by the mean of their ranks, worst first; a null in any of the columns goes last."""
+    ranks = [rows[column].rank(ascending=column == "match_rate", pct=True) for column in by]
+    order = sum(ranks[1:], ranks[0])
+    ordered = rows.assign(_order=order).sort_values(["_order", "pair_id"], na_position="last", kind="stable")
+    found: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
+    return found

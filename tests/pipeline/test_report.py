@@ -1,0 +1,232 @@
+"""The report of a run: what it reads and refuses, what it says, and that no name can break it."""
+
+import json
+import os
+import re
+import shutil
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from fidpipe.pipeline.report.clouds import PairTables
+from fidpipe.pipeline.report.page import MOST_VIEWS, render, some_of, write_report
+from fidpipe.pipeline.report.page_data import page_data
+from fidpipe.pipeline.report.pair_view import thinned
+from fidpipe.pipeline.report.results import read_results
+from fidpipe.pipeline.report.verdict import verdict_of
+from fidpipe.schemas.errors import RunError
+from fidpipe.stages.metrics import IDENTICAL_CHANGE
+from reports import HOSTILE_CLASS, HOSTILE_PAIRS
+from runs import assert_same_tables, command, run
+from scenes import street, write_bin, write_dataset
+
+FIGURES = {"overview", "unmatched", "distributions", "box_plots", "objects"}
+
+
+@pytest.fixture
+def copied_run(report_run, tmp_path):
+    return shutil.copytree(report_run, tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
+def written(report_run, tmp_path_factory):
+    folder = shutil.copytree(report_run, tmp_path_factory.mktemp("written") / "run")
+    return write_report(folder)
+
+
+def embedded(page):
+    found = re.search(r'<script type="application/json" id="report">(.*?)</script>', page.read_text("utf-8"), re.S)
+    return json.loads(found[1])
+
+
+@pytest.mark.slow
+def test_the_report_is_one_page_and_five_figures_as_png_and_svg(written):
+    assert written.page.name == "report.html"
+    assert written.page.stat().st_size < 15e6
+    assert {path.name for path in written.figures} == {f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")}
+    for path in written.figures:
+        if path.suffix == ".png":
+            assert np.asarray(Image.open(path).convert("L")).std() > 5, "an empty picture"
+        else:
+            assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+@pytest.mark.slow
+def test_no_name_ends_a_script_or_opens_a_tag(written):
+    text = written.page.read_text("utf-8")
+    assert "alert(1)" in text, "the names are there"
+    assert "<script>alert" not in text
+    assert "<img src=x" not in text
+    data = embedded(written.page)
+    assert sorted(data["names"]) == sorted(HOSTILE_PAIRS)
+    assert HOSTILE_CLASS in {row[2] for row in data["objects"]["rows"]}
+
+
+@pytest.mark.slow
+def test_the_page_asks_for_nothing_from_elsewhere(written):
+    head = written.page.read_text("utf-8").partition("<body>")[0]
+    assert "default-src 'none'" in head
+    own = written.page.read_text("utf-8").partition('id="report"')[0]
+    assert not re.search(r"(src|href)=[\"']?(https?:)?//", own)
+
+
+@pytest.mark.slow
+def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are_gone(copied_run):
+    stale = copied_run / "report" / "pair-gone.html"
+    stale.parent.mkdir()
+    stale.write_text("old")
+    made = write_report(copied_run, one_page_a_pair=True)
+    names = sorted(path.name for path in (copied_run / "report").iterdir())
+    assert made.page == copied_run / "report" / "index.html"
+    assert len(names) == len(HOSTILE_PAIRS) + 2
+    assert not stale.exists()
+    assert all(re.fullmatch(r"[\w.~%-]{1,140}", name, re.ASCII) for name in names)
+    links = embedded(made.page)["links"]
+    assert {link.replace("%25", "%") for link in links.values()} == {n for n in names if n.startswith("pair-")}
+    assert sorted(path.name for path in copied_run.parent.iterdir()) == ["run"]
+
+
+@pytest.mark.slow
+def test_a_run_after_a_report_neither_removes_nor_trips_over_it(tmp_path):
+    dataset = write_dataset(tmp_path / "dataset", n_pairs=1)
+    run(dataset, tmp_path / "run")
+    write_report(tmp_path / "run")
+    before = shutil.copytree(tmp_path / "run", tmp_path / "before")
+    outcome = run(dataset, tmp_path / "run")
+    assert outcome.n_made == 0
+    assert_same_tables(before, tmp_path / "run")
+    assert (tmp_path / "run" / "report.html").exists()
+    assert len(list((tmp_path / "run" / "figures").iterdir())) == 2 * len(FIGURES)
+
+
+@pytest.mark.slow
+def test_objects_carry_the_numbers_of_the_parquet(report_run, written):
+    metrics = pd.read_parquet(report_run / "metrics").set_index(["pair_id", "real_id"])
+    data = embedded(written.page)
+    n = 0
+    for pair, view in data["views"].items():
+        for row in view["matched"]:
+            values = dict(zip(data["matched_columns"], row, strict=True))
+            stored = metrics.loc[(pair, values["real_id"])]
+            for column in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m"):
+                assert values[column] == stored[column]
+            n += 1
+    assert n == len(metrics) > 0
+
+
+def test_spectra_that_are_drawn_have_the_stored_largest_shift(report_run):
+    results = read_results(report_run)
+    n = 0
+    for pair in results.select(None):
+        rows = results.matched[results.matched.pair_id == pair].set_index("real_id")
+        for real_id, spectra in PairTables(results, pair).spectra():
+            assert spectra.reason == ""
+            assert np.abs(spectra.sim - spectra.real).max() == pytest.approx(
+                rows.max_eigenvalue_shift[real_id], abs=1e-9
+            )
+            assert len(spectra.real) == rows.n_keep[real_id]
+            n += 1
+    assert n == len(results.matched)
+
+
+def test_every_object_is_counted_once_in_the_sentence(report_run):
+    results = read_results(report_run)
+    shares = [int(n) for n in re.findall(r"(\d+) %", verdict_of(results).sentence)]
+    assert sum(shares) == pytest.approx(100, abs=3)
+    objects = pd.read_parquet(report_run / "objects").query("side == 'real'")
+    assert f"Of the {len(objects):,} real objects" in verdict_of(results).sentence
+
+
+def test_six_numbers_are_the_means_of_pairs_parquet(report_run):
+    pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
+    numbers = {of["name"]: of for of in verdict_of(read_results(report_run)).numbers}
+    assert len(numbers) == 6
+    assert numbers["r_lambda"]["mean"] == pytest.approx(pairs.r_lambda_mean.mean())
+    assert numbers["r_lambda"]["std"] == pytest.approx(pairs.r_lambda_mean.std(ddof=1))
+    assert numbers["match rate"]["mean"] == pytest.approx(pairs.match_rate.mean())
+
+
+def test_the_worst_stand_first_and_unmatched_objects_last(report_run):
+    objects = page_data(read_results(report_run))["objects"]
+    rows = pd.DataFrame(objects["rows"], columns=objects["columns"])
+    matched = rows[rows.cdc.notna()]
+    assert matched.index.tolist() == list(range(len(matched)))
+    ranks = matched.cdc.rank() + matched.r_lambda.rank()
+    assert ranks.is_monotonic_decreasing
+
+
+@pytest.mark.slow
+def test_identical_sides_are_faithful(tmp_path):
+    for side in ("real", "sim"):
+        write_bin(tmp_path / "dataset" / side / "a.bin", street())
+    run(tmp_path / "dataset", tmp_path / "run")
+    results = read_results(tmp_path / "run")
+    assert set(results.matched.quadrant) == {"faithful"}
+    assert results.matched.laplacian_change.max() <= IDENTICAL_CHANGE
+    made = write_report(tmp_path / "run")
+    assert "100 % faithfully" in embedded(made.page)["verdict"]
+
+
+def test_thinning_leaves_no_object_out():
+    community = np.repeat(np.arange(40), np.linspace(3, 4000, 40).astype(int))
+    shown = np.bincount(community[thinned(community, 2000)], minlength=40)
+    assert (shown >= np.minimum(80, np.bincount(community))).all()
+    assert shown.sum() < 2000 + 40 * 80
+
+
+def test_more_pairs_than_fit_leave_the_worst_the_middle_and_the_best():
+    names = [f"{i:03}" for i in range(100)]
+    shown = some_of(names, MOST_VIEWS)
+    assert len(shown) == MOST_VIEWS
+    assert shown[0] == "000"
+    assert shown[-1] == "099"
+    assert "050" in shown
+
+
+def test_pairs_chooses_by_name_and_says_when_nothing_matches(report_run):
+    results = read_results(report_run)
+    assert results.select("x*") == ["x" * 300]
+    with pytest.raises(RunError, match="matches none of the 4 scored pairs"):
+        results.select("nothing*")
+
+
+@pytest.mark.slow
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    found = command("report", tmp_path)
+    assert found.returncode == 1
+    assert "a folder written by fidpipe run is wanted" in found.stderr
+
+
+def test_a_run_that_has_not_ended_is_refused(copied_run):
+    record = json.loads((copied_run / "run.json").read_text())
+    del record["summary"]
+    (copied_run / "run.json").write_text(json.dumps(record))
+    with pytest.raises(RunError, match="has not ended"):
+        read_results(copied_run)
+
+
+def test_a_damaged_table_is_refused(copied_run):
+    path = sorted((copied_run / "metrics").iterdir())[0]
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(bytes(content))
+    os.utime(path, (1, 1))
+    with pytest.raises(RunError, match="damaged or gone"):
+        read_results(copied_run)
+
+
+def test_a_run_without_a_scored_pair_is_refused(tmp_path):
+    for side in ("real", "sim"):
+        (tmp_path / "dataset" / side).mkdir(parents=True)
+        (tmp_path / "dataset" / side / "a.bin").write_bytes(b"")
+    run(tmp_path / "dataset", tmp_path / "run")
+    with pytest.raises(RunError, match="none of its 1 pairs is scored"):
+        read_results(tmp_path / "run")
+
+
+def test_signs_of_markup_are_escaped_in_the_embedded_data():
+    page = render({"name": "</script><!--&"}, "<script></script>")
+    assert r"\u003c/script\u003e\u003c!--\u0026" in page

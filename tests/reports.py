@@ -1,0 +1,36 @@
+"""A small finished run to report on, with names of pairs and classes that try to break what they are written into."""
+
+import csv
+
+import numpy as np
+
+from runs import run
+from scenes import drifted, street, write_bin
+
+HOSTILE_PAIRS = (
+    "<script>alert(1)</script>",
+    "x" * 300,
+    "../up & \"quoted\" 'it' $x_1$ {{report}} %s",
+    "雪 \u202eabc\\u003c</bdi>",
+)
+HOSTILE_CLASS = "</script><img src=x onerror=alert(1)>"
+
+
+def finished_run(folder):
+    """The folder of a run of four small labelled pairs under the hostile names, and a fifth one that fails."""
+    dataset = folder / "dataset"
+    rows = []
+    for i, name in enumerate((*HOSTILE_PAIRS, "broken <b>pair</b>")):
+        real = street(seed=10 * i)
+        sides = {"real": real, "sim": drifted(real, seed=i, keep=0.9 - 0.1 * i)}
+        for side, points in sides.items():
+            write_bin(dataset / side / f"{i}.bin", points)
+            labels = np.where(points[:, 0] > 0, 1, 2).astype("<u4")
+            labels.tofile(dataset / side / f"{i}.label")
+        rows.append([name, f"real/{i}.bin", f"sim/{i}.bin"])
+    (dataset / "sim" / "4.bin").write_bytes(b"")
+    (dataset / "labels.toml").write_text(f"1 = '{HOSTILE_CLASS}'\n2 = 'wall'\n")
+    with (dataset / "pairs.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([["pair_id", "real", "sim"], *rows])
+    run(dataset, folder / "run")
+    return folder / "run"
