@@ -143,23 +143,27 @@ def run(
     fidpipe run dataset/ --set matching.delta_m=3    only matching and what follows is made again
 
     fidpipe run dataset/ --from metrics --pairs '0001*' --workers 8
+
+    fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
     """
     from ..schemas.settings import load
     from .progress import Reporter
     from .report.terminal import outcome_view
-    from .run import STAGE_NAMES, run_dataset
+    from .run import run_dataset, stages_of
     from .session import RunRequest
 
-    if from_stage is not None and from_stage not in STAGE_NAMES:
+    in_force = load(settings, assignments or [])
+    stage_names = [stage.name for stage in stages_of(in_force)]
+    if from_stage is not None and from_stage not in stage_names:
         raise typer.BadParameter(
-            f"{from_stage!r} is no stage; one of {', '.join(STAGE_NAMES)} is wanted", param_hint="--from"
+            f"{from_stage!r} is no stage; one of {', '.join(stage_names)} is wanted", param_hint="--from"
         )
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")
     request = RunRequest(
         dataset=dataset,
         out=out or Path("runs") / (dataset.resolve().name or "dataset"),
-        settings=load(settings, assignments or []),
+        settings=in_force,
         workers=workers,
         scheduler=scheduler,
         from_stage=from_stage,

@@ -15,7 +15,7 @@ from .fanout import one_blas_thread
 from .plan import plan_pair
 from .readers.dataset import ScanPair
 from .readers.scan import Scan
-from .run import STAGES
+from .run import stages_of
 from .workbench import Workbench
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ class PairResult:
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, edges, communities, objects : by side, "real" and "sim"
     matching, selection, metrics : of the pair
+    baselines : of the pair, where `metrics.baselines` names some
     """
 
     summary: dict[str, Any]
@@ -39,6 +40,7 @@ class PairResult:
     matching: pd.DataFrame
     selection: pd.DataFrame
     metrics: pd.DataFrame
+    baselines: pd.DataFrame | None = None
 
 
 def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = None) -> PairResult:
@@ -68,12 +70,13 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
     (1.0, ['identical'])
     """
     scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
-    task = plan_pair(STAGES, ScanPair("pair", None, None), dict.fromkeys(SIDES, ""), settings or Settings())
+    settings = settings or Settings()
+    task = plan_pair(stages_of(settings), ScanPair("pair", None, None), dict.fromkeys(SIDES, ""), settings)
     bench = Workbench(task, scans)
     with one_blas_thread():
         for job in task.jobs:
             try:
-                record = bench.finish(job, *job.make(bench, job.side))
+                bench.finish(job, *job.make(bench, job.side))
             except StageError as error:
                 raise StageError(f"stage {job.stage}{', ' + job.side if job.side else ''}: {error}") from error
 
@@ -85,7 +88,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
         return found
 
     return PairResult(
-        summary=record.facts["row"],
+        summary=bench.facts("metrics")["row"],
         points=by_side("ground"),
         edges=by_side("graph"),
         communities=by_side("communities"),
@@ -93,6 +96,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
         matching=frame("matching"),
         selection=frame("selection"),
         metrics=frame("metrics"),
+        baselines=frame("baselines") if settings.metrics.baselines else None,
     )
 
 

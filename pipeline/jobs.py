@@ -19,6 +19,7 @@ from ..stages.clean import clean_scan
 from ..stages.communities import find_communities
 from ..stages.graph import build_graph
 from ..stages.ground import GroundResult, remove_ground
+from ..stages.laplacian import Subgraph
 from ..stages.matching import match_communities
 from ..stages.metrics import score_object
 from ..stages.objects import describe_objects, majority_labels
@@ -233,22 +234,26 @@ def _select(bench: Workbench, real_ids: Iterable[int] | None = None) -> pa.Table
 
 def _score(bench: Workbench, real_ids: Iterable[int] | None, selection: pa.Table) -> pa.Table:
     rows = []
-    real_id_of_row = as_numpy(selection, "real_id")
     for match in bench.matched(real_ids).to_pylist():
         real, sim = bench.subgraph("real", match["real_id"]), bench.subgraph("sim", match["sim_id"])
-        start, end = np.searchsorted(real_id_of_row, [match["real_id"], match["real_id"] + 1])
-        own = selection.slice(start, end - start)
-        chosen = Selection(
-            real_nodes=np.searchsorted(real.point_ids, as_numpy(own, "real_point_id")),
-            sim_nodes=np.searchsorted(sim.point_ids, as_numpy(own, "sim_point_id")),
-            real_influence=as_numpy(own, "real_influence"),
-            sim_influence=as_numpy(own, "sim_influence"),
-        )
+        chosen = chosen_nodes(selection, match["real_id"], real, sim)
         scores = score_object(real, sim, chosen, watch=bench.watch)
         sizes = {"n_real": len(real.points), "n_sim": len(sim.points), "n_keep": len(chosen.real_nodes)}
         del match["status"]
         rows.append(match | sizes | vars(scores))
     return METRICS.from_rows(rows)
+
+
+def chosen_nodes(selection: pa.Table, real_id: int, real: Subgraph, sim: Subgraph) -> Selection:
+    """The aligned nodes of one object, as the table `selection` has them."""
+    start, end = np.searchsorted(as_numpy(selection, "real_id"), [real_id, real_id + 1])
+    own = selection.slice(start, end - start)
+    return Selection(
+        real_nodes=np.searchsorted(real.point_ids, as_numpy(own, "real_point_id")),
+        sim_nodes=np.searchsorted(sim.point_ids, as_numpy(own, "sim_point_id")),
+        real_influence=as_numpy(own, "real_influence"),
+        sim_influence=as_numpy(own, "sim_influence"),
+    )
 
 
 def _pair_row(bench: Workbench, metrics: pa.Table) -> Facts:

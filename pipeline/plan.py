@@ -28,6 +28,7 @@ class Stage:
     libraries : what it calls, besides numpy and scipy, under given settings
     version : of the stage's code, raised by hand whenever its results change
     make : the job
+    is_wanted : for an extra of the pipeline, whether settings ask for it; None for a stage that every run has
     """
 
     name: str
@@ -38,6 +39,7 @@ class Stage:
     libraries: Callable[[Settings], tuple[str, ...]]
     version: int
     make: Callable[[Workbench, str], tuple[Tables, Facts]]
+    is_wanted: Callable[[Settings], bool] | None = None
 
     @property
     def sides(self) -> tuple[str, ...]:

@@ -172,7 +172,7 @@ def what_changed(before: Mapping[str, Any], settings: Settings, stages: Iterable
         if found != before["libraries"][name]:
             changes.append(f"{name} was {before['libraries'][name]}, is {found}")
     for stage in stages:
-        if before["stages"].get(stage.name) != stage.version:
+        if before["stages"].get(stage.name, stage.version) != stage.version:
             changes.append(f"code of stage {stage.name} is new")
     return changes
 

@@ -10,7 +10,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from ..schemas.errors import DatasetError, RunError
-from . import jobs
+from ..schemas.settings import Settings
+from . import baseline_jobs, jobs
 from .plan import Stage
 from .progress import Reporter
 from .readers.dataset import Dataset, ScanPair, read_dataset
@@ -86,6 +87,26 @@ STAGES = (
 )
 STAGE_NAMES = tuple(stage.name for stage in STAGES)
 
+#: What is made besides, where the settings ask for it; no stage above depends on any of it.
+EXTRAS = (
+    Stage(
+        baseline_jobs.STAGE,
+        takes=("ground", "graph", "communities", "matching", "selection"),
+        gives=("baselines",),
+        per_side=False,
+        settings=("selection", "metrics"),
+        libraries=baseline_jobs.libraries,
+        version=1,
+        make=baseline_jobs.make_baselines,
+        is_wanted=lambda settings: bool(settings.metrics.baselines),
+    ),
+)
+
+
+def stages_of(settings: Settings) -> tuple[Stage, ...]:
+    """The stages that a run under these settings goes through."""
+    return (*STAGES, *(stage for stage in EXTRAS if stage.is_wanted and stage.is_wanted(settings)))
+
 
 def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
     """Evaluates a dataset: makes every table that is not there yet under its wanted key.
@@ -102,7 +123,7 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
     check_folder(request.out, request.dataset)
     store = Store(request.out)
     with store.locked():
-        run = Session(request, STAGES, dataset, selected, store, reporter)
+        run = Session(request, stages_of(request.settings), dataset, selected, store, reporter)
         try:
             run.inspect()
             run.plan()

@@ -17,6 +17,7 @@ from .jobs import gather_objects, run_jobs, score_objects
 from .task import Failure, Job, ObjectScores, PairTask, Report
 
 _SIDE_STAGES = ("ground", "graph", "communities")
+_OBJECT_STAGES = ("selection", "metrics")
 _PAIRS_A_WORKER = 2
 _FEW_PAIRS_A_WORKER = 4
 _FIRST = 1e6  # priority of what others wait for
@@ -134,8 +135,11 @@ class Schedule:
                     self._submit(pair, run_jobs, _names(own), priority=_FIRST)
         elif matching := [job for job in pair.todo if job.stage == "matching"]:
             self._submit(pair, run_jobs, _names(matching), priority=_FIRST)
-        else:
+        elif any(job.stage in _OBJECT_STAGES for job in pair.todo):
             self._submit_objects(pair)
+        else:
+            for job in pair.todo:
+                self._submit(pair, run_jobs, _names([job]))
 
     def _end(self, pair: _Active) -> None:
         self._alone = False

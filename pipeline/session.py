@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, SIDES, TIMINGS
+from . import baseline_jobs
 from .fanout import DaskPool, InProcess, Pool, cpu_count
 from .findings import run_findings
 from .intake import ScanFacts, file_marks, inspect_pairs, pair_warnings, settings_key
@@ -96,6 +97,7 @@ class Session:
         self.request = request
         self.stages = stages
         self.stage_names = tuple(stage.name for stage in stages)
+        self.extras = {stage.name for stage in stages if stage.is_wanted}
         self.dataset = dataset
         self.store = store
         self.reporter = reporter
@@ -165,12 +167,14 @@ class Session:
             self.unwanted += [(reason, record) for reason, records in unwanted.items() for record in records]
         dataset_ids = {pair.pair_id for pair in self.dataset.pairs}
         for record in self.store.records.values():
-            if record.stage not in self.stage_names:
-                continue
+            if not record.pair_id:
+                continue  # a table of the whole run
             if record.pair_id not in dataset_ids:
                 self.unwanted.append(("no longer in the dataset", record))
             elif record.pair_id in self.failures:
                 self.unwanted.append(("the input cannot be used", record))
+            elif record.stage not in self.stage_names and not self._still_holds(record):
+                self.unwanted.append(("out of date", record))
 
     def clear(self) -> None:
         """Says what will be replaced and why, and removes it."""
@@ -180,7 +184,7 @@ class Session:
         for why, records in reasons.items():
             reason = why
             count = Counter(record.stage for record in records)
-            stages = ", ".join(stage for stage in self.stage_names if stage in count)
+            stages = ", ".join(stage for stage in dict.fromkeys((*self.stage_names, *count)) if stage in count)
             n_pairs = len({record.pair_id for record in records})
             if reason == "out of date":
                 changes = what_changed(self.before, self.settings, self.stages)
@@ -239,6 +243,8 @@ class Session:
         record = run_record(
             header, hashes, rows.to_pylist(), self.wall_s, n_workers, seconds, self._findings(rows, key), n_to_do
         )
+        if baseline_jobs.STAGE in self.extras:
+            record["baselines"] = baseline_jobs.summarise_baselines(self.current_records(), self.settings)
         self.store.replace(self.request.out / RUN_JSON, dumps(record))
         self.store.compact()
         n_reused = len(self.current_records()) - len(self.made)
@@ -338,13 +344,18 @@ class Session:
         for pair_id, task in self.tasks.items():
             if pair_id in self.failures:
                 continue
-            last = task.jobs[-1]
+            jobs = [job for job in task.jobs if job.stage not in self.extras]
             past = self.store.failures.get(pair_id)
-            if all(job.stored for job in task.jobs):
-                rows.append(last.facts["row"])
+            if all(job.stored for job in jobs):
+                rows.append(jobs[-1].facts["row"])
             elif past and any(past["key"] == job.key for job in task.jobs if not job.stored):
                 rows.append({"pair_id": pair_id, "status": "failed", "reason": past["reason"]})
         return rows
+
+    def _still_holds(self, record: JobRecord) -> bool:
+        """Whether the result of an extra that is not asked for this time is of the current results."""
+        task = self.tasks.get(record.pair_id)
+        return task is not None and record.facts.get("made_from") in {job.key for job in task.jobs}
 
     def _end_phase(self, name: str) -> None:
         now = perf_counter()

@@ -16,7 +16,7 @@ from ..schemas.settings import parse
 from .progress import Reporter
 from .readers.dataset import read_dataset
 from .record import read_run, stage_seconds
-from .run import STAGES
+from .run import stages_of
 from .session import RunRequest, Session
 from .store import Store
 from .task import PairTask
@@ -55,14 +55,15 @@ def run_status(folder: Path) -> RunStatus:
     dataset = read_dataset(Path(record["dataset"]))
     store = Store(folder)
     request = RunRequest(dataset.folder, folder, parse(record["settings"]))
-    session = Session(request, STAGES, dataset, dataset.pairs, store, Reporter(Console(quiet=True)))
+    in_force = stages_of(request.settings)
+    session = Session(request, in_force, dataset, dataset.pairs, store, Reporter(Console(quiet=True)))
     session.inspect(note=False)
     session.plan()
     failures = {row["pair_id"]: row["reason"] for row in session.rows() if row["status"] == "failed"}
-    stages: dict[str, Counter[str]] = {stage.name: Counter() for stage in STAGES}
+    stages: dict[str, Counter[str]] = {stage.name: Counter() for stage in in_force}
     for pair in dataset.pairs:
         task = session.tasks.get(pair.pair_id)
-        for stage in STAGES:
+        for stage in in_force:
             stages[stage.name][_state(store, stage.name, pair.pair_id, task, pair.pair_id in failures)] += 1
     seconds = stage_seconds(session.current_records())
     return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures, seconds["mean"])

@@ -227,6 +227,23 @@ METRICS = Table(
 )
 
 
+BASELINES = Table(
+    "baselines",
+    pa.schema(
+        [
+            _PAIR,
+            _field("real_id", _ID, "community of the real side; null for the whole scans", optional=True),
+            _field("sim_id", _ID, "community of the simulated side; null for the whole scans", optional=True),
+            _field("baseline", _STRING, "name of the distance, with its convention and unit"),
+            _field("value", _REAL, "in the unit beside it", optional=True),
+            _field("unit", _STRING, "m or m2; null for a plain number", optional=True),
+            _field("reason", _STRING, "why the value is null, or what is to be known of it", optional=True),
+        ]
+    ),
+    ("real_id", "sim_id", "baseline"),
+)
+
+
 def _pairs_schema() -> pa.Schema:
     """Columns of `pairs`: of a failed pair all but its name, status and reason may be null."""
 
@@ -410,7 +427,7 @@ ABLATE_SUMMARY = Table(
 TABLES = {
     table.name: table
     for table in (
-        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, PAIRS, TIMINGS),
+        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, BASELINES, PAIRS, TIMINGS),
         *(PERTURB_GLOBAL, PERTURB_OBJECTS, PERTURB_SUMMARY, ABLATE, ABLATE_SUMMARY),
     )
 }

@@ -13,6 +13,7 @@ from ...schemas.tables import SIDES
 from ..check import DatasetCheck
 from ..session import RunOutcome
 from ..status import STATES, RunStatus
+from .baselines_view import baselines_view
 from .findings_view import claims_line, findings_view
 from .layout import number, plain_table
 from .timing_view import timing_view
@@ -52,6 +53,8 @@ def summary_view(folder: Path, rows: list[dict[str, Any]], record: dict[str, Any
         findings = record["findings"]
         parts += [_pairs_table(scored), _dataset_table(record["summary"]), findings_view(findings)]
         parts.append(Text(f"{claims_line(findings)}; see: fidpipe show {folder} --paper"))
+    if record.get("baselines"):
+        parts.append(baselines_view(record["baselines"]))
     failures = [row for row in rows if row["status"] == "failed"]
     if failures:
         parts.append(Text(f"{len(failures)} of {len(rows)} pairs failed:", style="red"))
