@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from .cli_results import show
+from .cli_results import gate, show
 from .console import print_view as _print
 
 app = typer.Typer(
@@ -259,3 +259,4 @@ def status(
 
 
 app.command()(show)
+app.command()(gate)

@@ -1,4 +1,4 @@
-"""The commands that read finished runs: show. Parses, calls, prints, as `cli` does."""
+"""The commands that read finished runs: show, gate. Parses, calls, prints, as `cli` does."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from .console import print_json, print_view
+
+EXIT_GATE_FAILED = 4
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)]
 
@@ -58,3 +60,52 @@ def show(
     else:
         found = object_facts(finished, pair, object_)
         print_json(found) if as_json else print_view(object_view(found))
+
+
+def gate(
+    run: RunFolder,
+    at_most: Annotated[
+        list[str] | None,
+        typer.Option("--max", metavar="MEASURE=NUMBER", help="The measure may be at most this; repeatable."),
+    ] = None,
+    at_least: Annotated[
+        list[str] | None,
+        typer.Option("--min", metavar="MEASURE=NUMBER", help="The measure must be at least this; repeatable."),
+    ] = None,
+    criteria: Annotated[
+        Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
+    ] = None,
+    junit: Annotated[Path | None, typer.Option("--junit", help="JUnit XML for CI. [default: RUN/gate.xml]")] = None,
+    json_: Annotated[Path | None, typer.Option("--json", help="The same as JSON. [default: RUN/gate.json]")] = None,
+) -> None:
+    """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
+
+    A criterion on something that could not be computed fails. So do, unless other bounds are given for pairs.failed,
+    pairs.to_do and pairs.changed, a run with failed pairs, one that is not finished, and one whose scans have changed.
+
+    Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
+    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; a wrong name lists all.
+
+    Examples
+    --------
+    fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
+
+    fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
+
+    fidpipe gate runs/dataset --criteria acceptance.toml
+    """
+    from .gate import judge_run, parse_word, read_criteria
+    from .record import dumps
+    from .report.files import write_whole
+    from .report.gate_view import gate_view, junit_xml
+
+    wanted = read_criteria(criteria) if criteria else []
+    wanted += [parse_word(word, "max") for word in at_most or []]
+    wanted += [parse_word(word, "min") for word in at_least or []]
+    if not wanted:
+        raise typer.BadParameter("no criterion is given; --max, --min or --criteria is wanted")
+    result = judge_run(run, wanted)
+    write_whole(junit or run / "gate.xml", junit_xml(result))
+    write_whole(json_ or run / "gate.json", dumps(result.as_dict()))
+    print_view(gate_view(result))
+    raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)

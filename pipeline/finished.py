@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from ..schemas.errors import RunError
 from ..schemas.tables import SIDES
 from .record import read_run
-from .store import Store
+from .store import JobName, Store
 
 Row = dict[str, Any]
 
@@ -76,6 +76,11 @@ class FinishedRun:
             )
         return self._row_of[pair_id]
 
+    def check(self, pair_id: str) -> None:
+        """Raises `RunError` if a table of objects or scores of a scored pair is damaged."""
+        for job, name in self._jobs(pair_id):
+            self._record(job, name)
+
     def objects(self, pair_id: str) -> PairObjects:
         """The objects of a scored pair; `RunError` if it failed or a table is damaged."""
         row = self.row(pair_id)
@@ -93,12 +98,20 @@ class FinishedRun:
     def _name(self, table: str, pair_id: str, side: str = "") -> str:
         return str(self.store.path(table, pair_id, side).relative_to(self.folder))
 
-    def _read(self, job: tuple[str, str, str], name: str) -> list[Row]:
+    def _jobs(self, pair_id: str) -> list[tuple[JobName, str]]:
+        """The jobs that made the objects and scores of a pair, and the table of each."""
+        sides = [(("communities", pair_id, side), self._name("objects", pair_id, side)) for side in SIDES]
+        return [*sides, (("metrics", pair_id, ""), self._name("metrics", pair_id))]
+
+    def _read(self, job: JobName, name: str) -> list[Row]:
+        self._record(job, name)
+        rows: list[Row] = pq.read_table(self.folder / name, use_threads=False).to_pylist()
+        return rows
+
+    def _record(self, job: JobName, name: str) -> None:
         record = self.store.records.get(job)
         if record is None or not self.store.is_whole(record):
             raise RunError(
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "
                 f"fidpipe run {self.record['dataset']} --out {self.folder}"
             )
-        rows: list[Row] = pq.read_table(self.folder / name, use_threads=False).to_pylist()
-        return rows

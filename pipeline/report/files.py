@@ -1,0 +1,31 @@
+"""Writing a file that people and programs read, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+from ...schemas.errors import RunError
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Puts a file in place of another, if any: written beside it under a dot name, flushed, renamed.
+
+    Raises
+    ------
+    RunError
+        It cannot be written there.
+    """
+    temporary = path.with_name(f".{secrets.token_hex(8)}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror}); give another file") from error
+    finally:
+        temporary.unlink(missing_ok=True)

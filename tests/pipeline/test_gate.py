@@ -1,0 +1,204 @@
+"""Acceptance criteria: verdicts against the tables, exit codes, and files that CI reads."""
+
+import json
+import shutil
+from xml.etree import ElementTree
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from fidpipe.pipeline.cli import app
+from fidpipe.pipeline.finished import FinishedRun
+from fidpipe.pipeline.gate import Criterion, judge_run, parse_word, read_criteria
+from fidpipe.pipeline.measures import Measures
+from fidpipe.pipeline.report.gate_view import junit_xml
+from fidpipe.schemas.errors import SettingsError
+from runs import command, run
+from scenes import write_dataset
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gate")
+    run(write_dataset(folder / "streets", 3), folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture
+def copied(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
+def incomplete(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("incomplete")
+    data = write_dataset(folder / "streets", 3)
+    (data / "sim" / "001.bin").write_bytes(b"")
+    run(data, folder / "run", pattern="00[01]")
+    return folder / "run"
+
+
+def judged(folder, *words):
+    criteria = [parse_word(word.partition(" ")[2], word.partition(" ")[0]) for word in words]
+    return {of.criterion.measure: of for of in judge_run(folder, criteria).judged}
+
+
+def test_measures_are_the_numbers_of_the_tables(finished):
+    of = Measures(FinishedRun(finished)).of
+    pairs = pd.read_parquet(finished / "pairs.parquet")
+    metrics = pd.read_parquet(finished / "metrics")
+    objects = pd.read_parquet(finished / "objects")
+    matching = pd.read_parquet(finished / "matching")
+    assert of("r_lambda.mean").value == pytest.approx(pairs.r_lambda_mean.mean())
+    assert of("match_rate.min").value == pairs.match_rate.min()
+    assert of("alignment_rms_m.std").value == pytest.approx(pairs.alignment_rms_m_mean.std())
+    assert of("objects.cdc.q95").value == pytest.approx(metrics.cdc.quantile(0.95))
+    alone = matching[matching.status == "missing"].merge(
+        objects[objects.side == "real"], left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"]
+    )
+    assert of("missing.total").value == of("missing").value == len(alone) > 0
+    assert of("missing.max").value == alone.groupby("pair_id").size().max()
+    assert of("missing.within_12m").value == (alone.range_m < 12).sum()
+    near = objects[(objects.side == "real") & (objects.range_m < 12)]
+    assert of("missing.within_12m.share").value == pytest.approx((alone.range_m < 12).sum() / len(near))
+    assert of("matched.mean").value == pytest.approx(pairs.n_matched.mean())
+    assert [of(f"pairs.{state}").value for state in ("scored", "failed", "to_do", "changed")] == [3, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "name", ["r_lambda", "r_lambda.", "missing.within_20", "objects.match_rate.mean", "x", "", "class.car.x", "pairs.x"]
+)
+def test_an_unknown_measure_is_named_with_those_that_are_known(finished, name):
+    with pytest.raises(SettingsError, match=r"no such measure; known are SCORE\.mean.*pairs\.scored"):
+        Measures(FinishedRun(finished)).of(name)
+
+
+def test_bounds_are_inclusive(finished):
+    value = Measures(FinishedRun(finished)).of("r_lambda.mean").value
+    result = judge_run(
+        finished,
+        [
+            Criterion("a", "r_lambda.mean", "max", value),
+            Criterion("b", "r_lambda.mean", "min", value),
+            Criterion("c", "r_lambda.mean", "max", value - 1e-9),
+            Criterion("d", "r_lambda.mean", "min", value + 1e-9),
+        ],
+    )
+    verdict = {of.criterion.name: of.passed for of in result.judged}
+    assert [verdict[name] for name in "abcd"] == [True, True, False, False]
+
+
+def test_what_could_not_be_computed_fails_whatever_the_bound(finished):
+    found = judged(finished, "max class.car.r_lambda.mean=1000", "min class.car.missing.total=-1")
+    for of in (found["class.car.r_lambda.mean"], found["class.car.missing.total"]):
+        assert (of.value, of.passed) == (None, False)
+        assert "could not be computed: no" in of.why
+
+
+def test_a_run_with_failed_pairs_or_pairs_to_do_does_not_pass_silently(incomplete):
+    found = judged(incomplete, "min match_rate.mean=0")
+    assert (found["pairs.failed"].value, found["pairs.failed"].passed) == (1, False)
+    assert (found["pairs.to_do"].value, found["pairs.to_do"].passed) == (1, False)
+    allowed = judged(incomplete, "max pairs.failed=1", "max pairs.to_do=1")
+    assert all(of.passed for of in allowed.values())
+
+
+def test_scans_that_changed_since_the_run_fail_it(tmp_path):
+    data = write_dataset(tmp_path / "streets", 2)
+    run(data, tmp_path / "run")
+    path = data / "sim" / "001.bin"
+    path.write_bytes(path.read_bytes()[:-16])
+    found = judged(tmp_path / "run", "min match_rate.mean=0")["pairs.changed"]
+    assert (found.value, found.passed) == (1, False)
+    data.rename(tmp_path / "elsewhere")
+    result = judge_run(tmp_path / "run", [parse_word("match_rate.mean=0", "min")])
+    assert result.passed
+    assert "is not here: not checked whether it has changed" in result.notes[0]
+
+
+def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(copied, tmp_path):
+    good = command("gate", copied, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0")
+    assert good.returncode == 0, good.stderr
+    assert "all criteria are met" in good.stdout
+    bad = command(
+        "gate", copied, "--max", "r_lambda.mean=0", "--junit", tmp_path / "a.xml", "--json", tmp_path / "a.json"
+    )
+    assert bad.returncode == 4
+    assert "FAIL" in bad.stdout
+    assert json.loads((copied / "gate.json").read_text())["passed"] is True
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert found["passed"] is False
+    suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
+    assert (suite.get("tests"), suite.get("failures")) == ("4", "1")
+    failure = suite.find("testcase[@name='r_lambda.mean <= 0']/failure")
+    assert "wanted <= 0" in failure.get("message")
+
+
+def test_a_run_goes_on_in_a_folder_with_the_files_of_a_gate(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    run(data, tmp_path / "run")
+    result = CliRunner().invoke(app, ["gate", str(tmp_path / "run"), "--min", "match_rate.mean=0"])
+    assert result.exit_code == 0
+    assert run(data, tmp_path / "run").n_made == 0
+    assert (tmp_path / "run" / "gate.xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (["--max", "nose=1"], "no such measure"),
+        (["--max", "r_lambda.mean"], "MEASURE=NUMBER is wanted"),
+        (["--max", "r_lambda.mean=nan"], "MEASURE=NUMBER is wanted"),
+        (["--min", "r_lambda.mean=much"], "MEASURE=NUMBER is wanted"),
+        (["--criteria", "nowhere.toml"], "cannot be read"),
+    ],
+)
+def test_a_wrong_criterion_ends_with_one_line_and_no_files(copied, words, fault):
+    result = command("gate", copied, *words)
+    assert result.returncode == 1
+    assert fault in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not (copied / "gate.xml").exists()
+
+
+def test_a_gate_without_criteria_is_wrong_usage(finished):
+    assert command("gate", finished).returncode == 2
+
+
+def test_a_file_of_criteria_gives_names_and_reasons(tmp_path):
+    path = tmp_path / "acceptance.toml"
+    path.write_text(
+        '[[criterion]]\nname = "structure"\nmeasure = "r_lambda.mean"\n'
+        'max = 0.4\nmin = 0.1\nreason = "as the last build"\n'
+    )
+    assert read_criteria(path) == [
+        Criterion("structure", "r_lambda.mean", "max", 0.4, "as the last build"),
+        Criterion("structure", "r_lambda.mean", "min", 0.1, "as the last build"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "criterion: Field required"),
+        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nmax = 1\n', "criterion.0.reason"),
+        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\n', "max or min is wanted"),
+        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmax = nan\n', "criterion.0.max"),
+        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmaximum = 1\n', "criterion.0.maximum"),
+        ("= 1", "not valid TOML"),
+    ],
+)
+def test_a_wrong_file_of_criteria_is_named_with_the_field(tmp_path, text, fault):
+    path = tmp_path / "acceptance.toml"
+    path.write_text(text)
+    with pytest.raises(SettingsError, match=fault):
+        read_criteria(path)
+
+
+def test_names_that_xml_cannot_hold_still_give_xml(finished):
+    name = "a\x00b\x1b[31m<script>&\"'雨"
+    result = judge_run(finished, [Criterion(name, "class.<b>\x07.cdc.mean", "max", 1, "]]>")])
+    root = ElementTree.fromstring(junit_xml(result))
+    cases = [case.get("name") for case in root.iter("testcase")]
+    assert cases[-1] == "a\ufffdb\ufffd[31m<script>&\"'雨"
