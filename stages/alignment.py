@@ -22,7 +22,7 @@ from .arrays import FloatArray, IndexArray
 
 _DENSE_NODES = 400  # up to here the dense solver is the faster one
 _COARSER = 4
-_ARCS_A_NODE = 48
+_ARCS_A_NODE = 72
 _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this to be added
 _BLOCK_DISTANCES = 2**20
 
@@ -86,30 +86,30 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, of_b: FloatArray) -> IndexArra
     n = len(a)
     from_a, of_a = _cheapest(a, b, of_b)
     from_b, _ = _cheapest(b, a, of_a)
-    rows = np.repeat(np.arange(n), _ARCS_A_NODE)
-    ones = np.ones(len(rows), np.int8)
-    arcs = sparse.csr_array((ones, (rows, from_a.ravel())), (n, n))
-    arcs += sparse.csr_array((ones, (from_b.ravel(), rows)), (n, n))
-    arcs += sparse.csr_array((ones[:n], (_curve(a), _curve(b))), (n, n))
+    arcs = from_a + from_b.T + sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
     arcs.sort_indices()
     codes: IndexArray = np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
     return codes
 
 
-def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """The others that are cheapest for each node, (n, arcs), and the least cost, (n,); to single precision."""
+def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple[sparse.csr_array, FloatArray]:
+    """The arcs to the others that are cheapest for each node, (n, n), and the least cost, (n,); to single precision."""
     x, y, price_of_y = (of.astype(np.float32) for of in (nodes, others, price))
-    found, least = [], []
+    found, counts, least = [], [], []
     for rows in _blocks(len(x), len(y)):
         cost = x[rows] @ (-2 * y.T)
         cost += (y**2).sum(axis=1)
         cost += (x[rows] ** 2).sum(axis=1)[:, None]
         np.sqrt(np.maximum(cost, 0, out=cost), out=cost)
         cost -= price_of_y
-        cheapest = np.argpartition(cost, _ARCS_A_NODE, axis=1)[:, :_ARCS_A_NODE]
-        found.append(cheapest)
-        least.append(np.take_along_axis(cost, cheapest, axis=1).min(axis=1))
-    return np.concatenate(found), np.concatenate(least).astype(np.float64)
+        is_cheap = cost <= np.partition(cost, _ARCS_A_NODE, axis=1)[:, _ARCS_A_NODE, None]
+        found.append(np.flatnonzero(is_cheap) % len(y))
+        counts.append(np.count_nonzero(is_cheap, axis=1))
+        least.append(cost.min(axis=1))
+    columns = np.concatenate(found)
+    starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+    arcs = sparse.csr_array((np.ones(len(columns), np.int8), columns, starts), (len(x), len(y)))
+    return arcs, np.concatenate(least).astype(np.float64)
 
 
 def _least(nodes: FloatArray, others: FloatArray, price: FloatArray) -> FloatArray:

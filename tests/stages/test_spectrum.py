@@ -3,7 +3,7 @@ import pytest
 from scipy import sparse
 
 from fidpipe.schemas.settings import GraphSettings
-from fidpipe.stages import spectrum
+from fidpipe.stages import banding, spectrum
 from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.laplacian import normalised_laplacian
@@ -15,45 +15,55 @@ def laplacian(points, k=8):
 
 
 @pytest.fixture
-def two_stages(monkeypatch):
-    monkeypatch.setattr(spectrum, "_TWO_STAGE_NODES", 0)
+def banded(monkeypatch):
+    monkeypatch.setattr(spectrum, "_BANDED_NODES", 0)
 
 
 @pytest.mark.parametrize("n", [3, 20, 41, 42, 43, 81, 82, 120, 333])
-def test_two_stages_give_the_eigenvalues_of_one(rng, two_stages, n):
+def test_the_band_has_the_eigenvalues_of_the_matrix(rng, banded, n):
     dense = rng.normal(0, 1, (n, n))
     dense += dense.T
     found = eigenvalues(sparse.csr_matrix(dense))
     np.testing.assert_allclose(found, np.linalg.eigvalsh(dense), atol=1e-12 * n)
 
 
+@pytest.mark.parametrize("bandwidth", [1, 39, 40, 41, 90, 130])
+def test_a_shuffled_band_matrix_has_the_eigenvalues_of_the_ordered_one(rng, banded, bandwidth):
+    n = 401
+    dense = np.triu(np.tril(rng.normal(0, 1, (n, n)), bandwidth), -bandwidth)
+    dense += dense.T
+    order = rng.permutation(n)
+    found = eigenvalues(sparse.csr_matrix(dense[np.ix_(order, order)]))
+    np.testing.assert_allclose(found, np.linalg.eigvalsh(dense), atol=1e-11)
+
+
 @pytest.mark.parametrize("width", [1, 7, 64])
-def test_any_width_of_the_band_gives_the_same(rng, two_stages, monkeypatch, width):
+def test_any_width_of_the_band_gives_the_same(rng, banded, monkeypatch, width):
     monkeypatch.setattr(spectrum, "_BAND_WIDTH", width)
     L = laplacian(rng.normal(0, 1, (150, 3)))
     np.testing.assert_allclose(eigenvalues(L), np.linalg.eigvalsh(L.toarray()), atol=1e-13)
 
 
-def test_a_graph_in_pieces_has_a_zero_for_each(rng, two_stages):
+def test_a_graph_in_pieces_has_a_zero_for_each(rng, banded):
     piece = laplacian(rng.normal(0, 1, (60, 3)))
     found = eigenvalues(sparse.block_diag([piece, piece, sparse.csr_matrix((1, 1))], format="csr"))
     assert np.count_nonzero(np.abs(found) < 1e-12) == 3
 
 
-def test_a_diagonal_matrix_keeps_its_diagonal(two_stages):
+def test_a_diagonal_matrix_keeps_its_diagonal(banded):
     np.testing.assert_allclose(
         eigenvalues(sparse.diags_array(np.arange(90.0)[::-1]).tocsr()), np.arange(90.0), atol=1e-12
     )
 
 
-def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng, two_stages, monkeypatch):
-    monkeypatch.setattr(spectrum, "_kernels", lambda: None)
+def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng, banded, monkeypatch):
+    monkeypatch.setattr(banding, "_kernels", lambda: None)
     L = laplacian(rng.normal(0, 1, (90, 3)))
     np.testing.assert_array_equal(eigenvalues(L), spectrum.eigvalsh(L.toarray()))
 
 
-def test_a_large_object_takes_two_stages_and_agrees_with_the_direct_way(rng):
-    L = laplacian(rng.uniform(0, 1, (spectrum._TWO_STAGE_NODES + 1, 3)) * [20, 2, 1], k=12)
+def test_a_large_object_takes_the_band_and_agrees_with_the_direct_way(rng):
+    L = laplacian(rng.uniform(0, 1, (spectrum._BANDED_NODES + 1, 3)) * [20, 2, 1], k=12)
     np.testing.assert_allclose(eigenvalues(L), np.linalg.eigvalsh(L.toarray()), atol=1e-12)
 
 
