@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from .cli_experiments import ablate, perturb
+from .cli_options import Assignments, DatasetFolder, SettingsFile
 from .cli_results import gate, show
 from .console import print_view as _print
 
@@ -26,17 +28,6 @@ app = typer.Typer(
 EXIT_WRONG_INPUT = 1
 EXIT_PAIRS_FAILED = 3
 EXIT_INTERRUPTED = 130
-
-SettingsFile = Annotated[
-    Path | None, typer.Option("--settings", help="TOML file with settings; those it does not name keep their defaults.")
-]
-Assignments = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="GROUP.NAME=VALUE", help="One setting, such as graph.k=60; repeatable."),
-]
-DatasetFolder = Annotated[
-    Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
-]
 
 
 def main() -> None:
@@ -258,5 +249,7 @@ def status(
     _print(status_view(run_status(run)))
 
 
+app.command()(perturb)
+app.command()(ablate)
 app.command()(show)
 app.command()(gate)

@@ -131,7 +131,7 @@ class Sweep:
 
     def call(self, calls: Iterable[Call]) -> None:
         """Runs tasks, costly ones first; what a dying worker took with it is tried once more, one at a time."""
-        calls = list(calls)
+        calls = sorted(calls, key=lambda call: -call.cost_s)
         if not calls:
             return
         pool = self.pool

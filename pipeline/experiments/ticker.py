@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 _SECONDS_BETWEEN_LINES = 5.0
+_SURE_SHARE = 0.05  # before that a guess of the time left is worth nothing
 
 
 class Ticker:
@@ -57,7 +58,7 @@ class Ticker:
     def _words(self) -> str:
         elapsed = monotonic() - self._start
         words = f"{self._n_done} of {self._n_jobs} jobs"
-        if not self._done_s or elapsed < 1:
+        if self._done_s < _SURE_SHARE * self._cost_s or elapsed < 1:
             return words
         left = elapsed * (self._cost_s - self._done_s) / self._done_s
         return f"{words}, about {left:.0f} s left" if left < 90 else f"{words}, about {left / 60:.0f} min left"

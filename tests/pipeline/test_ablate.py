@@ -1,0 +1,183 @@
+"""`fidpipe ablate`: what is tried, that work is shared, and which setting is chosen."""
+
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from fidpipe.pipeline.evaluate import evaluate_pair
+from fidpipe.pipeline.experiments import partition
+from fidpipe.pipeline.experiments.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
+from fidpipe.pipeline.experiments.ablate_choice import choose, influences
+from fidpipe.pipeline.progress import Reporter
+from fidpipe.pipeline.readers import read_scan
+from fidpipe.pipeline.report.ablate_figure import draw_ablation
+from fidpipe.schemas.errors import DatasetError, SettingsError
+from fidpipe.schemas.settings import load
+from fidpipe.schemas.tables import ABLATE, OBJECT_METRICS
+from runs import command
+from scenes import write_dataset
+
+SETTINGS = load(None, ["graph.k=12"])
+VALUES = {"k": (8, 12), "tau_m": (0.2,), "delta_m": (0.5, 5.0), "t": (0.5, 1.0)}
+
+
+def ablated(dataset, out, **options):
+    options = {"settings": SETTINGS, "values": VALUES, "workers": 1} | options
+    return ablate_dataset(AblateRequest(dataset, out, **options), Reporter(Console(quiet=True)))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets")
+
+
+@pytest.fixture(scope="module")
+def done(dataset, tmp_path_factory):
+    return ablated(dataset, tmp_path_factory.mktemp("ablate") / "run")
+
+
+def test_one_setting_moves_at_a_time_or_all_of_them_do():
+    base = Point(90, 0.2, 5.0, 1.0)
+    values = {"k": (60, 90), "tau_m": (0.2, 0.3), "delta_m": (5.0,), "t": (0.5, 1.0, 2.0)}
+    assert len(points_of(base, values, grid=False)) == 1 + 1 + 1 + 0 + 2
+    assert len(points_of(base, values, grid=True)) == 2 * 2 * 1 * 3
+
+
+def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp_path, monkeypatch):
+    built = []
+
+    def counted(points, settings):
+        built.append((len(points), settings.k, settings.tau_m))
+        return partition_graph(points, settings)
+
+    partition_graph = partition.build_graph
+    monkeypatch.setattr(partition, "build_graph", counted)
+    outcome = ablated(dataset, tmp_path / "run", grid=True)
+    assert outcome.rows.num_rows == 3 * 2 * 2 * 2
+    assert len(built) == len(set(built)) == 3 * 2 * 2  # pairs, sides, values of k
+    built.clear()
+    ablated(dataset, tmp_path / "run", grid=True)
+    assert built == []
+
+
+def test_a_row_has_the_numbers_of_an_evaluation_under_its_settings(done, dataset):
+    scans = [read_scan(dataset / side / "001.bin").points for side in ("real", "sim")]
+    rows = done.rows.to_pandas().query("pair_id == '001'")
+    for _, row in rows.iterrows():
+        words = [f"graph.k={row.k}", f"matching.delta_m={row.delta_m}", f"selection.t={row.t}"]
+        summary = evaluate_pair(*scans, load(None, words)).summary
+        assert row.match_rate == summary["match_rate"]
+        assert row.n_communities_sim == summary["n_communities_sim"]
+        for metric in OBJECT_METRICS:
+            assert row[f"{metric}_mean"] == pytest.approx(summary[f"{metric}_mean"], rel=1e-12), (metric, words)
+
+
+def test_another_run_reuses_everything_and_another_value_of_delta_no_other_graph(done, dataset, tmp_path):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    again = ablated(dataset, out)
+    assert (again.n_made, again.n_reused) == (0, done.n_made)
+    assert again.rows.equals(done.rows)
+    more = ablated(dataset, out, values=VALUES | {"delta_m": (0.5, 3.0, 5.0)})
+    assert more.n_made == 3  # the jobs of the graph in force; those of k = 8 stay
+    assert {row["delta_m"] for row in more.rows.to_pylist()} == {0.5, 3.0, 5.0}
+
+
+@pytest.mark.slow
+def test_two_workers_give_the_same_rows(done, dataset, tmp_path):
+    assert ablated(dataset, tmp_path / "run", workers=2).rows.equals(done.rows)
+
+
+def test_a_broken_pair_is_listed_and_the_others_are_there(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "streets")
+    (data / "sim" / "001.bin").write_bytes(b"")
+    outcome = ablated(data, tmp_path / "run")
+    assert list(outcome.failures) == ["001"]
+    assert set(outcome.rows.column("pair_id").to_pylist()) == {"000", "002"}
+
+
+def test_a_wrong_value_is_refused_before_any_work(dataset, tmp_path):
+    with pytest.raises(SettingsError, match=r"setting graph.k: 0 found"):
+        ablated(dataset, tmp_path / "run", values={"k": (0,)})
+    with pytest.raises(SettingsError, match=r"--k 7.5: whole numbers are wanted"):
+        ablated(dataset, tmp_path / "run", values={"k": (7.5,)})
+    with pytest.raises(SettingsError, match="is a scan"):
+        ablated(dataset / "real" / "000.bin", tmp_path / "run")
+    with pytest.raises(DatasetError, match="matches none"):
+        ablated(dataset, tmp_path / "run", pattern="x*")
+    assert not (tmp_path / "run").exists()
+
+
+def made_up(tmp_path, rates, r_lambdas):
+    """An outcome over k = 30, 60, 90 with these scores, a column a pair."""
+    rows = [
+        {
+            "pair_id": f"{pair}",
+            **vars(Point(k, 0.2, 5.0, 1.0)),
+            **dict.fromkeys(("n_communities_real", "n_communities_sim", "n_matched"), 1),
+            "match_rate": rate,
+            "r_lambda_mean": r_lambda,
+        }
+        for k, of_rate, of_lambda in zip((30, 60, 90), rates, r_lambdas, strict=True)
+        for pair, (rate, r_lambda) in enumerate(zip(of_rate, of_lambda, strict=True))
+    ]
+    values = {"k": (30, 60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}
+    table = ABLATE.from_rows(rows)
+    return AblateOutcome(tmp_path, Point(90, 0.2, 5.0, 1.0), values, False, table, {}, 0, 0, 0.0)
+
+
+def test_the_value_in_force_stays_where_the_data_do_not_decide(tmp_path):
+    rates = [[0.60, 0.70, 0.50, 0.62], [0.66, 0.61, 0.59, 0.57], [0.58, 0.69, 0.55, 0.60]]
+    (verdict,) = choose(made_up(tmp_path, rates, [[0.4, 0.3, 0.35, 0.38]] * 3))
+    assert not verdict.decided
+    assert verdict.chosen.k == 90
+    assert verdict.words == "the data do not decide between 30, 60 and 90; k = 90 stays"
+
+
+def test_a_clearly_higher_match_rate_wins(tmp_path):
+    rates = [[0.50, 0.52, 0.48, 0.51], [0.80, 0.83, 0.79, 0.80], [0.60, 0.62, 0.59, 0.61]]
+    (verdict,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
+    assert verdict.decided
+    assert verdict.chosen.k == 60
+    assert verdict.words == "k = 60 instead of k = 90: match rate 0.605 against up to 0.805"
+
+
+def test_of_equal_match_rates_the_clearly_lower_r_lambda_wins(tmp_path):
+    r_lambdas = [[0.30, 0.31, 0.29, 0.30], [0.40, 0.42, 0.39, 0.41], [0.36, 0.37, 0.35, 0.36]]
+    (verdict,) = choose(made_up(tmp_path, [[0.6] * 4] * 3, r_lambdas))
+    assert verdict.chosen.k == 30
+    assert verdict.words == "k = 30 instead of k = 90: r_lambda 0.360 against 0.300"
+
+
+def test_two_pairs_decide_nothing(tmp_path):
+    (verdict,) = choose(made_up(tmp_path, [[0.5, 0.5], [0.9, 0.9], [0.6, 0.6]], [[0.4, 0.4]] * 3))
+    assert not verdict.decided
+    assert "2 pairs, at least 3 are needed; k = 90 stays" in verdict.words
+
+
+def test_diffusion_time_cannot_move_the_match_rate(done):
+    (of_t,) = [of for of in influences(done) if (of.name, of.metric) == ("t", "match_rate")]
+    assert of_t.range_of_means == 0
+
+
+@pytest.mark.slow
+def test_the_figure_is_drawn_without_a_display(dataset, tmp_path):
+    from matplotlib.image import imread
+
+    outcome = ablated(dataset, tmp_path / "run", grid=True, values=VALUES | {"tau_m": (0.2, 0.4)})
+    picture = imread(draw_ablation(outcome))
+    assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
+
+
+@pytest.mark.slow
+def test_the_command_prints_a_choice_and_its_rule(dataset, tmp_path):
+    words = ("--workers", 1, "--set", "graph.k=12", "--k", "8", "--tau", "0.2", "--delta", "5", "--t", "1")
+    result = command("ablate", dataset, *words, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Rule: keep the values whose match rate is not clearly below the highest" in result.stdout
+    assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate")) == 3 * 2
+    assert (tmp_path / "runs" / "streets-ablate" / "ablate.png").exists()
+    wrong = command("ablate", dataset, "--k", "many", cwd=tmp_path)
+    assert wrong.returncode == 2

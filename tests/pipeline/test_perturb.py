@@ -1,0 +1,268 @@
+"""`fidpipe perturb`: what is altered, that it can be repeated and resumed, and what the paper says of it."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from fidpipe.pipeline.experiments import perturb_jobs
+from fidpipe.pipeline.experiments.perturb import PerturbRequest, parse_levels, perturb_source
+from fidpipe.pipeline.experiments.perturb_claims import judge_claims
+from fidpipe.pipeline.progress import Reporter
+from fidpipe.pipeline.report.perturb_figure import draw_perturbations
+from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
+from fidpipe.schemas.settings import load
+from fidpipe.schemas.tables import PERTURB_SUMMARY
+from fidpipe.stages.graph import build_graph
+from fidpipe.stages.perturbations import Perturbation, perturb
+from runs import command
+from scenes import street, write_bin, write_dataset
+
+SETTINGS = load(None, ["graph.k=12"])
+LEVELS = parse_levels(["noise=0.01", "dropout=0.1,0.4", "rigid=0:1,0:2"])
+
+
+def perturbed(source, out, **options):
+    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2, "settings": SETTINGS, "workers": 1} | options
+    return perturb_source(PerturbRequest(source, out, **options), Reporter(Console(quiet=True)))
+
+
+def rows(out, table="perturb_objects"):
+    return pd.read_parquet(out / table).sort_values(["pair_id", "kind", "amount", "repeat"], ignore_index=True)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    return write_bin(tmp_path_factory.mktemp("scan") / "street.bin", street())
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory):
+    """A street with a label for each point, in a file that has a label column."""
+    points = street()
+    x, y, z = points.T
+    label = np.select(
+        [z < -1.55, (x > 0) & (y > 0), (x < 0) & (y > 0), x > -7], ["road", "car", "tree", "wall"], "pole"
+    )
+    path = tmp_path_factory.mktemp("labelled") / "street.parquet"
+    pd.DataFrame({"x": x, "y": y, "z": z, "label": label}).to_parquet(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def done(scan, tmp_path_factory):
+    return perturbed(scan, tmp_path_factory.mktemp("perturb") / "run")
+
+
+def test_rigid_rows_are_exact(done):
+    of_scan = rows(done.folder, "perturb_global").query("kind == 'rigid'")
+    assert (of_scan.match_rate == 1).all()
+    assert of_scan.eigenspectrum_distance_mean.max() < 1e-5
+    one, two = of_scan.groupby("amount").centroid_distance_m_mean.first()
+    assert two / one == pytest.approx(2, rel=1e-3)
+    objects = rows(done.folder).query("kind == 'rigid'")
+    assert objects.r_lambda.max() < 0.01
+    assert objects.r_gap.max() < 1e-4
+
+
+def test_dropout_changes_objects_more_than_noise_and_the_more_the_larger_it_is(done):
+    mean = rows(done.folder).groupby(["object", "kind", "amount"]).r_lambda.mean().unstack("object")
+    assert (mean.loc["noise", 0.01] < mean.loc["dropout", 0.4]).all()
+    assert (mean.loc["dropout", 0.1] < mean.loc["dropout", 0.4]).all()
+
+
+def test_a_row_can_be_made_again_from_its_recorded_seed(done):
+    row = rows(done.folder).query("kind == 'dropout' and amount == 0.4").iloc[1]
+    points, community = perturb_jobs.object_points(done.tasks[0])
+    own = points[community == row.community_id]
+    left = perturb(own, Perturbation("dropout", 0.4), np.random.default_rng(row.seed))
+    assert (len(own), len(left)) == (row.n_points, row.n_points_altered)
+    assert np.linalg.norm(left.mean(axis=0) - own.mean(axis=0)) == row.centroid_distance_m
+
+
+def test_all_seeds_differ(done):
+    seeds = np.concatenate([rows(done.folder, table).seed for table in ("perturb_objects", "perturb_global")])
+    assert len(np.unique(seeds)) == len(seeds)
+
+
+def test_an_object_is_rebuilt_from_its_points_alone(done, monkeypatch):
+    sizes = []
+    monkeypatch.setattr(
+        "fidpipe.pipeline.experiments.partition.build_graph",
+        lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
+    )
+    of = done.objects[0]
+    perturb_jobs.object_rows(done.tasks[0], of.community_id, of.name, Perturbation("rigid", 1.0), [7])
+    assert sizes == [of.n_points, of.n_points]
+
+
+def test_another_run_reuses_everything_and_another_seed_gives_other_numbers(done, scan, tmp_path):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    again = perturbed(scan, out)
+    assert (again.n_made, again.n_reused) == (0, done.n_made)
+    assert again.summary.equals(done.summary)
+    other = perturbed(scan, out, seed=1)
+    assert other.n_reused == 3  # ground, graph, communities
+    assert not other.summary.equals(done.summary)
+
+
+def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done, scan, tmp_path):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    (out / "perturb_global" / "street.noise-0.01.parquet").write_bytes(b"PAR1")
+    again = perturbed(scan, out, levels=LEVELS[:2])
+    assert again.n_made == 1
+    assert sorted(path.name for path in (out / "perturb_global").iterdir()) == [
+        "street.dropout-0.1.parquet",
+        "street.noise-0.01.parquet",
+    ]
+    assert set(again.summary.column("kind").to_pylist()) == {"noise", "dropout"}
+
+
+def test_an_interrupted_experiment_goes_on_where_it_was(done, scan, tmp_path, monkeypatch):
+    def work(*args):
+        if args[1].kind == "rigid":
+            raise KeyboardInterrupt
+        return perturb_jobs.global_rows(*args)
+
+    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.global_rows", work)
+    with pytest.raises(KeyboardInterrupt):
+        perturbed(scan, tmp_path / "run")
+    monkeypatch.undo()
+    again = perturbed(scan, tmp_path / "run")
+    assert 0 < again.n_made < done.n_made
+    assert again.summary.equals(done.summary)
+
+
+@pytest.mark.slow
+def test_two_workers_give_the_same_tables(done, scan, tmp_path):
+    perturbed(scan, tmp_path / "run", workers=2)
+    for table in ("perturb_objects", "perturb_global"):
+        pd.testing.assert_frame_equal(rows(tmp_path / "run", table), rows(done.folder, table))
+
+
+def test_a_job_that_fails_is_listed_and_the_others_are_there(scan, tmp_path, monkeypatch):
+    def work(*args):
+        if args[1].kind == "noise":
+            raise MemoryError("much")
+        return perturb_jobs.global_rows(*args)
+
+    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.global_rows", work)
+    outcome = perturbed(scan, tmp_path / "run", repeats=1, global_repeats=1)
+    assert outcome.failures == {"street, noise-0.01": "out of memory (much)"}
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures
+    assert set(rows(tmp_path / "run", "perturb_global").kind) == {"dropout", "rigid"}
+
+
+def test_labelled_objects_are_the_classes_of_the_paper(labelled, tmp_path):
+    outcome = perturbed(labelled, tmp_path / "run", levels=LEVELS[:1], repeats=1, global_repeats=0)
+    assert [of.name for of in outcome.objects] == ["car", "tree", "wall"]
+    objects = pd.read_parquet(tmp_path / "run" / "objects")
+    for of in outcome.objects:
+        assert objects.set_index("community_id").label[of.community_id] == of.name
+
+
+def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
+    options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
+    outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **options)
+    assert [of.name for of in outcome.objects] == ["object 1", "pole"]
+    assert outcome.objects[0].community_id == 1
+    with pytest.raises(DatasetError, match="--objects 99: scan street has no such object; ids are 0 to"):
+        perturbed(labelled, tmp_path / "run", objects=("99",), **options)
+    with pytest.raises(DatasetError, match="no object labelled so; its labels are car, pole, road, tree, wall"):
+        perturbed(labelled, tmp_path / "run", objects=("bus",), **options)
+
+
+def test_without_labels_each_shape_has_an_object(done):
+    assert [of.name for of in done.objects] == ["linear", "planar", "scattered"]
+    assert all(of.why for of in done.objects)
+
+
+def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(tmp_path):
+    dataset = write_dataset(tmp_path / "data")
+    options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 1}
+    assert [task.pair.pair_id for task in perturbed(dataset, tmp_path / "one", **options).tasks] == ["000"]
+    outcome = perturbed(dataset, tmp_path / "two", pattern="00[12]", **options)
+    assert [task.pair.pair_id for task in outcome.tasks] == ["001", "002"]
+    (row,) = [row for row in outcome.summary.to_pylist() if row["metric"] == "match_rate"]
+    assert row["n"] == 2
+    with pytest.raises(DatasetError, match="an object's number belongs to one scan, 2 are chosen"):
+        perturbed(dataset, tmp_path / "two", pattern="00[12]", objects=("1",), **options)
+
+
+def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(done):
+    of = done.objects[0]
+    level = Perturbation("dropout", 1.0)
+    (row,) = perturb_jobs.object_rows(done.tasks[0], of.community_id, of.name, level, [1]).to_pylist()
+    assert (row["r_lambda"], row["cdc"], row["status"]) == (None, None, "too_small")
+    assert "no point is left" in row["reason"]
+    (row,) = perturb_jobs.global_rows(done.tasks[0], level, [1]).to_pylist()
+    assert (row["match_rate"], row["reason"]) == (None, "0 points are left, at least 8 are needed")
+
+
+@pytest.mark.parametrize(
+    ("word", "fault"),
+    [
+        ("fog", "'fog' is no perturbation; known are noise, dropout"),
+        ("dropout=much", "'much' found, a number is wanted"),
+        ("dropout=1.5", "1.5 is out of bounds, 0 to 0.99 are allowed for dropout"),
+        ("noise=0.1:2", "metres:degrees is for rigid"),
+        ("noise=nan", "nan is out of bounds"),
+    ],
+)
+def test_a_wrong_level_is_one_line(word, fault):
+    with pytest.raises(SettingsError, match=fault):
+        parse_levels([word])
+
+
+def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
+    from runs import run
+
+    dataset = write_dataset(tmp_path / "data", 1)
+    run(dataset, tmp_path / "run", SETTINGS)
+    with pytest.raises(RunError, match="was written by fidpipe run, not by fidpipe perturb; give another --out"):
+        perturbed(scan, tmp_path / "run")
+    with pytest.raises(RunError, match="was written by fidpipe perturb, not by fidpipe run"):
+        run(dataset, done.folder, SETTINGS)
+
+
+def test_claims_are_judged_by_the_numbers():
+    def summary(rates, curve):
+        levels = [Perturbation("dropout", amount) for amount in (0.1, 0.2)]
+        found = [(None, "match_rate", rates), ("car", "r_lambda", curve)]
+        return levels, PERTURB_SUMMARY.from_rows(
+            {**vars(level), "scope": "global", "object": of, "metric": metric, "n": 1, "mean": value}
+            for of, metric, values in found
+            for level, value in zip(levels, values, strict=True)
+        )
+
+    levels, good = summary((0.9, 0.8), (0.1, 0.2))
+    assert [claim.holds for claim in judge_claims(good, levels)] == [True, True]
+    levels, bad = summary((0.8, 0.9), (0.2, 0.1))
+    claims = judge_claims(bad, levels)
+    assert [claim.holds for claim in claims] == [False, False]
+    assert claims[0].here == "0 of 1, not car"
+
+
+@pytest.mark.slow
+def test_the_figure_is_drawn_without_a_display(done):
+    from matplotlib.image import imread
+
+    path = draw_perturbations(done)
+    picture = imread(path)
+    assert picture.shape[0] > 400
+    assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
+
+
+@pytest.mark.slow
+def test_the_command_prints_the_table_of_the_paper_beside_ours(scan, tmp_path):
+    words = ("--workers", 1, "--sweep", "rigid", "--repeats", 1, "--global-repeats", 1, "--set", "graph.k=12")
+    result = command("perturb", scan, *words, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "the paper's Table I" in result.stdout
+    assert (tmp_path / "runs" / "street-perturb" / "perturb.png").exists()
+    wrong = command("perturb", scan, "--sweep", "fog", cwd=tmp_path)
+    assert wrong.returncode == 1
+    assert wrong.stderr.startswith("error: --sweep 'fog'")
