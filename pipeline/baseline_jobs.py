@@ -59,7 +59,7 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> lis
     The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds` is the time of the
     method, which may give several baselines: it stands with the first of them.
     """
-    own = [record for record in records if record.stage == STAGE]
+    own = list(records)
     summary = []
     for level in (OF_OBJECTS, OF_SCAN):
         for method in settings.metrics.baselines:

@@ -122,6 +122,12 @@ def run(
         str | None,
         typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
     ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            "--seeds", min=1, help="Repeat communities to metrics with so many seeds; tells how stable scores are."
+        ),
+    ] = None,
 ) -> None:
     """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
 
@@ -143,7 +149,8 @@ def run(
     from .run import run_dataset, stages_of
     from .session import RunRequest
 
-    in_force = load(settings, assignments or [])
+    repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
+    in_force = load(settings, [*(assignments or []), *repeats])
     stage_names = [stage.name for stage in stages_of(in_force)]
     if from_stage is not None and from_stage not in stage_names:
         raise typer.BadParameter(

@@ -30,6 +30,7 @@ class PairResult:
     points, edges, communities, objects : by side, "real" and "sim"
     matching, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
+    seeds : of the pair, a row a seed, where `stability.seeds` is above 1
     """
 
     summary: dict[str, Any]
@@ -41,6 +42,7 @@ class PairResult:
     selection: pd.DataFrame
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
+    seeds: pd.DataFrame | None = None
 
 
 def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = None) -> PairResult:
@@ -97,6 +99,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
         selection=frame("selection"),
         metrics=frame("metrics"),
         baselines=frame("baselines") if settings.metrics.baselines else None,
+        seeds=frame("seeds") if settings.stability.seeds > 1 else None,
     )
 
 

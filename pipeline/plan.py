@@ -29,6 +29,7 @@ class Stage:
     version : of the stage's code, raised by hand whenever its results change
     make : the job
     is_wanted : for an extra of the pipeline, whether settings ask for it; None for a stage that every run has
+    summarise : for an extra, what `run.json` holds of its finished jobs
     """
 
     name: str
@@ -40,6 +41,7 @@ class Stage:
     version: int
     make: Callable[[Workbench, str], tuple[Tables, Facts]]
     is_wanted: Callable[[Settings], bool] | None = None
+    summarise: Callable[[Iterable[JobRecord], Settings], Any] | None = None
 
     @property
     def sides(self) -> tuple[str, ...]:

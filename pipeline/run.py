@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..schemas.errors import DatasetError, RunError
 from ..schemas.settings import Settings
-from . import baseline_jobs, jobs
+from . import baseline_jobs, jobs, seed_jobs
 from .plan import Stage
 from .progress import Reporter
 from .readers.dataset import Dataset, ScanPair, read_dataset
@@ -99,6 +99,19 @@ EXTRAS = (
         version=1,
         make=baseline_jobs.make_baselines,
         is_wanted=lambda settings: bool(settings.metrics.baselines),
+        summarise=baseline_jobs.summarise_baselines,
+    ),
+    Stage(
+        seed_jobs.STAGE,
+        takes=("ground", "graph", "metrics"),
+        gives=("seeds",),
+        per_side=False,
+        settings=("stability",),
+        libraries=lambda settings: (),
+        version=1,
+        make=seed_jobs.make_seeds,
+        is_wanted=lambda settings: settings.stability.seeds > 1,
+        summarise=seed_jobs.summarise_seeds,
     ),
 )
 

@@ -16,7 +16,6 @@ import pyarrow as pa
 
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, SIDES, TIMINGS
-from . import baseline_jobs
 from .fanout import DaskPool, InProcess, Pool, cpu_count
 from .findings import run_findings
 from .intake import ScanFacts, file_marks, inspect_pairs, pair_warnings, settings_key
@@ -243,8 +242,10 @@ class Session:
         record = run_record(
             header, hashes, rows.to_pylist(), self.wall_s, n_workers, seconds, self._findings(rows, key), n_to_do
         )
-        if baseline_jobs.STAGE in self.extras:
-            record["baselines"] = baseline_jobs.summarise_baselines(self.current_records(), self.settings)
+        for stage in self.stages:
+            if stage.summarise:
+                own = [of for of in self.current_records() if of.stage == stage.name]
+                record[stage.name] = stage.summarise(own, self.settings)
         self.store.replace(self.request.out / RUN_JSON, dumps(record))
         self.store.compact()
         n_reused = len(self.current_records()) - len(self.made)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -16,6 +17,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..schemas.errors import StageError
+from ..schemas.settings import Settings
+from ..schemas.tables import SIDES
 from ..stages.arrays import FloatArray, IntArray
 from ..stages.graph import Edges
 from ..stages.laplacian import Subgraph, split_by_community
@@ -138,6 +141,13 @@ class Workbench:
             with self.step("subgraphs"):
                 self._subgraphs[side] = split_by_community(point_ids, points, edges, labels, matched.tolist())
         return self._subgraphs[side][community]
+
+    def under(self, settings: Settings, shared: Iterable[str]) -> Workbench:
+        """A bench in memory for the same pair under other settings, which has these tables of both sides in common."""
+        other = Workbench(replace(self.task, settings=settings, folder=None))
+        other._tables = {(name, side): self.table(name, side) for name in shared for side in SIDES}
+        other._facts |= self._facts
+        return other
 
     def matched(self, real_ids: Iterable[int] | None = None) -> pa.Table:
         """The matched rows of `matching`, all or those of some real objects."""

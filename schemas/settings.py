@@ -174,6 +174,14 @@ class MetricsSettings(_Group):
         return self
 
 
+class StabilitySettings(_Group):
+    """How often a pair is repeated under other seeds."""
+
+    seeds: Annotated[
+        int, Field(ge=1, le=1000, description="seeds of the communities: the set one and those that follow it")
+    ] = 1
+
+
 class Settings(_Group):
     """All settings of a run; `fidpipe run --set graph.k=60` changes one."""
 
@@ -184,6 +192,14 @@ class Settings(_Group):
     matching: MatchingSettings = MatchingSettings()
     selection: SelectionSettings = SelectionSettings()
     metrics: MetricsSettings = MetricsSettings()
+    stability: StabilitySettings = StabilitySettings()
+
+    @model_validator(mode="after")
+    def _seeds_stay_in_range(self) -> Settings:
+        last = self.communities.seed + self.stability.seeds - 1
+        if last >= 2**31:
+            raise ValueError(f"the last of stability.seeds is {last}, below {2**31} is wanted; lower communities.seed")
+        return self
 
 
 def load(path: Path | None = None, assignments: Iterable[str] = ()) -> Settings:

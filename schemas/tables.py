@@ -244,6 +244,39 @@ BASELINES = Table(
 )
 
 
+#: The scores of a pair that are repeated under other seeds.
+SEEDED_SCORES = (
+    "n_communities_real",
+    "n_communities_sim",
+    "n_matched",
+    "n_missing",
+    "n_hallucinated",
+    "match_rate",
+    *(f"{metric}_mean" for metric in OBJECT_METRICS),
+)
+
+SEEDS = Table(
+    "seeds",
+    pa.schema(
+        [
+            _PAIR,
+            _field("seed", _ID, "of the communities; the first is that of the other tables"),
+            _field("n_communities_real", _COUNT, "objects of the real side"),
+            _field("n_communities_sim", _COUNT, "objects of the simulated side"),
+            _field("n_matched", _COUNT, "objects that both sides have"),
+            _field("n_missing", _COUNT, "real objects without a simulated one"),
+            _field("n_hallucinated", _COUNT, "simulated objects without a real one"),
+            _field("match_rate", _REAL, "matched / max(communities of either side)"),
+            *(
+                _field(f"{metric}_mean", _REAL, f"mean of {metric} over the objects", optional=True)
+                for metric in OBJECT_METRICS
+            ),
+        ]
+    ),
+    ("seed",),
+)
+
+
 def _pairs_schema() -> pa.Schema:
     """Columns of `pairs`: of a failed pair all but its name, status and reason may be null."""
 
@@ -298,7 +331,7 @@ TIMINGS = Table(
         [
             _PAIR.with_type(_STRING),
             _field("side", _STRING, "real, sim, or null for a step of the pair", optional=True),
-            _field("stage", _STRING, "ground, graph, communities, matching, selection or metrics"),
+            _field("stage", _STRING, "ground, graph, communities, matching, selection, metrics, baselines or seeds"),
             _field("step", _STRING, "read, write, or a step of the method"),
             _field("seconds", _REAL, "wall time of the step", "s"),
             _field("reused", _FLAG, "the result was reused: the seconds are of the run that made it"),
@@ -427,7 +460,7 @@ ABLATE_SUMMARY = Table(
 TABLES = {
     table.name: table
     for table in (
-        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, BASELINES, PAIRS, TIMINGS),
+        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, BASELINES, SEEDS, PAIRS, TIMINGS),
         *(PERTURB_GLOBAL, PERTURB_OBJECTS, PERTURB_SUMMARY, ABLATE, ABLATE_SUMMARY),
     )
 }

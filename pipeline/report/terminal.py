@@ -16,6 +16,7 @@ from ..status import STATES, RunStatus
 from .baselines_view import baselines_view
 from .findings_view import claims_line, findings_view
 from .layout import number, plain_table
+from .seeds_view import seeds_view
 from .timing_view import timing_view
 
 _MOST_PAIRS = 20
@@ -55,6 +56,8 @@ def summary_view(folder: Path, rows: list[dict[str, Any]], record: dict[str, Any
         parts.append(Text(f"{claims_line(findings)}; see: fidpipe show {folder} --paper"))
     if record.get("baselines"):
         parts.append(baselines_view(record["baselines"]))
+    if record.get("seeds"):
+        parts.append(seeds_view(record["seeds"]))
     failures = [row for row in rows if row["status"] == "failed"]
     if failures:
         parts.append(Text(f"{len(failures)} of {len(rows)} pairs failed:", style="red"))

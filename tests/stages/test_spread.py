@@ -1,0 +1,36 @@
+import numpy as np
+import pytest
+
+from fidpipe.stages.spread import spread
+
+
+def test_a_score_without_noise_tells_any_difference():
+    found = spread(np.array([[0.5, 0.5, 0.5], [0.7, 0.7, 0.7]]))
+    assert found.mean == pytest.approx(0.6)
+    assert (found.std_seeds, found.least_pair, found.least_dataset) == pytest.approx((0, 0, 0), abs=1e-12)
+    assert found.std_pairs == pytest.approx(np.std([0.5, 0.7], ddof=1))
+
+
+def test_deviations_within_pairs_are_pooled_by_hand():
+    # within: sqrt(2) and sqrt(8); their root mean square sqrt(5); means 2 and 10
+    found = spread(np.array([[1.0, 3.0], [8.0, 12.0]]))
+    assert found.std_seeds == pytest.approx(5**0.5)
+    assert found.std_pairs == pytest.approx(32**0.5)
+    assert found.least_dataset == pytest.approx(found.least_pair / 2**0.5)
+
+
+def test_nulls_are_left_out():
+    found = spread(np.array([[1.0, np.nan, 3.0], [np.nan, np.nan, np.nan], [4.0, np.nan, np.nan]]))
+    assert (found.mean, found.std_seeds) == (pytest.approx(3), pytest.approx(2**0.5))
+    nothing = spread(np.full((2, 3), np.nan))
+    assert set(vars(nothing).values()) == {None}
+
+
+def test_results_that_differ_only_by_seed_are_nearer_than_the_least_difference_in_19_of_20_cases():
+    rng = np.random.default_rng(0)
+    of_pairs = rng.normal(0, 1, 40)
+    found = spread(of_pairs[:, None] + rng.normal(0, 0.2, (40, 200)))
+    apart = np.abs(np.diff(rng.normal(0, 0.2, (20000, 2)))).ravel()
+    assert np.mean(apart < found.least_pair) == pytest.approx(0.95, abs=0.01)
+    means = (of_pairs + rng.normal(0, 0.2, (20000, 2, 40))).mean(axis=2)
+    assert np.mean(np.abs(np.diff(means)).ravel() < found.least_dataset) == pytest.approx(0.95, abs=0.01)
