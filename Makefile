@@ -1,4 +1,4 @@
-# make run    sets up, makes a small synthetic dataset, evaluates it, says where the results are
+# make run    sets up, makes a small synthetic dataset, evaluates it, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
@@ -10,15 +10,16 @@ FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 	--config-settings editable_mode=strict
 
-.PHONY: run test check fast clean setup
+.PHONY: run test check fast clean setup browser
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
 	$(BIN)/fidpipe run .cache/streets --out runs/streets
+	$(BIN)/fidpipe report runs/streets
 
 test: check
 
-check: setup
+check: setup browser
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
@@ -27,6 +28,16 @@ check: setup
 
 fast: setup
 	$(BIN)/pytest -m "not slow"
+
+# The browser tests want Debian's Chromium; where it is absent and cannot be installed, they are skipped.
+browser:
+	@if ! command -v chromium || ! command -v chromedriver; then \
+		if command -v apt-get && [ "$$(id -u)" = 0 ]; then \
+			apt-get update && apt-get install --yes --no-install-recommends chromium chromium-driver; \
+		else \
+			echo "no chromium and chromedriver: the browser tests will be skipped"; \
+		fi; \
+	fi
 
 setup: $(VENV)/installed-$(FILE_LIST)
 

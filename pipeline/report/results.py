@@ -148,7 +148,9 @@ def _files(jobs: dict[str, tuple[JobRecord, ...]], table: str) -> list[str]:
 
 
 def _read(folder: Path, files: Iterable[str]) -> pd.DataFrame:
-    return pa.concat_tables([pq.read_table(folder / name, use_threads=False) for name in files]).to_pandas()
+    tables = [pq.read_table(folder / name, use_threads=False) for name in files]
+    found: pd.DataFrame = pa.concat_tables(tables).to_pandas()
+    return found
 
 
 def _with_place(objects: pd.DataFrame) -> pd.DataFrame:

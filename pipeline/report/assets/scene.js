@@ -2,7 +2,7 @@
 // The 3D view of a pair, and the panel of a chosen object: its numbers, both point sets, its spectra, the nodes kept.
 // An object is called by side and community: "real 3", "sim 7"; a matched one has one name, that of its real side.
 
-const scene = { pair: null, points: null, objects: [], chosen: null };
+const scene = { pair: null, points: null, objects: [], chosen: null, hovered: null, isWired: false };
 const communityColour = (i) => `hsl(${Math.round((i * 137.508) % 360)}, 65%, ${[48, 62, 38][i % 3]}%)`;
 
 function openPair(name) {
@@ -74,23 +74,39 @@ function drawScene() {
       text: Array.from(object, (i) => plotText(objectTitle(scene.objects[i]), 80)), hovertemplate: `${side}: %{text}<extra></extra>`,
     };
   });
-  const chosen = scene.objects.findIndex((object) => object.name === scene.chosen);
-  if (chosen >= 0) {
-    const parts = ["real", "sim"].map((side) => inObject(side, chosen, () => true));
-    const both = (axis) => parts.flatMap((part) => part[axis]);
-    traces.push({ type: "scatter3d", mode: "markers", name: "chosen", x: both("x"), y: both("y"), z: both("z"), hoverinfo: "skip", marker: { size: 3.6, color: css("--ink"), opacity: 0.9, line: { width: 0 } } });
-  }
+  traces.push({ type: "scatter3d", mode: "markers", name: "chosen", ...chosenPoints(), hoverinfo: "skip", marker: { size: 3.6, color: css("--ink"), opacity: 0.9, line: { width: 0 } } });
   const farthest = Math.max(...["x", "y"].map((axis) => Math.max(...scene.points.real[axis].map(Math.abs))));
   const near = { eye: { x: -0.75, y: -0.75, z: Math.min(1.1, 0.6 + 20 / farthest) }, center: { x: 0, y: 0, z: -0.1 } };
   draw("scene", traces, sceneLayout({ camera: near, uirevision: scene.pair }), { displayModeBar: true, modeBarButtonsToRemove: ["resetCameraLastSave3d", "tableRotation"] });
+  if (!scene.isWired) wireScene();
+  drawLegend(by);
+}
+
+function chosenPoints() {
+  const chosen = scene.objects.findIndex((object) => object.name === scene.chosen);
+  const parts = ["real", "sim"].map((side) => inObject(side, chosen, () => true));
+  return Object.fromEntries(["x", "y", "z"].map((axis) => [axis, parts.flatMap((part) => part[axis])]));
+}
+
+// A press and release on one spot chooses the object under it. Plotly's own click event comes once a frame as long as
+// the button is down, and not at all for a fast click; its hover event is reliable.
+function wireScene() {
+  scene.isWired = true;
   const plot = byId("scene");
-  plot.removeAllListeners?.("plotly_click");
-  plot.on("plotly_click", (event) => {
+  plot.on("plotly_hover", (event) => {
     const point = event.points[0];
     const side = point.data.name;
-    if (side in scene.points) chooseObject(scene.objects[scene.points[side].object[point.pointNumber]].name);
+    scene.hovered = side in scene.points ? scene.objects[scene.points[side].object[point.pointNumber]].name : null;
   });
-  drawLegend(by);
+  plot.on("plotly_unhover", () => { scene.hovered = null; });
+  let from = null;
+  plot.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; }, true);
+  plot.addEventListener("pointerup", (event) => {
+    const moved = from === null ? Infinity : Math.hypot(event.clientX - from[0], event.clientY - from[1]);
+    from = null;
+    // A finger has not hovered before: the object under it is known a moment later.
+    if (moved < 5) setTimeout(() => { if (scene.hovered !== null) chooseObject(scene.hovered); }, event.pointerType === "mouse" ? 0 : 250);
+  }, true);
 }
 
 function drawLegend(by) {
@@ -120,7 +136,10 @@ function chooseObject(name) {
   byId("object").value = name ?? "";
   byId("panel").hidden = name === null;
   if (name !== null) drawPanel(scene.objects.findIndex((object) => object.name === name));
-  if (byId("scene").data) drawScene();
+  if (byId("scene").data) {
+    const { x, y, z } = chosenPoints();
+    Plotly.restyle("scene", { x: [x], y: [y], z: [z] }, [2]);
+  }
 }
 
 const PANEL = [

@@ -1,0 +1,309 @@
+"""The report in a real browser: Debian's Chromium, headless, with WebGL in software."""
+
+import io
+import json
+import os
+import shutil
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from fidpipe.pipeline.report.page import write_report
+from reports import HOSTILE_CLASS, HOSTILE_PAIRS
+
+pytestmark = pytest.mark.slow
+
+WIDTHS = (1280, 390)
+BLUE, VERMILLION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
+FIRST_PAIR = HOSTILE_PAIRS[0]
+NO_SCORE = "\N{EN DASH}"
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--enable-unsafe-swiftshader",
+    "--use-angle=swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Chromium; without it the tests are skipped, or fail where real data and so a whole machine are required."""
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not chromium or not driver:
+        reason = "chromium and chromedriver are not installed (Debian: apt-get install chromium chromium-driver)"
+        if os.environ.get("FIDPIPE_REQUIRE_REAL_DATA") == "1":
+            pytest.fail(f"FIDPIPE_REQUIRE_REAL_DATA=1 and {reason}")
+        pytest.skip(reason)
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    found = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    found.set_script_timeout(60)
+    yield found
+    found.quit()
+
+
+@pytest.fixture(scope="module")
+def run_folder(report_run, tmp_path_factory):
+    return shutil.copytree(report_run, tmp_path_factory.mktemp("browser") / "run")
+
+
+@pytest.fixture(scope="module")
+def page_path(run_folder):
+    return write_report(run_folder).page
+
+
+@pytest.fixture(scope="module")
+def opened(browser, page_path):
+    """The page, opened once; what the browser complained of and asked for meanwhile."""
+    complaints(browser), requests(browser)
+    resize(browser, WIDTHS[0])
+    open_page(browser, page_path)
+    return complaints(browser), requests(browser)
+
+
+@pytest.fixture
+def page(browser, opened):
+    """The page as it is opened: wide, light, the first pair, no object chosen."""
+    resize(browser, WIDTHS[0])
+    for name, value in (("theme", "auto"), ("pair", FIRST_PAIR), ("colour", "side"), ("object", "")):
+        choose(browser, name, value)
+    browser.execute_script(
+        "for (const box of document.querySelectorAll('input[type=search]')) {"
+        " box.value = ''; box.dispatchEvent(new Event('input')); }"
+    )
+    return browser
+
+
+def open_page(browser, path, fragment=""):
+    browser.get(path.as_uri() + fragment)
+    wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
+    settle(browser)
+
+
+def wait_for(browser, script, seconds=60):
+    end = time.monotonic() + seconds
+    while not (found := browser.execute_script(script)):
+        assert time.monotonic() < end, f"still false after {seconds} s: {script}"
+        time.sleep(0.05)
+    return found
+
+
+def settle(browser):
+    """Waits until what was asked for is drawn."""
+    browser.execute_async_script(
+        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 300)))"
+    )
+
+
+def resize(browser, width, dark=False):
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    )
+    theme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": theme})
+
+
+def by_id(browser, name):
+    return browser.find_element("id", name)
+
+
+def pixels(browser, name):
+    """(h, w, 3) what an element looks like."""
+    place = by_id(browser, name)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", place)
+    settle(browser)
+    return np.asarray(Image.open(io.BytesIO(place.screenshot_as_png)).convert("RGB")).astype(int)
+
+
+def near(picture, colour):
+    return np.abs(picture - np.array(colour)).max(axis=2) < 12
+
+
+def choose(browser, name, value):
+    """Chooses in a list by value; selenium's own way fails on values with control characters."""
+    place = by_id(browser, name)
+    values = browser.execute_script("return [...arguments[0].options].map((option) => option.value)", place)
+    place.find_elements("css selector", "option")[values.index(value)].click()
+    settle(browser)
+
+
+def complaints(browser):
+    return [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def requests(browser):
+    """Addresses that the browser asked for, but for what lies inside the page."""
+    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
+    return [url for url in asked if not url.startswith(("data:", "blob:"))]
+
+
+def table(browser, name):
+    """The texts of a table's rows as a frame."""
+    script = """const table = document.querySelector('#' + arguments[0] + ' table');
+    return [...table.rows].map((row) => [...row.cells].map((cell) => cell.textContent))"""
+    head, *rows = browser.execute_script(script, name)
+    return pd.DataFrame(rows, columns=head)
+
+
+def sort_by(browser, name, title):
+    for button in browser.find_elements("css selector", f"#{name} th button"):
+        if button.text == title:
+            browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+            return button.click()
+    raise AssertionError(f"no column {title}")
+
+
+def shown_numbers(browser):
+    found = browser.find_elements("css selector", "#panel_numbers .value")
+    return {one.get_attribute("data-key"): one.text for one in found}
+
+
+def test_the_page_opens_from_disk_without_a_complaint_or_a_request(browser, opened, page_path):
+    complained, asked = opened
+    assert complained == []
+    assert asked == [page_path.as_uri()]
+    assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
+
+
+def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
+    side = pixels(page, "scene")
+    assert near(side, BLUE).sum() > 200
+    assert near(side, VERMILLION).sum() > 200
+    looks = [side]
+    for by in ("community", "r_lambda", "cdc", "status"):
+        choose(page, "colour", by)
+        looks.append(pixels(page, "scene"))
+        assert (looks[-1] != looks[-2]).any(axis=2).sum() > 200, by
+    assert near(looks[-1], GREY).sum() > 200, "matched objects are grey by status"
+    choose(page, "colour", "side")
+    by_id(page, "show_sim").click()
+    alone = pixels(page, "scene")
+    by_id(page, "show_sim").click()
+    assert near(alone, VERMILLION).sum() == 0
+    assert near(alone, BLUE).sum() > 200
+
+
+def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(page, run_folder):
+    from selenium.webdriver import ActionChains
+
+    metrics = pd.read_parquet(run_folder / "metrics")
+    metrics = metrics[metrics.pair_id == FIRST_PAIR].set_index("real_id")
+    choose(page, "colour", "r_lambda")
+    picture = pixels(page, "scene")
+    # A spot well inside of an object that has a score: its colour is neither grey nor the background.
+    coloured = np.ptp(picture, axis=2) > 80
+    crowd = sum(np.roll(coloured, (down, right), (0, 1)).astype(int) for down in range(-3, 4) for right in range(-3, 4))
+    crowd[:60], crowd[-60:] = 0, 0
+    y, x = np.unravel_index(np.argmax(crowd), crowd.shape)
+    scene = by_id(page, "scene")
+    dx, dy = int(x) - scene.size["width"] // 2, int(y) - scene.size["height"] // 2
+    ActionChains(page).move_to_element_with_offset(scene, dx, dy).pause(0.5).click().perform()
+    wait_for(page, "return !document.getElementById('panel').hidden")
+    row = metrics.loc[int(by_id(page, "object").get_attribute("value").removeprefix("real "))]
+    shown = shown_numbers(page)
+    for column in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m"):
+        assert shown[column] == f"{row[column]:.6f}", column
+    assert shown["n_keep"] == f"{row.n_keep:,}"
+    assert (pixels(page, "scene") != picture).any(axis=2).sum() > 50, "the object is marked"
+
+
+def test_every_object_of_a_pair_has_its_numbers_points_and_spectra(page, run_folder):
+    metrics = pd.read_parquet(run_folder / "metrics")
+    for row in metrics[metrics.pair_id == FIRST_PAIR].itertuples():
+        choose(page, "object", f"real {row.real_id}")
+        shown = shown_numbers(page)
+        assert shown["cdc"] == f"{row.cdc:.6f}"
+        assert shown["r_lambda"] == f"{row.r_lambda:.6f}"
+        assert f"largest shift {row.max_eigenvalue_shift:.3f}" in by_id(page, "spectrum").text
+        assert f"{row.max_eigenvalue_shift:.4f} / {row.laplacian_change:.4f}" in by_id(page, "spectrum_note").text
+        assert f"({row.n_keep:,} of {row.n_real:,})" in by_id(page, "object_real_note").text
+    assert near(pixels(page, "object_real"), BLUE).sum() > 50
+    assert near(pixels(page, "object_sim"), VERMILLION).sum() > 50
+
+
+def test_tables_sort_and_filter(page, run_folder):
+    metrics = pd.read_parquet(run_folder / "metrics")
+    everything = table(page, "objects_table")
+    sort_by(page, "objects_table", "CDC")
+    falling = table(page, "objects_table").CDC
+    assert falling[0] == f"{metrics.cdc.max():.3f}"
+    assert falling[falling != NO_SCORE].astype(float).is_monotonic_decreasing
+    sort_by(page, "objects_table", "CDC")
+    assert table(page, "objects_table").CDC[0] == f"{metrics.cdc.min():.3f}"
+    box = page.find_element("css selector", "#objects_table input")
+    box.send_keys("wall r_lambda > 0.3")
+    found = table(page, "objects_table")
+    assert 0 < len(found) < len(everything)
+    assert set(found["class"]) == {"wall"}
+    assert (found.r_lambda.astype(float) >= 0.3).all()
+    sort_by(page, "pairs_table", "pair")
+    assert len(table(page, "pairs_table")) == len(HOSTILE_PAIRS)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_wider_than_the_window(page, width, dark):
+    resize(page, width, dark)
+    choose(page, "object", "real 0")
+    assert page.execute_script("return document.documentElement.scrollWidth") <= width
+    colour = "return getComputedStyle(document.body).backgroundColor.match(/[0-9]+/g).map(Number)"
+    assert (sum(page.execute_script(colour)) < 200) == dark
+    for chart in page.find_elements("css selector", ".chart"):
+        assert chart.size["width"] <= width
+    assert complaints(page) == []
+
+
+def test_the_theme_can_be_chosen(page):
+    before = pixels(page, "hist_cdc")
+    choose(page, "theme", "dark")
+    assert pixels(page, "hist_cdc").mean() < before.mean() - 100
+
+
+def test_the_keyboard_reaches_the_objects(page):
+    from selenium.webdriver import ActionChains, Keys
+
+    page.execute_script("document.getElementById('object').focus()")
+    ActionChains(page).send_keys(Keys.TAB, Keys.TAB, Keys.ENTER).perform()
+    wait_for(page, "return !document.getElementById('panel').hidden")
+    first = page.execute_script("return document.querySelector('#pairs_table tbody button')")
+    first.send_keys(Keys.ENTER)
+    settle(page)
+    assert by_id(page, "pair").get_attribute("value") == first.text
+
+
+def test_hostile_names_are_shown_as_they_are(page):
+    assert set(table(page, "pairs_table").pair) == set(HOSTILE_PAIRS)
+    assert HOSTILE_CLASS in set(table(page, "objects_table")["class"])
+    for pair in HOSTILE_PAIRS:
+        choose(page, "pair", pair)
+    assert page.execute_script("return document.querySelectorAll('img, main script').length") == 0
+    assert "broken <b>pair</b>" in by_id(page, "failures").text
+    assert complaints(page) == []
+
+
+def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, run_folder):
+    index = write_report(run_folder, one_page_a_pair=True).page
+    resize(browser, WIDTHS[0])
+    requests(browser), complaints(browser)
+    open_page(browser, index)
+    links = {a.text: a.get_attribute("href") for a in browser.find_elements("css selector", "#pairs_table td a")}
+    assert set(links) == set(HOSTILE_PAIRS)
+    browser.get(links[FIRST_PAIR] + "#real%200")
+    wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
+    assert by_id(browser, "pair").get_attribute("value") == FIRST_PAIR
+    assert by_id(browser, "object").get_attribute("value") == "real 0"
+    assert complaints(browser) == []
+    assert all(url.startswith(index.parent.as_uri()) for url in requests(browser))
