@@ -11,7 +11,7 @@ import typer
 
 from .cli_experiments import ablate, perturb
 from .cli_options import Assignments, DatasetFolder, SettingsFile
-from .cli_results import gate, show
+from .cli_results import compare, gate, show
 from .console import print_view as _print
 
 app = typer.Typer(
@@ -260,3 +260,4 @@ app.command()(perturb)
 app.command()(ablate)
 app.command()(show)
 app.command()(gate)
+app.command()(compare)

@@ -1,4 +1,4 @@
-"""The commands that read finished runs: show, gate. Parses, calls, prints, as `cli` does."""
+"""The commands that read finished runs: show, gate, compare. Parses, calls, prints, as `cli` does."""
 
 from __future__ import annotations
 
@@ -109,3 +109,40 @@ def gate(
     write_whole(json_ or run / "gate.json", dumps(result.as_dict()))
     print_view(gate_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
+
+
+def compare(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN_A RUN_B [RUN_C]...", help="Folders of runs; the first is the base.", show_default=False
+        ),
+    ],
+    html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")] = False,
+    allow_different_settings: Annotated[
+        bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
+    ] = False,
+) -> None:
+    """Compare simulator versions on the same real scans: which scores, and which objects, got better or worse.
+
+    Differences are paired, with 95 % bootstrap intervals over pairs. Real objects are followed from run to run: those
+    that vanished from the simulation, appeared in it, got better or worse.
+
+    Examples
+    --------
+    fidpipe compare runs/build41 runs/build42
+
+    fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
+    """
+    from .compare import compare_runs
+    from .report.compare_page import compare_page
+    from .report.compare_view import compare_view
+    from .report.files import write_whole
+
+    if len(runs) < 2:
+        raise typer.BadParameter("one run is given, two or more are wanted")
+    found = compare_runs(runs, allow_different_settings=allow_different_settings)
+    if html:
+        write_whole(html, compare_page(found).encode())
+    print_json([of.as_dict() for of in found]) if as_json else print_view(compare_view(found))

@@ -103,7 +103,7 @@ def test_a_status_of_no_run_is_one_line(tmp_path):
     assert "no run.json found" in one_line(result.stderr)
 
 
-@pytest.mark.parametrize("name", ["run", "check", "status", "synth", "perturb", "ablate"])
+@pytest.mark.parametrize("name", ["ablate", "check", "compare", "gate", "perturb", "run", "show", "status", "synth"])
 def test_every_command_has_an_example_in_its_help(name):
     result = command(name, "--help")
     assert result.returncode == 0

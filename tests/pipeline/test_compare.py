@@ -1,0 +1,159 @@
+"""Simulator versions on the same real scans: known differences, refusals, and pages that no name can break."""
+
+import json
+import shutil
+from html.parser import HTMLParser
+
+import pandas as pd
+import pytest
+
+from fidpipe.pipeline.compare import compare_runs
+from fidpipe.pipeline.report.compare_page import compare_page
+from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.settings import load
+from runs import command, run
+from scenes import drifted, street, write_bin
+
+HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300, "../x")
+
+
+def write_version(folder, noise, keep):
+    """A dataset of the four hostile names: the real scans are the same in every version."""
+    rows = []
+    for i, name in enumerate(HOSTILE):
+        scan = street(seed=10 * i)
+        write_bin(folder / f"real{i}.bin", scan)
+        write_bin(folder / f"sim{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep))
+        rows.append(f'"{name}",real{i}.bin,sim{i}.bin')
+    (folder / "pairs.csv").write_text("pair_id,real,sim\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def versions(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare")
+    for name, noise, keep in (("good", 0.02, 0.95), ("bad", 0.3, 0.6)):
+        run(write_version(folder / f"data-{name}", noise, keep), folder / name)
+    return folder / "good", folder / "bad"
+
+
+def by_name(comparison):
+    return {of.name: of for of in comparison.scores}
+
+
+def test_a_worse_simulator_is_told_from_a_better_one_both_ways(versions):
+    worse, better = (compare_runs(order)[0] for order in (versions, versions[::-1]))
+    assert by_name(worse)["CDC"].verdict == "worse"
+    assert by_name(better)["CDC"].verdict == "better"
+    assert by_name(worse)["CDC"].difference.difference == pytest.approx(-by_name(better)["CDC"].difference.difference)
+    assert worse.kinds["worse"] > worse.kinds["better"]
+
+
+def test_differences_are_those_of_the_tables(versions):
+    found = compare_runs(versions)[0]
+    good, bad = (pd.read_parquet(folder / "pairs.parquet").set_index("pair_id") for folder in versions)
+    for column, name in (("match_rate", "match rate"), ("cdc_mean", "CDC"), ("n_missing", "missing objects")):
+        change = bad[column] - good[column]
+        of = by_name(found)[name]
+        assert of.of_pairs == pytest.approx(change.to_dict())
+        assert of.difference.difference == pytest.approx(change.mean())
+        assert of.difference.low <= change.mean() <= of.difference.high
+
+
+def test_objects_are_followed_through_the_real_side(versions):
+    found = compare_runs(versions)[0]
+    assert found.unfollowed == ()
+    real = pd.read_parquet(versions[0] / "objects").query("side == 'real'")
+    assert len(found.objects) == len(real) == sum(found.kinds.values())
+    matching = [pd.read_parquet(folder / "matching").query("status == 'matched'") for folder in versions]
+    matched = [set(zip(of.pair_id, of.real_id.astype(int), strict=True)) for of in matching]
+    vanished = {(of.pair_id, of.real_id) for of in found.objects if of.kind == "vanished"}
+    appeared = {(of.pair_id, of.real_id) for of in found.objects if of.kind == "appeared"}
+    assert vanished == matched[0] - matched[1]
+    assert appeared == matched[1] - matched[0]
+    metrics = pd.read_parquet(versions[1] / "metrics").set_index(["pair_id", "real_id"]).cdc
+    for of in found.objects:
+        assert of.cdc_after == (metrics.get((of.pair_id, of.real_id)))
+
+
+def test_a_run_against_itself_differs_in_nothing(versions):
+    found = compare_runs([versions[0], versions[0]])[0]
+    assert {of.verdict for of in found.scores} == {"same"}
+    assert {kind for kind, n in found.kinds.items() if n} <= {"alike", "missing in both"}
+
+
+def test_other_settings_are_refused_unless_told(versions, tmp_path):
+    other = tmp_path / "other"
+    run(versions[1].parent / "data-bad", other, load(assignments=["matching.delta_m=3"]))
+    with pytest.raises(RunError, match=r"matching.delta_m is 5.0 and 3.0.*--allow-different-settings"):
+        compare_runs([versions[0], other])
+    found = compare_runs([versions[0], other], allow_different_settings=True)[0]
+    assert found.settings == ("matching.delta_m is 5.0 and 3.0",)
+    assert found.unfollowed == ()
+
+
+def test_other_communities_of_the_same_scan_are_not_followed(versions, tmp_path):
+    other = tmp_path / "other"
+    run(versions[1].parent / "data-bad", other, load(assignments=["graph.k=10"]))
+    found = compare_runs([versions[0], other], allow_different_settings=True)[0]
+    assert set(found.unfollowed) == set(HOSTILE)
+    assert found.objects == ()
+    assert by_name(found)["CDC (objects in both)"].difference.difference is None
+
+
+def test_pairs_that_are_not_common_are_left_out_with_the_reason(versions, tmp_path):
+    data = shutil.copytree(versions[1].parent / "data-bad", tmp_path / "data")
+    write_bin(data / "real0.bin", street(seed=99))
+    (data / "sim1.bin").write_bytes(b"")
+    run(data, tmp_path / "run", pattern="[!x]*")
+    found = compare_runs([versions[0], tmp_path / "run"])[0]
+    assert found.pairs == (HOSTILE[3],)
+    assert found.left_out == {
+        HOSTILE[0]: "the real scans differ",
+        HOSTILE[1]: f"failed in {tmp_path / 'run'}",
+        HOSTILE[2]: f"not in {tmp_path / 'run'}",
+    }
+    assert by_name(found)["CDC"].difference.why == "one pair has no interval"
+
+
+def test_runs_without_a_common_pair_are_refused(versions, tmp_path):
+    data = tmp_path / "data"
+    write_bin(data / "real" / "a.bin", street())
+    write_bin(data / "sim" / "a.bin", drifted(street()))
+    run(data, tmp_path / "run")
+    with pytest.raises(RunError, match="no pair can be compared"):
+        compare_runs([versions[0], tmp_path / "run"])
+
+
+@pytest.mark.slow
+def test_the_command_compares_three_runs_and_writes_a_page(versions, tmp_path):
+    good, bad = versions
+    result = command("compare", good, bad, good, "--html", tmp_path / "page.html")
+    assert result.returncode == 0, result.stderr
+    assert f"{bad} against {good}: " in result.stdout
+    assert (tmp_path / "page.html").stat().st_size < 200_000
+    found = json.loads(command("compare", good, bad, "--json").stdout)
+    assert found[0]["pairs"] == sorted(HOSTILE)
+    assert command("compare", good).returncode == 2
+
+
+class Tags(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.tags, self.text, self.links = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [value for name, value in attrs if name in ("src", "href")]
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
+    page = Tags()
+    page.feed(compare_page(compare_runs(versions)))
+    assert not {"script", "bold", "link", "img", "iframe"} & set(page.tags)
+    assert page.links == []
+    for name in HOSTILE:
+        assert name in page.text
