@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from ..schemas.errors import RunError
 from ..stages.arrays import FloatArray
 from ..stages.comparison import KINDS, Difference, judge, kinds_of_change, paired_difference
-from .finished import FinishedRun, PairObjects, Row
+from ..stages.spread import spread
+from .finished import FinishedRun, PairObjects
 from .run import STAGES
 
 #: What is compared: column of `pairs`, its name, and whether more is better.
@@ -44,7 +44,8 @@ class ScoreChange:
 
     of_pairs : by pair, after less before; None where a value is null
     verdict : better, worse, same or undecided
-    seed_spread : standard deviation of the difference over Louvain seeds, where both runs have `seeds`
+    seed_noise : by so much the two means differ at most in 95 % of the cases through Louvain seeds alone; where both
+        runs have `seeds`. Too large rather than too small, for the runs share the real side's communities
     """
 
     name: str
@@ -52,7 +53,14 @@ class ScoreChange:
     difference: Difference
     verdict: str
     of_pairs: dict[str, float | None]
-    seed_spread: float | None = None
+    seed_noise: float | None = None
+
+    @property
+    def beyond_seeds(self) -> bool | None:
+        """Whether the difference is more than seeds make; None where that is not known."""
+        if self.seed_noise is None or self.difference.difference is None:
+            return None
+        return abs(self.difference.difference) > self.seed_noise
 
 
 @dataclass(frozen=True)
@@ -252,37 +260,30 @@ def _score_change(
     base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str, heading: str, higher_is_better: bool
 ) -> ScoreChange:
     values = {name: (base.row(name)[column], other.row(name)[column]) for name in names}
-    a, b = (_seed_spread(run, names, column) for run in (base, other))
-    spread = None if a is None or b is None else float(np.hypot(a, b))
-    return _change(heading, higher_is_better, values, spread)
+    a, b = (_seed_noise(run, names, column) for run in (base, other))
+    noise = None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
+    return _change(heading, higher_is_better, values, noise)
 
 
 def _change(
     heading: str,
     higher_is_better: bool,
     values: dict[str, tuple[float | None, float | None]],
-    seed_spread: float | None = None,
+    seed_noise: float | None = None,
 ) -> ScoreChange:
     difference = paired_difference(*(_floats([of[run] for of in values.values()]) for run in (0, 1)))
     of_pairs = {name: None if a is None or b is None else b - a for name, (a, b) in values.items()}
-    return ScoreChange(
-        heading, higher_is_better, difference, judge(difference, higher_is_better), of_pairs, seed_spread
-    )
+    return ScoreChange(heading, higher_is_better, difference, judge(difference, higher_is_better), of_pairs, seed_noise)
 
 
-def _seed_spread(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
-    """Standard deviation over Louvain seeds of a score's mean over the pairs; None without repeats of all of them."""
-    by_seed: dict[int, list[float]] = {}
-    for name in names:
-        if ("seeds", name, "") not in run.store.records:
-            return None
-        path = run.store.path("seeds", name)
-        rows: list[Row] = pq.read_table(path, columns=["seed", column], use_threads=False).to_pylist()
-        for row in rows:
-            if row[column] is not None:
-                by_seed.setdefault(row["seed"], []).append(row[column])
-    means = [float(np.mean(values)) for values in by_seed.values() if len(values) == len(names)]
-    return float(np.std(means, ddof=1)) if len(means) > 1 else None
+def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
+    """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
+    records = [run.store.records.get(("seeds", name, "")) for name in names]
+    repeats = [record.facts["scores"][column] for record in records if record is not None]
+    n_seeds = {len(of_pair) for of_pair in repeats}
+    if len(repeats) < len(names) or len(n_seeds) != 1:
+        return None
+    return spread(np.array([_floats(of_pair) for of_pair in repeats])).least_dataset
 
 
 def _floats(values: Sequence[float | None]) -> FloatArray:

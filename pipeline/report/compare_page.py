@@ -7,7 +7,7 @@ from html import escape
 
 from ...stages.comparison import CONFIDENCE, N_RESAMPLES, SEED
 from ..compare import Comparison, ScoreChange
-from .compare_view import OBJECTS_NOTE, changed, remarks, signed, verdict
+from .compare_view import OBJECTS_NOTE, beyond_seeds, changed, has_seeds, remarks, signed, verdict
 from .layout import number
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
@@ -58,10 +58,7 @@ def _section(found: Comparison) -> str:
         f"<h2>{escape(str(found.other))} against {escape(str(found.base))}</h2>",
         f"<p><strong>{escape(verdict(found))}.</strong> {len(found.pairs)} pairs.</p>",
         "".join(f'<p class="faint">Note: {escape(text)}.</p>' for text in remarks(found)),
-        _table(
-            ("score", "verdict", "before", "after", "change", "from", "to"),
-            ([_plain(of.name), _word(of.verdict), *_numbers(of)] for of in found.scores),
-        ),
+        _scores(found),
         "<h3>Change of each pair (dots), their mean and its interval (bar)</h3>",
         f'<div class="wide" tabindex="0">{_chart(found.scores)}</div>',
     ]
@@ -84,6 +81,16 @@ def _section(found: Comparison) -> str:
         parts.append(_table(headings, rows))
     parts += ["<h3>Pairs</h3>", _pairs(found)]
     return "\n".join(parts)
+
+
+def _scores(found: Comparison) -> str:
+    with_seeds = has_seeds(found)
+    headings = ("score", "verdict", "before", "after", "change", "from", "to")
+    rows = (
+        [_plain(of.name), _word(of.verdict), *_numbers(of), *([_plain(beyond_seeds(of))] if with_seeds else [])]
+        for of in found.scores
+    )
+    return _table((*headings, *(("more than seeds make",) if with_seeds else ())), rows)
 
 
 def _kinds(found: Comparison) -> str:

@@ -88,23 +88,15 @@ def _scores(found: Comparison) -> Table:
         *("score", "before", "after", "change", "from", "to"),
     )
     table.add_column("verdict")
-    has_seeds = any(of.seed_spread is not None for of in found.scores)
-    if has_seeds:
-        table.add_column("over seeds", justify="right")
+    with_seeds = has_seeds(found)
+    if with_seeds:
+        table.add_column("more than seeds make")
     for of in found.scores:
         d = of.difference
         word = Text(of.verdict, style=COLOURS.get(of.verdict, ""))
         cells = [number(d.before), number(d.after), signed(d.difference), signed(d.low), signed(d.high)]
-        table.add_row(of.name, *cells, word, *([_over_seeds(of)] if has_seeds else []))
+        table.add_row(of.name, *cells, word, *([beyond_seeds(of)] if with_seeds else []))
     return table
-
-
-def _over_seeds(of: ScoreChange) -> str:
-    """How the difference stands to what other Louvain seeds alone would make of it."""
-    if of.seed_spread is None or of.difference.difference is None:
-        return "-"
-    beyond = abs(of.difference.difference) > 2 * of.seed_spread
-    return f"{'beyond' if beyond else 'within'} 2 x {of.seed_spread:.3f}"
 
 
 def _objects(kind: str, objects: list[ObjectChange]) -> Table:
@@ -124,6 +116,18 @@ def _objects(kind: str, objects: list[ObjectChange]) -> Table:
             *(number(value) for value in (of.cdc_before, of.cdc_after, of.r_lambda_before, of.r_lambda_after)),
         )
     return table
+
+
+def has_seeds(found: Comparison) -> bool:
+    """Whether both runs were repeated under other seeds."""
+    return any(of.seed_noise is not None for of in found.scores)
+
+
+def beyond_seeds(of: ScoreChange) -> str:
+    """Whether a difference is more than other Louvain seeds alone would make."""
+    if of.beyond_seeds is None:
+        return "-"
+    return f"{'yes' if of.beyond_seeds else 'no'} ({number(of.seed_noise)})"
 
 
 def signed(value: float | None) -> str:

@@ -157,3 +157,19 @@ def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
     assert page.links == []
     for name in HOSTILE:
         assert name in page.text
+
+
+@pytest.mark.slow
+def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
+    runs = []
+    for name in ("good", "bad"):
+        runs.append(shutil.copytree(versions[0].parent / name, tmp_path / name))
+        run(versions[0].parent / f"data-{name}", runs[-1], load(assignments=["stability.seeds=3"]))
+    found = by_name(compare_runs(runs)[0])
+    of_seeds = [json.loads((folder / "run.json").read_text())["seeds"]["dataset"]["cdc_mean"] for folder in runs]
+    noise = sum(of["least_dataset"] ** 2 for of in of_seeds) ** 0.5 / 2**0.5
+    assert found["CDC"].seed_noise == pytest.approx(noise)
+    assert found["CDC"].beyond_seeds == (found["CDC"].difference.difference > noise)
+    assert found["CDC (objects in both)"].beyond_seeds is None
+    assert by_name(compare_runs(versions)[0])["CDC"].seed_noise is None
+    assert "more than seeds make" in compare_page(compare_runs(runs))
