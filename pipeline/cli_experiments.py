@@ -35,6 +35,12 @@ def perturb(
             "exist, else a linear, a planar and a scattered object.",
         ),
     ] = None,
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            "--metrics", metavar="chamfer,emd", help='Sweep these baselines on the objects too; "all" for all.'
+        ),
+    ] = None,
     repeats: Annotated[int, typer.Option("--repeats", min=1, help="How often each level is tried on an object.")] = 20,
     global_repeats: Annotated[
         int, typer.Option("--global-repeats", min=0, help="The same for the whole scan; 0 leaves it out.")
@@ -64,6 +70,8 @@ def perturb(
     fidpipe perturb scan.bin --sweep noise --sweep dropout=0.1,0.3,0.5 --objects 3,7,12
 
     fidpipe perturb scan.bin --sweep rigid=0:1,0.1:5        metres:degrees
+
+    fidpipe perturb scan.bin --metrics all --global-repeats 0    which metric reacts to what
     """
     from ..schemas.settings import load
     from .experiments.perturb import LEVELS, PerturbRequest, parse_levels, perturb_source
@@ -72,10 +80,11 @@ def perturb(
     from .report.perturb_view import perturb_view
 
     _check_machines(workers, scheduler)
+    baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
     request = PerturbRequest(
         source=source,
         out=out or _experiment_folder(source, "perturb"),
-        settings=load(settings, assignments or []),
+        settings=load(settings, [*(assignments or []), *baselines]),
         levels=parse_levels(sweep) if sweep else LEVELS,
         repeats=repeats,
         global_repeats=global_repeats,

@@ -400,6 +400,22 @@ PERTURB_OBJECTS = Table(
     ("pair_id", "community_id", "kind", "shift_m", "amount", "repeat"),
 )
 
+PERTURB_BASELINES = Table(
+    "perturb_baselines",
+    pa.schema(
+        [
+            *_UNDER_TEST,
+            *_LEVEL,
+            *_REPEAT,
+            _field("baseline", _STRING, "name of the distance, with its convention and unit, as in baselines"),
+            _field("unit", _STRING, "of the value; null for a plain number", optional=True),
+            _field("value", _REAL, "of the altered against the unaltered object", optional=True),
+            _field("reason", _STRING, "why the value is null, or what is to be known of it", optional=True),
+        ]
+    ),
+    ("pair_id", "community_id", "kind", "shift_m", "amount", "repeat", "baseline"),
+)
+
 PERTURB_SUMMARY = Table(
     "perturb_summary",
     pa.schema(
@@ -407,7 +423,7 @@ PERTURB_SUMMARY = Table(
             _field("scope", _STRING, "global (whole scan) or object"),
             _field("object", _STRING, "class of the object; null where global", optional=True),
             *_LEVEL,
-            _field("metric", _STRING, "column of perturb_global or perturb_objects"),
+            _field("metric", _STRING, "column of perturb_global or perturb_objects, or baseline of perturb_baselines"),
             _field("n", _COUNT, "repeats, over all scans, in which the metric could be computed"),
             _field("mean", _REAL, "over these", optional=True),
             _field("std", _REAL, "standard deviation (n - 1) over these", optional=True),
@@ -461,6 +477,6 @@ TABLES = {
     table.name: table
     for table in (
         *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, BASELINES, SEEDS, PAIRS, TIMINGS),
-        *(PERTURB_GLOBAL, PERTURB_OBJECTS, PERTURB_SUMMARY, ABLATE, ABLATE_SUMMARY),
+        *(PERTURB_GLOBAL, PERTURB_OBJECTS, PERTURB_BASELINES, PERTURB_SUMMARY, ABLATE, ABLATE_SUMMARY),
     )
 }

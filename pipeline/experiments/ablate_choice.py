@@ -10,33 +10,36 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student_t
 
 from ...stages.arrays import FloatArray
 from .ablate import PARAMETERS, AblateOutcome, Point
 
 RULE = (
-    "keep the values whose match rate is not clearly below the highest; of these, those whose r_lambda is not clearly "
-    "above the lowest. Clearly: the mean difference over pairs is more than two of its standard errors. If the value "
-    "in force is left, it stays"
+    "a value replaces the one in force if its match rate is clearly higher (of several the highest), or, where none "
+    "is, if its r_lambda is clearly lower and its match rate not clearly lower (of several the lowest r_lambda). "
+    "Clearly: by a one-sided paired t-test over the pairs at 2.5 %, divided by the number of other values. Delta is "
+    "left out: the larger it is, the more objects match, whatever their worth"
 )
-CLEAR_ERRORS = 2.0
+LEVEL = 0.025
+#: The settings that the rule can choose.
+CHOSEN = tuple(name for name in PARAMETERS if name != "delta_m")
 LEAST_PAIRS = 3
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
 class Verdict:
     """What the data say of one parameter, or of the grid.
 
-    name : the parameter, "grid" for all four
+    name : the parameter, "grid" for k, tau and t together
     chosen : the point that the rule picks
-    left : all points that the rule leaves
-    decided : whether it left one alone
+    decided : whether the data decide: for another point, or that all others are worse
     words : the verdict in a sentence
     """
 
     name: str
     chosen: Point
-    left: tuple[Point, ...]
     decided: bool
     words: str
 
@@ -57,13 +60,15 @@ class Influence:
 
 
 def choose(outcome: AblateOutcome) -> list[Verdict]:
-    """A verdict for each parameter that has several values, and for the grid if there is one."""
+    """A verdict for each parameter that the rule can choose and that has several values, and for the grid."""
     table = outcome.rows.to_pandas()
-    names = [name for name in PARAMETERS if len(outcome.values[name]) > 1]
+    names = [name for name in CHOSEN if len(outcome.values[name]) > 1]
     verdicts = [_verdict(name, table, along(outcome, name), outcome.base) for name in names]
     if outcome.grid:
         points = [Point(*of) for of in table[["k", "tau_m", "delta_m", "t"]].drop_duplicates().itertuples(index=False)]
-        verdicts.append(_verdict("grid", table, points, outcome.base))
+        verdicts.append(
+            _verdict("grid", table, [of for of in points if of.delta_m == outcome.base.delta_m], outcome.base)
+        )
     return verdicts
 
 
@@ -89,61 +94,40 @@ def influences(outcome: AblateOutcome) -> list[Influence]:
 
 def _verdict(name: str, table: pd.DataFrame, points: Sequence[Point], base: Point) -> Verdict:
     rate, r_lambda = (_by_pair(table, points, metric) for metric in ("match_rate", "r_lambda_mean"))
-    n_pairs = len(rate)
+    n_pairs, here = len(rate), _named(name, base)
     if n_pairs < LEAST_PAIRS:
-        words = (
-            f"the data do not decide: {n_pairs} pairs, at least {LEAST_PAIRS} are needed; {_named(name, base)} stays"
-        )
-        return Verdict(name, base, tuple(points), False, words)
-    high = _not_clearly_worse(-rate, range(len(points)))
-    left = _not_clearly_worse(r_lambda, high)
-    kept = tuple(points[i] for i in left)
-    others = [point for point in kept if point != base]
-    means = r_lambda.mean(axis=0)
-    chosen = base if base in kept else points[min(left, key=lambda i: means[i])]
-    here = _named(name, base)
-    if chosen == base and not others:
-        words = f"{here} stays: all other values are clearly worse"
-    elif chosen == base:
-        words = f"the data do not decide between {_listed(name, kept)}; {here} stays"
-    else:
-        words = f"{_named(name, chosen)} instead of {here}: {_why(points, base, high, rate, r_lambda, chosen)}"
-        if len(kept) > 1:
-            words += f"; the data do not decide between {_listed(name, kept)}, the lowest r_lambda is taken"
-    return Verdict(name, chosen, kept, len(kept) == 1, words)
+        few = f"{n_pairs} pair{'s' * (n_pairs != 1)}, at least {LEAST_PAIRS} are needed"
+        return Verdict(name, base, False, f"the data do not decide: {few}; {here} stays")
+    now = points.index(base)
+    others = [i for i in range(len(points)) if i != now]
+    level = LEVEL / max(len(others), 1)
+    higher = [i for i in others if _is_clear(rate[:, i] - rate[:, now], level)]
+    lower = [i for i in others if _is_clear(rate[:, now] - rate[:, i], level)]
+    nearer = [i for i in others if i not in lower and _is_clear(r_lambda[:, now] - r_lambda[:, i], level)]
+    farther = [i for i in others if _is_clear(r_lambda[:, i] - r_lambda[:, now], level)]
+    for winners, values, score, best_of in (
+        (higher, rate, "match rate", np.argmax),
+        (nearer, r_lambda, "r_lambda", np.argmin),
+    ):
+        if winners:
+            means = values.mean(axis=0)
+            best = winners[int(best_of(means[winners]))]
+            words = (
+                f"{_named(name, points[best])} instead of {here}: {score} {means[best]:.3f} against {means[now]:.3f}"
+            )
+            rest = [points[i] for i in winners if i != best]
+            return Verdict(
+                name, points[best], True, words + (f" (clearly better too: {_listed(name, rest)})" if rest else "")
+            )
+    if set(others) <= set(lower) | set(farther):
+        return Verdict(name, base, True, f"{here} stays: all other values are clearly worse")
+    return Verdict(name, base, False, f"the data do not decide: no other value is clearly better; {here} stays")
 
 
-def _not_clearly_worse(cost: FloatArray, among: Sequence[int]) -> list[int]:
-    """The columns of least mean cost and those that are not clearly above it.
-
-    Parameters
-    ----------
-    cost : (n_pairs, n_points), less is better
-    among : columns that are looked at
-    """
-    best = min(among, key=lambda i: cost[:, i].mean())
-    return [i for i in among if not _is_clear(cost[:, i] - cost[:, best])]
-
-
-def _is_clear(difference: FloatArray) -> bool:
+def _is_clear(difference: FloatArray, level: float) -> bool:
+    """Whether a paired difference is above 0 beyond chance."""
     error = difference.std(ddof=1) / np.sqrt(len(difference))
-    return bool(difference.mean() > CLEAR_ERRORS * error and difference.mean() > 0)
-
-
-def _why(
-    points: Sequence[Point],
-    base: Point,
-    high: Sequence[int],
-    rate: FloatArray,
-    r_lambda: FloatArray,
-    chosen: Point,
-) -> str:
-    """Which of the two steps the value in force lost in, and by how much."""
-    now, then = points.index(base), points.index(chosen)
-    if now not in high:
-        best = max(high, key=lambda i: rate[:, i].mean())
-        return f"match rate {rate[:, now].mean():.3f} against up to {rate[:, best].mean():.3f}"
-    return f"r_lambda {r_lambda[:, now].mean():.3f} against {r_lambda[:, then].mean():.3f}"
+    return bool(difference.mean() > max(student_t.isf(level, len(difference) - 1) * error, _ROUNDING))
 
 
 def _by_pair(table: pd.DataFrame, points: Sequence[Point], metric: str) -> FloatArray:

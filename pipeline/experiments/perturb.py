@@ -25,13 +25,13 @@ from ..store import key_of
 from ..task import PairTask
 from ..workbench import Workbench, as_numpy
 from .perturb_choice import ChosenObject, choose_objects
-from .perturb_jobs import global_rows, object_rows
+from .perturb_jobs import baseline_rows, global_rows, object_rows
 from .perturb_summary import summarise
 from .sources import method_key, prepare, read_source
 from .sweep import Part, Sweep, sweeping
 
 VERSION = 1  # of the alterations and of the jobs; to be raised when the same request gives other numbers
-TABLES = ("perturb_global", "perturb_objects")
+TABLES = ("perturb_global", "perturb_objects", "perturb_baselines")
 _BASE_STAGES = ("ground", "graph", "communities")
 
 #: Noise, dropout and rigid motion as in the paper; hallucination and density are ours.
@@ -125,7 +125,7 @@ def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcom
             ],
             TABLES,
         )
-        summary = summarise(sweep, request.levels)
+        summary = summarise(sweep)
         objects = tuple(of for choice in choices for of in choice.objects)
         wall_s = perf_counter() - start
         _write_record(sweep, request, objects, wall_s)
@@ -190,6 +190,7 @@ def _parts(request: PerturbRequest, task: PairTask, objects: Sequence[ChosenObje
     """The jobs of one scan: each level of the whole scan, and of each chosen object."""
     pair_id, base = task.pair.pair_id, task.jobs[-1].key
     method = method_key(request.settings, [stage.name for stage in STAGES if stage.name != "ground"])
+    of_baselines = method_key(request.settings, ["baselines"])
     sizes = as_numpy(Workbench(task).table("objects", "real"), "n_points").tolist()
     parts = []
     for level in request.levels:
@@ -203,11 +204,14 @@ def _parts(request: PerturbRequest, task: PairTask, objects: Sequence[ChosenObje
             seeds = [
                 seed_of("perturb", request.seed, pair_id, of.community_id, *plain, i) for i in range(request.repeats)
             ]
-            key = key_of("perturb_objects", VERSION, base, method, of.community_id, of.name, plain, seeds)
-            cost_s = len(seeds) * object_seconds(of.n_points)
+            named = [of.community_id, of.name, plain, seeds]
             args = (task, of.community_id, of.name, level, seeds)
-            name = f"{of.community_id}-{_name(level)}"
+            name, cost_s = f"{of.community_id}-{_name(level)}", len(seeds) * object_seconds(of.n_points)
+            key = key_of("perturb_objects", VERSION, base, method, *named)
             parts.append(Part("perturb_objects", pair_id, name, key, object_rows, args, cost_s))
+            if request.settings.metrics.baselines:
+                key = key_of("perturb_baselines", VERSION, base, method, of_baselines, *named)
+                parts.append(Part("perturb_baselines", pair_id, name, key, baseline_rows, args, 2 * cost_s))
     return parts
 
 

@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.tables import OBJECT_METRICS, PERTURB_GLOBAL, PERTURB_OBJECTS
+from ...schemas.tables import OBJECT_METRICS, PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ...stages.arrays import FloatArray, IntArray
+from ...stages.baselines import compare_objects
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.matching import match_communities
 from ...stages.metrics import MIN_NODES, Scores
 from ...stages.perturbations import Perturbation, perturb
+from ...stages.selection import select_nodes
 from ...stages.summary import summarise_pair
 from ..task import PairTask
 from ..workbench import Workbench, as_numpy
@@ -93,6 +95,42 @@ def object_rows(
             | scores
         )
     return PERTURB_OBJECTS.from_rows(rows)
+
+
+def baseline_rows(
+    task: PairTask, community_id: int, name: str, perturbation: Perturbation, seeds: Sequence[int]
+) -> pa.Table:
+    """A row a repeat and baseline of `perturb_baselines`; the altered objects are those of `object_rows`.
+
+    Parameters
+    ----------
+    task : a scan whose communities are done, with `metrics.baselines` in its settings
+    community_id, name : the object
+    perturbation : kind and amount
+    seeds : of the repeats
+    """
+    scan, settings = _scan_of(task), task.settings
+    points = scan.points[scan.labels == community_id]
+    before = graph_of(points, settings)
+    rows = []
+    for repeat, seed in enumerate(seeds):
+        altered = perturb(points, perturbation, np.random.default_rng(seed))
+        if not len(altered):
+            continue  # perturb_objects says why
+        after = graph_of(altered, settings)
+        chosen = select_nodes(before, after, settings.selection)
+        of_repeat = vars(perturbation) | {
+            "pair_id": task.pair.pair_id,
+            "community_id": community_id,
+            "object": name,
+            "repeat": repeat,
+            "seed": seed,
+        }
+        found = compare_objects(before, after, chosen, settings.selection.t, settings.metrics)
+        rows += [
+            of_repeat | {"baseline": of.name, "unit": of.unit, "value": of.value, "reason": of.reason} for of in found
+        ]
+    return PERTURB_BASELINES.from_rows(rows)
 
 
 def object_points(task: PairTask) -> tuple[FloatArray, IntArray]:

@@ -5,7 +5,7 @@ Leaves to others: the repeats themselves (`perturb_jobs`), whether the paper's c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,39 +14,27 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...schemas.tables import OBJECT_METRICS, PERTURB_SUMMARY, TABLES
-from ...stages.perturbations import Perturbation
 from ...stages.summary import mean_and_std
 from ..store import JobRecord, key_of
 from .sweep import Sweep
 
 GLOBAL_METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 SUMMARY = "perturb_summary"
+_BASELINES = "perturb_baselines"
+_METRICS_OF = {"perturb_global": GLOBAL_METRICS, "perturb_objects": OBJECT_METRICS}
+_LEVEL = ("kind", "amount", "shift_m")
 
 
-def summarise(sweep: Sweep, levels: Sequence[Perturbation]) -> pa.Table:
+def summarise(sweep: Sweep) -> pa.Table:
     """Writes and returns the rows of `perturb_summary`, over the repeats of all scans."""
-    records = [of for of in sweep.store.records.values() if of.stage in ("perturb_global", "perturb_objects")]
+    records = [of for of in sweep.store.records.values() if of.stage in _METRICS_OF or of.stage == _BASELINES]
     rows: list[dict[str, Any]] = []
-    for table, scope, metrics in (
-        ("perturb_global", "global", GLOBAL_METRICS),
-        ("perturb_objects", "object", OBJECT_METRICS),
-    ):
-        found = _read(sweep, [record for record in records if record.stage == table], table)
-        if "object" not in found:
-            found["object"] = None
-        order = {(of.kind, of.amount, of.shift_m): i for i, of in enumerate(levels)}
-        for name, group in found.groupby(["object", "kind", "amount", "shift_m"], dropna=False, sort=False):
-            of_object, *level = name
-            if tuple(level) not in order:
-                continue
-            for metric in metrics:
-                values = group[metric].to_numpy(dtype=np.float64)
-                mean, std = mean_and_std(values)
-                rows.append(
-                    dict(zip(("kind", "amount", "shift_m"), level, strict=True))
-                    | {"scope": scope, "object": of_object if isinstance(of_object, str) else None}
-                    | {"metric": metric, "n": int(np.count_nonzero(~np.isnan(values))), "mean": mean, "std": std}
-                )
+    for scope, found in _by_metric(sweep, records):
+        for name, values in found.groupby(["object", *_LEVEL, "metric"], dropna=False, sort=False)["value"]:
+            mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
+            labels = dict(zip(("object", *_LEVEL, "metric"), name, strict=True))
+            labels["object"] = labels["object"] if scope == "object" else None
+            rows.append(labels | {"scope": scope, "n": int(values.notna().sum()), "mean": mean, "std": std})
     summary = PERTURB_SUMMARY.from_rows(rows)
     key = key_of(sorted(record.key for record in records))
     path = sweep.out / f"{SUMMARY}.parquet"
@@ -56,7 +44,18 @@ def summarise(sweep: Sweep, levels: Sequence[Perturbation]) -> pa.Table:
     return summary
 
 
+def _by_metric(sweep: Sweep, records: list[JobRecord]) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The repeats, a row a metric, with the scope of each table."""
+    for table, metrics in _METRICS_OF.items():
+        found = _read(sweep, records, table)
+        scope = "object" if "object" in found else "global"
+        labels = found.assign(object=found["object"] if scope == "object" else None)[["object", *_LEVEL]]
+        for metric in metrics:
+            yield scope, labels.assign(metric=metric, value=found[metric])
+    yield "object", _read(sweep, records, _BASELINES).rename(columns={"baseline": "metric"})
+
+
 def _read(sweep: Sweep, records: list[JobRecord], table: str) -> pd.DataFrame:
-    parts = [pq.read_table(sweep.out / name) for record in records for name in record.files]
+    parts = [pq.read_table(sweep.out / name) for of in records if of.stage == table for name in of.files]
     found: pd.DataFrame = pa.concat_tables([TABLES[table].schema.empty_table(), *parts]).to_pandas()
     return found

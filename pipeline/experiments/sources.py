@@ -16,7 +16,7 @@ from ..jobs import run_jobs
 from ..plan import library_versions, plan_pair, with_whole_results
 from ..readers import stem_of, suffix_of
 from ..readers.dataset import ScanPair, read_dataset, read_label_names
-from ..run import STAGES, select_pairs
+from ..run import EXTRAS, STAGES, select_pairs
 from ..schedule import side_seconds
 from ..store import JobRecord, key_of
 from ..task import PairTask
@@ -117,7 +117,7 @@ def method_key(settings: Settings, stages: Iterable[str]) -> str:
                 {group: getattr(settings, group).model_dump(mode="json") for group in stage.settings},
                 library_versions(("numpy", "scipy", *stage.libraries(settings))),
             ]
-            for stage in STAGES
+            for stage in (*STAGES, *EXTRAS)
             if stage.name in chosen
         ]
     )

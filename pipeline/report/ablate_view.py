@@ -24,7 +24,7 @@ _COLUMNS = (
     ("r_lambda_mean", "r_lambda"),
     ("max_eigenvalue_shift_mean", "shift"),
     ("laplacian_change_mean", "change"),
-    ("alignment_rms_m_mean", "alignment m"),
+    ("alignment_rms_m_mean", "align m"),
     ("cdc_mean", "CDC"),
 )
 
@@ -43,8 +43,7 @@ def ablate_view(outcome: AblateOutcome) -> RenderableType:
             parts.append(Text(f"  {verdict.name.removesuffix('_m')}: {verdict.words}"))
         parts.append(
             Text(
-                "A larger delta lets more objects match, whatever their worth: its match rate rises by definition. And "
-                "r_lambda is small where the alignment is bad; read it beside shift and change.\n"
+                "A small r_lambda can also come of a bad alignment (a large change): read it beside shift and change.\n"
             )
         )
     parts += [Text(f"failed: {name}: {reason}", style="red") for name, reason in outcome.failures.items()]
@@ -60,25 +59,23 @@ def ablate_view(outcome: AblateOutcome) -> RenderableType:
 
 def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
     n_pairs = len(set(outcome.rows.column("pair_id").to_pylist()))
-    table = _table(f"{WORDS[name]} (mean ± std over {n_pairs} pairs)")
-    table.add_column(name.removesuffix("_m"), justify="right")
-    table.add_column("objects\nreal, sim", justify="right")
+    paper = f"; the paper chose {_PAPER[name]:g}" if name in _PAPER else ""
+    table = _table(f"{WORDS[name]}; mean ± std over {n_pairs} pairs, * in force{paper}")
+    table.add_column(name.removesuffix("_m"), justify="right", no_wrap=True)
+    table.add_column("objects\nreal", justify="right")
+    table.add_column("\nsim", justify="right")
     for _, heading in _COLUMNS:
-        table.add_column(heading.replace(" ", "\n"), justify="right")
-    table.add_column("")
+        table.add_column(heading.replace(" ", "\n"), justify="right", no_wrap=True)
     rows = outcome.rows.to_pandas()
     for point in along(outcome, name):
         own = rows[(rows.k == point.k) & (rows.tau_m == point.tau_m) & (rows.delta_m == point.delta_m)]
         own = own[own.t == point.t]
         cells = [_spread(own[column].to_numpy(dtype=float), i < 2) for i, (column, _) in enumerate(_COLUMNS)]
-        value = getattr(point, name)
-        marks = ["in force"] if point == outcome.base else []
-        marks += ["the paper's"] if value == _PAPER.get(name) else []
         table.add_row(
-            f"{value:g}",
-            f"{own.n_communities_real.mean():.1f}, {own.n_communities_sim.mean():.1f}",
+            f"{'*' if point == outcome.base else ''}{getattr(point, name):g}",
+            f"{own.n_communities_real.mean():.0f}",
+            f"{own.n_communities_sim.mean():.0f}",
             *cells,
-            ", ".join(marks),
             style="bold" if point == outcome.base else "",
         )
     return table

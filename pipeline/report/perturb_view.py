@@ -10,6 +10,7 @@ from rich.text import Text
 from ...stages.perturbations import Perturbation
 from ..experiments.perturb import PerturbOutcome
 from ..experiments.perturb_claims import Claim, Mean, Means, judge_claims
+from ..experiments.perturb_reactions import OWN_METRICS, Reaction, react, strongest_levels
 
 #: Table I of the paper: match rate, d_cent (metres) and d_lambda, each mean and standard deviation over seeds.
 TABLE_I = {
@@ -24,6 +25,7 @@ TABLE_I = {
     Perturbation("rigid", 2.0, 0.05): ((1.0, 0.0), (0.8299, 0.0049), (4.494e-6, 5.511e-6)),
 }
 _TABLE_I_METRICS = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
+_ROUNDING = 1e-12
 _DETAILS = (
     ("max_eigenvalue_shift", "shift"),
     ("laplacian_change", "change"),
@@ -46,6 +48,9 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         ):
             parts.append(_object_table(outcome, means, metric, reading))
         parts.append(_detail_table(outcome, means))
+        reactions = react(outcome.summary, outcome.levels)
+        if len(reactions) > len(OWN_METRICS):
+            parts.append(_reaction_table(reactions, outcome))
         claims = judge_claims(outcome.summary, outcome.levels)
         if claims:
             parts.append(_claims_table(claims))
@@ -77,7 +82,7 @@ def _table_i(outcome: PerturbOutcome, means: Means, scans: str) -> Table:
     table = _table(f"Whole scan, {scans}: mean ± std over {n} repeats; in grey the paper's Table I")
     table.add_column("altered by", no_wrap=True)
     for name in ("match rate", "d_cent, m", "d_lambda"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", min_width=len(name.split()[-1]))
         table.add_column("paper", justify="right", style="bright_black")
     for level in outcome.levels:
         cells = []
@@ -134,6 +139,20 @@ def _claims_table(claims: list[Claim]) -> Table:
     return table
 
 
+def _reaction_table(reactions: list[Reaction], outcome: PerturbOutcome) -> Table:
+    strongest = strongest_levels(outcome.levels)
+    table = _table("Which metric reacts to what: means over the objects at the strongest level of each kind")
+    table.add_column("metric", no_wrap=True)
+    for level in strongest:
+        table.add_column(level_words(level).replace(" ", "\n", 1), justify="right")
+    table.add_column("most to")
+    for of in reactions:
+        cells = ["-" if value is None else f"{value:.2g}" for value in of.values]
+        most = "" if of.most is None else of.most.kind
+        table.add_row(of.metric, *cells, most, end_section=of.metric == OWN_METRICS[-1])
+    return table
+
+
 def _is_last(level: Perturbation, outcome: PerturbOutcome) -> bool:
     of_kind = [of for of in outcome.levels if of.kind == level.kind]
     return level == of_kind[-1]
@@ -142,7 +161,9 @@ def _is_last(level: Perturbation, outcome: PerturbOutcome) -> bool:
 def _spread(of: Mean) -> str:
     if of.mean is None:
         return "-"
-    return _number(of.mean) if of.std is None else f"{_number(of.mean)} ± {_number(of.std)}"
+    if of.std is None:
+        return _number(of.mean)
+    return f"{_number(of.mean)} ± {_number(of.std if of.std > _ROUNDING else 0.0)}"
 
 
 def _number(value: float) -> str:

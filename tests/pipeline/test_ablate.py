@@ -1,9 +1,11 @@
 """`fidpipe ablate`: what is tried, that work is shared, and which setting is chosen."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pyarrow.compute as pc
 import pytest
 from rich.console import Console
 
@@ -31,7 +33,7 @@ def ablated(dataset, out, **options):
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets")
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2, n=100)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +58,8 @@ def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp
     partition_graph = partition.build_graph
     monkeypatch.setattr(partition, "build_graph", counted)
     outcome = ablated(dataset, tmp_path / "run", grid=True)
-    assert outcome.rows.num_rows == 3 * 2 * 2 * 2
-    assert len(built) == len(set(built)) == 3 * 2 * 2  # pairs, sides, values of k
+    assert outcome.rows.num_rows == 2 * 2 * 2 * 2
+    assert len(built) == len(set(built)) == 2 * 2 * 2  # pairs, sides, values of k
     built.clear()
     ablated(dataset, tmp_path / "run", grid=True)
     assert built == []
@@ -81,7 +83,7 @@ def test_another_run_reuses_everything_and_another_value_of_delta_no_other_graph
     assert (again.n_made, again.n_reused) == (0, done.n_made)
     assert again.rows.equals(done.rows)
     more = ablated(dataset, out, values=VALUES | {"delta_m": (0.5, 3.0, 5.0)})
-    assert more.n_made == 3  # the jobs of the graph in force; those of k = 8 stay
+    assert more.n_made == 2  # the jobs of the graph in force; those of k = 8 stay
     assert {row["delta_m"] for row in more.rows.to_pylist()} == {0.5, 3.0, 5.0}
 
 
@@ -95,7 +97,7 @@ def test_a_broken_pair_is_listed_and_the_others_are_there(dataset, tmp_path):
     (data / "sim" / "001.bin").write_bytes(b"")
     outcome = ablated(data, tmp_path / "run")
     assert list(outcome.failures) == ["001"]
-    assert set(outcome.rows.column("pair_id").to_pylist()) == {"000", "002"}
+    assert set(outcome.rows.column("pair_id").to_pylist()) == {"000"}
 
 
 def test_a_wrong_value_is_refused_before_any_work(dataset, tmp_path):
@@ -133,7 +135,7 @@ def test_the_value_in_force_stays_where_the_data_do_not_decide(tmp_path):
     (verdict,) = choose(made_up(tmp_path, rates, [[0.4, 0.3, 0.35, 0.38]] * 3))
     assert not verdict.decided
     assert verdict.chosen.k == 90
-    assert verdict.words == "the data do not decide between 30, 60 and 90; k = 90 stays"
+    assert verdict.words == "the data do not decide: no other value is clearly better; k = 90 stays"
 
 
 def test_a_clearly_higher_match_rate_wins(tmp_path):
@@ -141,14 +143,36 @@ def test_a_clearly_higher_match_rate_wins(tmp_path):
     (verdict,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
     assert verdict.decided
     assert verdict.chosen.k == 60
-    assert verdict.words == "k = 60 instead of k = 90: match rate 0.605 against up to 0.805"
+    assert verdict.words == "k = 60 instead of k = 90: match rate 0.805 against 0.605"
 
 
 def test_of_equal_match_rates_the_clearly_lower_r_lambda_wins(tmp_path):
     r_lambdas = [[0.30, 0.31, 0.29, 0.30], [0.40, 0.42, 0.39, 0.41], [0.36, 0.37, 0.35, 0.36]]
     (verdict,) = choose(made_up(tmp_path, [[0.6] * 4] * 3, r_lambdas))
     assert verdict.chosen.k == 30
-    assert verdict.words == "k = 30 instead of k = 90: r_lambda 0.360 against 0.300"
+    assert verdict.words == "k = 30 instead of k = 90: r_lambda 0.300 against 0.360"
+
+
+def test_many_values_need_a_clearer_difference(tmp_path):
+    rates = [[0.60, 0.60, 0.60, 0.60], [0.66, 0.64, 0.65, 0.61], [0.60, 0.60, 0.60, 0.60]]
+    alone = made_up(tmp_path, rates, [[0.4] * 4] * 3)
+    both = alone.rows.filter(pc.not_equal(alone.rows.column("k"), 30))
+    assert choose(replace(alone, rows=both, values=alone.values | {"k": (60, 90)}))[0].chosen.k == 60
+    assert choose(alone)[0].chosen.k == 90
+
+
+def test_delta_is_never_chosen(tmp_path):
+    outcome = made_up(tmp_path, [[0.5] * 4] * 3, [[0.4] * 4] * 3)
+    assert [verdict.name for verdict in choose(replace(outcome, values=outcome.values | {"delta_m": (1.0, 5.0)}))] == [
+        "k"
+    ]
+
+
+def test_the_value_in_force_can_be_clearly_the_best(tmp_path):
+    rates = [[0.50, 0.52, 0.48, 0.51], [0.60, 0.61, 0.59, 0.60], [0.80, 0.83, 0.79, 0.80]]
+    (verdict,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
+    assert verdict.decided
+    assert verdict.words == "k = 90 stays: all other values are clearly worse"
 
 
 def test_two_pairs_decide_nothing(tmp_path):
@@ -176,8 +200,8 @@ def test_the_command_prints_a_choice_and_its_rule(dataset, tmp_path):
     words = ("--workers", 1, "--set", "graph.k=12", "--k", "8", "--tau", "0.2", "--delta", "5", "--t", "1")
     result = command("ablate", dataset, *words, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "Rule: keep the values whose match rate is not clearly below the highest" in result.stdout
-    assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate")) == 3 * 2
+    assert "Rule: a value replaces the one in force if its match rate is clearly higher" in result.stdout
+    assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate")) == 2 * 2
     assert (tmp_path / "runs" / "streets-ablate" / "ablate.png").exists()
     wrong = command("ablate", dataset, "--k", "many", cwd=tmp_path)
     assert wrong.returncode == 2

@@ -7,10 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
+from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.experiments import perturb_jobs
 from fidpipe.pipeline.experiments.perturb import PerturbRequest, parse_levels, perturb_source
 from fidpipe.pipeline.experiments.perturb_claims import judge_claims
+from fidpipe.pipeline.experiments.perturb_reactions import react
 from fidpipe.pipeline.progress import Reporter
 from fidpipe.pipeline.report.perturb_figure import draw_perturbations
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
@@ -226,6 +228,24 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
         perturbed(scan, tmp_path / "run")
     with pytest.raises(RunError, match="was written by fidpipe perturb, not by fidpipe run"):
         run(dataset, done.folder, SETTINGS)
+
+
+def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    settings = load(None, ["graph.k=12", "metrics.baselines=chamfer,f_score"])
+    outcome = perturbed(scan, out, settings=settings)
+    assert outcome.n_made == len(LEVELS) * len(outcome.objects)  # the jobs that were there stay
+    baselines, objects = rows(out, "perturb_baselines"), rows(out)
+    assert set(baselines.seed) == set(objects.seed)
+    row = baselines.query("kind == 'noise' and baseline == 'chamfer_mean_m'").iloc[0]
+    points, community = perturb_jobs.object_points(outcome.tasks[0])
+    own = points[community == row.community_id]
+    altered = perturb(own, Perturbation("noise", 0.01), np.random.default_rng(row.seed))
+    there, back = cKDTree(altered).query(own)[0], cKDTree(own).query(altered)[0]
+    assert row.value == pytest.approx(there.mean() + back.mean())
+    reactions = {of.metric: of for of in react(outcome.summary, LEVELS)}
+    assert reactions["f_score"].most.kind == "rigid"
+    assert reactions["r_lambda"].most.kind == "dropout"
 
 
 def test_claims_are_judged_by_the_numbers():
