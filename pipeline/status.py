@@ -52,6 +52,11 @@ def run_status(folder: Path) -> RunStatus:
     record = read_run(folder)
     if not record:
         raise RunError(f"run {folder}: no run.json found; a folder written by fidpipe run is wanted")
+    if "experiment" in record:
+        made_by = f"fidpipe {record['experiment']}"
+        raise RunError(
+            f"run {folder}: was written by {made_by}, which goes on when it is run again; status is for runs"
+        )
     dataset = read_dataset(Path(record["dataset"]))
     store = Store(folder)
     request = RunRequest(dataset.folder, folder, parse(record["settings"]))

@@ -15,6 +15,7 @@ from fidpipe.pipeline.experiments.perturb_claims import judge_claims
 from fidpipe.pipeline.experiments.perturb_reactions import react
 from fidpipe.pipeline.progress import Reporter
 from fidpipe.pipeline.report.perturb_figure import draw_perturbations
+from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import PERTURB_SUMMARY
@@ -228,6 +229,8 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
         perturbed(scan, tmp_path / "run")
     with pytest.raises(RunError, match="was written by fidpipe perturb, not by fidpipe run"):
         run(dataset, done.folder, SETTINGS)
+    with pytest.raises(RunError, match="was written by fidpipe perturb, which goes on when it is run again"):
+        run_status(done.folder)
 
 
 def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
