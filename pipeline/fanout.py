@@ -15,7 +15,7 @@ import queue
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -26,6 +26,7 @@ _CONNECT_TIMEOUT_S = 10
 _FIRST_WORKER_TIMEOUT_S = 60
 _STOP_S = 2.0
 _KILL_S = 0.2
+_SHARE_OF_MEMORY = 0.8
 
 
 #: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; and in workers the
@@ -52,12 +53,24 @@ class WorkerDied:
     detail: str
 
 
+@dataclass(frozen=True)
+class Memory:
+    """What tasks may occupy, in bytes: all that run at once together, and one alone."""
+
+    together: int
+    alone: int
+
+
 class Pool(Protocol):
     """Somewhere to run tasks."""
 
     @property
     def n_workers(self) -> int:
         """How many tasks run at once."""
+
+    @property
+    def memory(self) -> Memory:
+        """What the tasks may occupy."""
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """Starts a task; those of higher priority first. With `keep` the result stays where it is made.
@@ -87,7 +100,8 @@ class InProcess:
 
     n_workers = 1
 
-    def __init__(self) -> None:
+    def __init__(self, memory: int | None = None) -> None:
+        self._memory = memory
         self._waiting: list[tuple[float, int, Handle, Callable[[], Any], bool]] = []
         self._count = itertools.count()
 
@@ -100,6 +114,12 @@ class InProcess:
 
         heapq.heappush(self._waiting, (-priority, next(self._count), handle, call, keep))
         return handle
+
+    @property
+    def memory(self) -> Memory:
+        """See `Pool`."""
+        memory = self._memory or machine_memory()
+        return Memory(memory, memory)
 
     def next_done(self) -> tuple[Handle, Any]:
         """See `Pool`."""
@@ -137,6 +157,8 @@ class DaskPool:
     n_workers : processes of a cluster on this machine; None for one a core
     address : of a scheduler whose workers see the same files; no cluster is started then
     shared_file : a file that every worker must see with the same content
+    libraries : versions that every worker must have
+    memory : bytes that the worker processes may occupy together; None for what there is
 
     Raises
     ------
@@ -145,7 +167,12 @@ class DaskPool:
     """
 
     def __init__(
-        self, n_workers: int | None, address: str | None, shared_file: Path, libraries: dict[str, str]
+        self,
+        n_workers: int | None,
+        address: str | None,
+        shared_file: Path,
+        libraries: dict[str, str],
+        memory: int | None = None,
     ) -> None:
         import dask
         import distributed
@@ -156,6 +183,7 @@ class DaskPool:
         self._handles: dict[str, tuple[Handle, bool]] = {}
         self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
+        self._address, self._given_memory = address, memory
         if address is None:
             with _ignoring_interrupts():
                 self._cluster = distributed.LocalCluster(
@@ -163,7 +191,9 @@ class DaskPool:
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
-                    dashboard_address=None,
+                    dashboard_address=":0",  # any free port, so that runs beside each other do not fight for one
+                    scheduler_kwargs={"dashboard": False},
+                    memory_limit=self.memory.together,  # of each: one may need what the others leave
                     silence_logs=logging.CRITICAL,
                     preload=["fidpipe.pipeline.worker_start"],
                 )
@@ -181,6 +211,15 @@ class DaskPool:
     def n_workers(self) -> int:
         """Threads of all workers that are there now, at least 1."""
         return max(1, sum(int(n) for n in self._client.nthreads().values()))
+
+    @property
+    def memory(self) -> Memory:
+        """See `Pool`."""
+        if self._given_memory is not None or self._address is None:
+            memory = self._given_memory or machine_memory()
+            return Memory(memory, memory)
+        limits = [int(of["memory_limit"]) for of in self._client.scheduler_info(n_workers=-1)["workers"].values()]
+        return Memory(int(_SHARE_OF_MEMORY * sum(limits)), int(_SHARE_OF_MEMORY * min(limits, default=0)))
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
@@ -204,15 +243,18 @@ class DaskPool:
 
     def close(self, *, now: bool = False) -> None:
         """See `Pool`."""
-        self._client.close(timeout=_STOP_S)
+        with suppress(TimeoutError):  # a busy machine; what still runs ends with this process
+            self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
             if now:
                 self._cluster.sync(self._stop_workers)
-            self._cluster.close(timeout=_STOP_S)
+            with suppress(TimeoutError):
+                self._cluster.close(timeout=_STOP_S)
 
     async def _stop_workers(self) -> None:
         """Ends the worker processes in the middle of whatever they are doing."""
-        await asyncio.gather(*(nanny.close(timeout=_KILL_S) for nanny in self._cluster.workers.values()))
+        closing = (nanny.close(timeout=_KILL_S) for nanny in self._cluster.workers.values())
+        await asyncio.gather(*closing, return_exceptions=True)
 
     def _check_workers(self, address: str, shared_file: Path, libraries: dict[str, str]) -> None:
         content = shared_file.read_bytes()
@@ -249,6 +291,13 @@ def worker_fault(path: str, content: bytes, libraries: dict[str, str]) -> str:
         f"{name} {versions[name]} (here {wanted})" for name, wanted in libraries.items() if versions[name] != wanted
     ]
     return f"other library versions: {', '.join(other)}; install the same ones there" if other else ""
+
+
+def machine_memory() -> int:
+    """Bytes that a run may occupy here unless told: four fifths of the memory, or of this process's limit."""
+    from distributed.system import MEMORY_LIMIT
+
+    return int(_SHARE_OF_MEMORY * MEMORY_LIMIT)
 
 
 def cpu_count() -> int:

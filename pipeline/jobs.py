@@ -6,7 +6,7 @@ Leaves to others: which jobs there are (`run`), where tables come from and go (`
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 import pyarrow as pa
@@ -25,16 +25,26 @@ from ..stages.metrics import score_object
 from ..stages.objects import describe_objects, majority_labels
 from ..stages.selection import Selection, select_nodes
 from ..stages.summary import summarise_pair
-from .readers.scan import Scan
+from .costs import largest_object, object_bytes
 from .store import JobRecord
 from .task import Facts, Failure, Job, ObjectScores, PairTask, Report, Tables
 from .workbench import Workbench, as_numpy
 
+#: The stages that work on matched objects, one by one if they are large.
+OBJECT_STAGES = ("selection", "metrics")
 
-def run_jobs(task: PairTask, wanted: Iterable[tuple[str, str]], scans: Mapping[str, Scan] | None = None) -> Report:
-    """Makes the wanted (stage, side) jobs of a pair in order; a failure ends it, and what was finished stays."""
-    bench = Workbench(task, scans)
-    return _reported(bench, [job for job in task.jobs if (job.stage, job.side) in set(wanted)])
+
+def run_jobs(
+    task: PairTask,
+    wanted: Iterable[tuple[str, str]],
+    bytes_for_objects: int | None = None,
+) -> Report:
+    """Makes the wanted (stage, side) jobs of a pair in order; a failure ends it, and what was finished stays.
+
+    Where an object needs more than `bytes_for_objects` it ends before the first stage that works on objects.
+    """
+    bench = Workbench(task)
+    return _reported(bench, [job for job in task.jobs if (job.stage, job.side) in set(wanted)], bytes_for_objects)
 
 
 def score_objects(task: PairTask, real_ids: tuple[int, ...]) -> ObjectScores | Failure:
@@ -58,7 +68,7 @@ def gather_objects(task: PairTask, parts: list[ObjectScores | Failure]) -> Repor
             return Report(task.pair.pair_id, failure=part)
     scores = [part for part in parts if isinstance(part, ObjectScores)]
     bench = Workbench(task, scores=scores)
-    return _reported(bench, [job for job in task.jobs if job.stage in ("selection", "metrics") and not job.stored])
+    return _reported(bench, [job for job in task.jobs if job.stage in OBJECT_STAGES and not job.stored])
 
 
 def _kept_bench(task: PairTask) -> Workbench:
@@ -297,9 +307,13 @@ def _cut_of(facts: Facts) -> GroundResult:
     )
 
 
-def _reported(bench: Workbench, jobs: list[Job]) -> Report:
+def _reported(bench: Workbench, jobs: list[Job], bytes_for_objects: int | None = None) -> Report:
     records: list[JobRecord] = []
     for job in jobs:
+        if job.stage in OBJECT_STAGES and bytes_for_objects is not None:
+            _, n_keep = largest_object(bench.facts("matching")["n_keep"])
+            if object_bytes(n_keep) > bytes_for_objects:
+                break
         try:
             records.append(bench.finish(job, *job.make(bench, job.side)))
         except Exception as error:  # one broken pair does not stop a dataset

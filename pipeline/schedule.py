@@ -2,37 +2,31 @@
 
 Pairs are started through a bounded window. A pair is one task; only when few pairs are left for the workers does it
 fall into tasks by side and, largest first, by object. A pair whose worker died is tried once more with nothing
-beside it, so that only the guilty one fails. Leaves to others: where tasks run (`fanout`), what is kept (`session`).
+beside it, so that only the guilty one fails. Tasks are admitted by the memory that those running at once may need
+together; a pair with an object that cannot fit even alone fails. Leaves to others: where tasks run (`fanout`), what
+they cost (`costs`), what is kept (`session`).
 """
 
 from __future__ import annotations
 
+import heapq
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from .fanout import Handle, Pool, WorkerDied
-from .jobs import gather_objects, run_jobs, score_objects
+from .costs import PROCESS_BYTES, largest_object, object_bytes, object_seconds, pair_bytes, side_seconds
+from .fanout import Handle, Memory, Pool, WorkerDied
+from .jobs import OBJECT_STAGES, gather_objects, run_jobs, score_objects
 from .task import Failure, Job, ObjectScores, PairTask, Report
 
 _SIDE_STAGES = ("ground", "graph", "communities")
-_OBJECT_STAGES = ("selection", "metrics")
 _PAIRS_A_WORKER = 2
 _FEW_PAIRS_A_WORKER = 4
 _FIRST = 1e6  # priority of what others wait for
 _WORTH_SPLITTING_S = 1.0
 _BATCH_S = 0.5
-
-
-def side_seconds(n_raw: int) -> float:
-    """Roughly what the stages of one side cost; orders tasks and guesses the time left, nothing else."""
-    return 0.01 + 3.5e-5 * n_raw
-
-
-def object_seconds(n_keep: int) -> float:
-    """Roughly what one matched object costs."""
-    return 0.002 + 5e-6 * n_keep + 4e-10 * n_keep**3
 
 
 @dataclass
@@ -42,11 +36,28 @@ class _Active:
     task: PairTask
     failure: Failure | None = None
     suspect: bool = False
-    waiting: set[Handle] = field(default_factory=set)
+    n_waiting: int = 0
+    scored: list[Handle] = field(default_factory=list)
 
     @property
     def todo(self) -> list[Job]:
         return [job for job in self.task.jobs if not job.stored]
+
+
+@dataclass(frozen=True)
+class _Order:
+    """A task that waits for memory, or runs.
+
+    need : bytes that it may occupy
+    objects : for a batch of objects, their nodes; the scores stay where they are made
+    """
+
+    pair: _Active
+    function: Callable[..., Report | ObjectScores | Failure]
+    arguments: tuple[Any, ...]
+    priority: float = 0.0
+    need: int = 0
+    objects: tuple[int, ...] = ()
 
 
 class Schedule:
@@ -57,7 +68,9 @@ class Schedule:
     pool : where tasks run
     tasks : the pairs, each with jobs to be made
     n_raw : points of both files, by pair_id
+    memory : what tasks may occupy
     on_report : called with what each task has finished, as soon as it has
+    on_objects : called with pair_id and numbers of nodes of objects that are scored
     on_end : called with pair_id and failure (or None) when a pair has ended
     """
 
@@ -66,29 +79,35 @@ class Schedule:
         pool: Pool,
         tasks: Iterable[PairTask],
         n_raw: Mapping[str, int],
+        memory: Memory,
         on_report: Callable[[Report], None],
+        on_objects: Callable[[str, tuple[int, ...]], None],
         on_end: Callable[[str, Failure | None], None],
     ) -> None:
         self._pool = pool
         self._pending = deque(tasks)
         self._n_raw = n_raw
+        self._memory = memory
         self._on_report = on_report
+        self._on_objects = on_objects
         self._on_end = on_end
         self._active: dict[str, _Active] = {}
-        self._pair_of: dict[Handle, _Active] = {}
+        self._waiting: list[tuple[float, int, _Order]] = []
+        self._running: dict[Handle, _Order] = {}
+        self._count = itertools.count()
         self._quarantine: deque[_Active] = deque()
         self._alone = False
 
     def run(self) -> None:
         """Works until every pair has ended."""
         self._fill()
-        while self._pair_of:
+        while self._running:
             handle, outcome = self._pool.next_done()
-            pair = self._pair_of.pop(handle)
-            pair.waiting.discard(handle)
-            self._take(pair, outcome)
-            if not pair.waiting:
-                self._go_on(pair)
+            order = self._running.pop(handle)
+            order.pair.n_waiting -= 1
+            self._take(order, outcome)
+            if not order.pair.n_waiting:
+                self._go_on(order.pair)
             self._fill()
 
     def _fill(self) -> None:
@@ -99,13 +118,16 @@ class Schedule:
             pair = _Active(self._pending.popleft())
             self._active[pair.task.pair.pair_id] = pair
             self._go_on(pair)
+        self._admit()
         if self._quarantine and not self._active:
             self._alone = True
             pair = self._quarantine.popleft()
             self._active[pair.task.pair.pair_id] = pair
-            self._submit(pair, run_jobs, _names(pair.todo))
+            self._submit_whole(pair)
+            self._admit()
 
-    def _take(self, pair: _Active, outcome: Any) -> None:
+    def _take(self, order: _Order, outcome: Any) -> None:
+        pair = order.pair
         if isinstance(outcome, WorkerDied):
             if self._alone and pair.failure is None:
                 job = pair.todo[0]
@@ -118,28 +140,35 @@ class Schedule:
             self._on_report(outcome)
             pair.task = pair.task.with_records(outcome.records)
             pair.failure = pair.failure or outcome.failure
+        else:
+            self._on_objects(pair.task.pair.pair_id, order.objects)
 
     def _go_on(self, pair: _Active) -> None:
         """Submits what comes next for a pair of which nothing is running."""
+        pair.failure = pair.failure or self._too_large(pair)
         if pair.failure or not pair.todo:
             self._end(pair)
-        elif pair.suspect:
+        elif pair.suspect and not self._alone:
+            pair.scored.clear()
             del self._active[pair.task.pair.pair_id]
             self._quarantine.append(pair)
+        elif pair.scored:
+            self._submit(_Order(pair, gather_objects, (list(pair.scored),), priority=_FIRST))
+            pair.scored.clear()
         elif not self._is_worth_splitting(pair):
-            self._submit(pair, run_jobs, _names(pair.todo))
+            self._submit_whole(pair)
         elif sides := [job for job in pair.todo if job.stage in _SIDE_STAGES]:
             split = not pair.task.settings.ground.shared
             for side in ("real", "sim") if split else ("",):
                 if own := [job for job in sides if not split or job.side == side]:
-                    self._submit(pair, run_jobs, _names(own), priority=_FIRST)
+                    self._submit(_Order(pair, run_jobs, (_names(own),), _FIRST, self._pair_bytes(pair)))
         elif matching := [job for job in pair.todo if job.stage == "matching"]:
-            self._submit(pair, run_jobs, _names(matching), priority=_FIRST)
-        elif any(job.stage in _OBJECT_STAGES for job in pair.todo):
+            self._submit(_Order(pair, run_jobs, (_names(matching),), priority=_FIRST))
+        elif any(job.stage in OBJECT_STAGES for job in pair.todo):
             self._submit_objects(pair)
         else:
             for job in pair.todo:
-                self._submit(pair, run_jobs, _names([job]))
+                self._submit(_Order(pair, run_jobs, (_names([job]),), need=self._pair_bytes(pair)))
 
     def _end(self, pair: _Active) -> None:
         self._alone = False
@@ -147,40 +176,94 @@ class Schedule:
         self._on_end(pair.task.pair.pair_id, pair.failure)
 
     def _is_worth_splitting(self, pair: _Active) -> bool:
+        n_keep = _n_keep(pair.task)
+        has_objects = any(job.stage in OBJECT_STAGES for job in pair.todo)
+        if n_keep and has_objects and object_bytes(largest_object(n_keep)[1]) > self._object_share(pair):
+            return True  # its objects are admitted one by one
         if self._alone or self._pool.n_workers == 1 or not self._few_left():
             return False
         if any(job.stage in _SIDE_STAGES for job in pair.todo):
             return side_seconds(self._n_raw[pair.task.pair.pair_id]) > _WORTH_SPLITTING_S
-        n_keep = _n_keep(pair.task)
         return n_keep is None or sum(object_seconds(n) for _, n in n_keep) > _WORTH_SPLITTING_S
 
     def _few_left(self) -> bool:
         return len(self._pending) + len(self._active) <= _FEW_PAIRS_A_WORKER * self._pool.n_workers
 
-    def _submit_objects(self, pair: _Active) -> None:
-        """Selection and scores of a pair's objects: large ones alone, small ones together, largest first."""
-        sizes = sorted(_n_keep(pair.task) or [], key=lambda of: (-of[1], of[0]))
-        first = (
-            1000.0 * object_seconds(sizes[0][1]) if sizes else 0.0
-        )  # one pair after the other: workers keep its tables
-        parts = []
-        batch: list[int] = []
-        seconds = 0.0
-        for i, (real_id, n) in enumerate(sizes):
-            batch.append(real_id)
-            seconds += object_seconds(n)
-            if seconds >= _BATCH_S or i + 1 == len(sizes):
-                parts.append(self._submit(pair, score_objects, tuple(batch), priority=first + seconds, keep=True))
-                batch, seconds = [], 0.0
-        self._submit(pair, gather_objects, parts, priority=_FIRST)
+    def _submit_whole(self, pair: _Active) -> None:
+        """All that is left of a pair as one task; it stops where an object needs more than a worker's share."""
+        names, share = _names(pair.todo), self._object_share(pair)
+        self._submit(_Order(pair, run_jobs, (names, share), need=self._pair_bytes(pair) + share))
 
-    def _submit(
-        self, pair: _Active, function: Callable[..., Report | ObjectScores | Failure], *args: Any, **options: Any
-    ) -> Handle:
-        handle = self._pool.submit(function, pair.task, *args, **options)
-        pair.waiting.add(handle)
-        self._pair_of[handle] = pair
-        return handle
+    def _submit_objects(self, pair: _Active) -> None:
+        """Selection and scores of a pair's objects: large ones alone, small ones together, largest first.
+
+        Pairs go one after the other, that of the largest object first: workers keep the tables of the last ones.
+        """
+        sizes = sorted(_n_keep(pair.task) or [], key=lambda of: (-of[1], of[0]))
+        first = 1000.0 * object_seconds(sizes[0][1]) if sizes else 0.0
+        batch: list[tuple[int, int]] = []
+        for i, (real_id, n) in enumerate(sizes):
+            batch.append((real_id, n))
+            seconds = sum(object_seconds(of) for _, of in batch)
+            if seconds >= _BATCH_S or i + 1 == len(sizes):
+                need = self._pair_bytes(pair) + object_bytes(batch[0][1])
+                ids, nodes = tuple(of for of, _ in batch), tuple(of for _, of in batch)
+                self._submit(_Order(pair, score_objects, (ids,), first + seconds, need, nodes))
+                batch = []
+        if not sizes:
+            self._submit(_Order(pair, gather_objects, ([],), priority=_FIRST))
+
+    def _submit(self, order: _Order) -> None:
+        """Queues a task for `_admit`."""
+        order.pair.n_waiting += 1
+        heapq.heappush(self._waiting, (-order.priority, next(self._count), order))
+
+    def _admit(self) -> None:
+        """Hands tasks to the pool, first come first, as long as those that may run at once fit into the memory."""
+        n = self._pool.n_workers
+        while self._waiting:
+            order = self._waiting[0][2]
+            needs = heapq.nlargest(n, [order.need, *(of.need for of in self._running.values())])
+            if self._running and sum(needs) > self._usable:
+                return
+            heapq.heappop(self._waiting)
+            keep = order.function is score_objects
+            handle = self._pool.submit(
+                order.function, order.pair.task, *order.arguments, priority=order.priority, keep=keep
+            )
+            self._running[handle] = order
+            if keep:
+                order.pair.scored.append(handle)
+
+    @property
+    def _usable(self) -> int:
+        """Bytes for what tasks make, of all workers together."""
+        return max(0, self._memory.together - PROCESS_BYTES * self._pool.n_workers)
+
+    def _pair_bytes(self, pair: _Active) -> int:
+        return pair_bytes(self._n_raw[pair.task.pair.pair_id])
+
+    def _object_share(self, pair: _Active) -> int:
+        """Bytes that an object may need for its pair to run as one task."""
+        return max(0, self._usable // self._pool.n_workers - self._pair_bytes(pair))
+
+    def _too_large(self, pair: _Active) -> Failure | None:
+        """The failure of a pair that does not fit into the memory even when nothing runs beside it."""
+        own = self._pair_bytes(pair)
+        n_keep = _n_keep(pair.task) if any(job.stage in OBJECT_STAGES for job in pair.todo) else None
+        real_id, n = largest_object(n_keep or [])
+        usable = min(self._usable, self._memory.alone - PROCESS_BYTES)
+        if not pair.todo or own + object_bytes(n) <= usable:
+            return None
+        what = f"object {real_id} of {n} aligned nodes" if n else f"{self._n_raw[pair.task.pair.pair_id]} points"
+        lower = "a smaller graph.k makes smaller objects, " if n else ""
+        job = pair.todo[0]
+        reason = (
+            f"{what}: {_gib(own + object_bytes(n))} of memory may be needed at once, {_gib(usable)} are there for "
+            f"it (machine.memory_gib, less {_gib(PROCESS_BYTES)} a worker process); {lower}input.include_box or "
+            "input.max_range_m fewer points"
+        )
+        return Failure(job.stage, job.side, reason)
 
 
 def _names(jobs: Iterable[Job]) -> tuple[tuple[str, str], ...]:
@@ -191,3 +274,7 @@ def _n_keep(task: PairTask) -> list[tuple[int, int]] | None:
     """Real id and nodes of each matched object, where the matching is done."""
     job = next(job for job in task.jobs if job.stage == "matching")
     return [(real_id, n) for real_id, n in job.facts["n_keep"]] if job.stored else None
+
+
+def _gib(n_bytes: int) -> str:
+    return f"{n_bytes / 2**30:.2g} GiB"

@@ -215,7 +215,7 @@ class Session:
             pool = self.pool
             self.reporter.start(n_raw, n_jobs)
             try:
-                Schedule(pool, todo, n_raw, self._take, self._end_pair).run()
+                Schedule(pool, todo, n_raw, pool.memory, self._take, self.reporter.objects_done, self._end_pair).run()
             finally:
                 self.reporter.stop()
         self._end_phase("stages")
@@ -271,9 +271,11 @@ class Session:
 
     def _start_pool(self) -> Pool:
         workers = self.request.workers or cpu_count()
+        gib = self.settings.machine.memory_gib
+        memory = None if gib is None else int(gib * 2**30)
         if self.request.scheduler is None and workers == 1:
-            return InProcess()
-        return DaskPool(workers, self.request.scheduler, self.store.token_path, library_versions(LIBRARIES))
+            return InProcess(memory)
+        return DaskPool(workers, self.request.scheduler, self.store.token_path, library_versions(LIBRARIES), memory)
 
     def _recall(self, pair: ScanPair) -> bool:
         """Whether the facts of a pair's files are known from the last run and still hold."""

@@ -182,6 +182,16 @@ class StabilitySettings(_Group):
     ] = 1
 
 
+class MachineSettings(_Group):
+    """What a run may take of the machine; no result depends on it."""
+
+    memory_gib: float | None = Field(
+        None,
+        gt=0,
+        description="memory that all worker processes together may occupy; by default four fifths of what there is",
+    )
+
+
 class Settings(_Group):
     """All settings of a run; `fidpipe run --set graph.k=60` changes one."""
 
@@ -200,6 +210,8 @@ class Settings(_Group):
         if last >= 2**31:
             raise ValueError(f"the last of stability.seeds is {last}, below {2**31} is wanted; lower communities.seed")
         return self
+
+    machine: MachineSettings = MachineSettings()
 
 
 def load(path: Path | None = None, assignments: Iterable[str] = ()) -> Settings:

@@ -11,13 +11,13 @@ from pathlib import Path
 
 from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings
+from ..costs import side_seconds
 from ..intake import ScanFacts, file_marks, inspect_scan, pair_warnings, settings_key
 from ..jobs import run_jobs
 from ..plan import library_versions, plan_pair, with_whole_results
 from ..readers import stem_of, suffix_of
 from ..readers.dataset import ScanPair, read_dataset, read_label_names
 from ..run import EXTRAS, STAGES, select_pairs
-from ..schedule import side_seconds
 from ..store import JobRecord, key_of
 from ..task import PairTask
 from .sweep import Call, Sweep

@@ -12,6 +12,7 @@ import pexpect
 import pytest
 
 import faults
+from fidpipe.pipeline import fanout
 from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.fanout import DaskPool, WorkerDied
 from fidpipe.pipeline.run import STAGE_NAMES
@@ -170,6 +171,14 @@ def test_a_pool_tells_of_a_dead_worker_and_goes_on(tmp_path):
         assert pool.next_done()[1] == 32
     finally:
         pool.close(now=True)
+
+
+def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monkeypatch):
+    monkeypatch.setattr(fanout, "_KILL_S", 0.0)
+    monkeypatch.setattr(fanout, "_STOP_S", 0.001)
+    pool = DaskPool(1, None, tmp_path, {})
+    pool.submit(time.sleep, 1)
+    pool.close(now=True)
 
 
 def start(dataset, out, workers):
