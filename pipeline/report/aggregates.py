@@ -14,12 +14,12 @@ import numpy as np
 import pandas as pd
 
 from ...stages.arrays import FloatArray
+from ...stages.findings import BAND_EDGES_M
 from .results import RunResults
 
 #: The two scores that are drawn side by side: column, its name in words, and its upper bound.
 SCORES = {"r_lambda": ("structure: r_lambda", 1.0), "cdc": ("geometry: CDC", 2.0)}
 _BINS = 25
-RANGE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, math.inf)
 _FEWEST_IN_BOX = 3
 
 
@@ -88,7 +88,7 @@ def range_bands(results: RunResults) -> list[dict[str, Any]]:
         **{fate: results.unmatched.range_m[results.unmatched.status == fate] for fate in ("missing", "hallucinated")},
     }
     bands = []
-    for low, high in pairwise(RANGE_EDGES_M):
+    for low, high in pairwise((*BAND_EDGES_M, math.inf)):
         name = f"{low:.0f} to {high:.0f} m" if math.isfinite(high) else f"over {low:.0f} m"
         counts = {fate: int(((of >= low) & (of < high)).sum()) for fate, of in ranges.items()}
         if sum(counts.values()):

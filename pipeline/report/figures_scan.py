@@ -96,9 +96,14 @@ def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:
 
 
 def draw_objects(results: RunResults, folder: Any) -> Any:
-    """Four chosen objects, real above simulated, with their CDC and r_lambda; metres from the object's corner."""
+    """Four chosen objects, real above simulated, with their CDC and r_lambda; metres from the object's corner.
+
+    Where no object has a spectral score there is no such figure.
+    """
     chosen = choose_objects(results)
-    with new_figure(2.75 * max(2, len(chosen)), 5.4) as figure:
+    if not chosen:
+        return []
+    with new_figure(2.9 * max(2, len(chosen)), 5.8) as figure:
         grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
         for place, (of_class, index) in enumerate(chosen):
             row = results.matched.iloc[index].to_dict()
@@ -202,9 +207,9 @@ def _metres(axis: Any, size: FloatArray) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
-    axis.set_box_aspect(size, zoom=1.15)
-    for name, of, length in zip("xyz", (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
+    axis.set_box_aspect(size, zoom=0.87)
+    for name, pad, of, length in zip("xyz", (-3, -5, -6), (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
         of.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
         of.set_tick_params(labelsize=6, pad=-2)
-        getattr(axis, f"set_{name}label")(f"{name} (m)", fontsize=7, labelpad=-4 if name != "z" else -7)
+        getattr(axis, f"set_{name}label")(f"{name} (m)", fontsize=7, labelpad=pad)
         of.pane.set(facecolor="none", edgecolor=GREY)

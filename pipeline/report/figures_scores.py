@@ -13,7 +13,6 @@ from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .results import RunResults
 
 _COLOURS = {"r_lambda": BLUE, "cdc": ORANGE}
-_MOST_SCANS = 4
 _MOST_CLASSES = 8
 
 
@@ -37,7 +36,7 @@ def draw_distributions(results: RunResults, folder: Any) -> Any:
                 )
             axis.set(xlim=(0, of["bound"]), xlabel=f"{of['name']} (no unit)", ylabel="share of matched objects")
             axis.set_title(f"{of['n']:,} objects")
-            axis.set_ylim(0, max(share) * 1.15)
+            axis.set_ylim(0, max(0.01, *share) * 1.15)
         _quadrants(axes[2], results)
         return save(figure, folder, "distributions")
 
@@ -65,10 +64,8 @@ def _quadrants(axis: Any, results: RunResults) -> None:
 
 
 def draw_boxes(results: RunResults, folder: Any) -> Any:
-    """Box plots of both scores for up to four scans, evenly spaced by name, and for each class (or shape)."""
-    names = sorted(results.pairs.pair_id)
-    n = min(_MOST_SCANS, len(names))
-    scans = [names[round(i * (len(names) - 1) / max(1, n - 1))] for i in range(n)]
+    """Box plots of both scores for the four scans of the run's findings, and for each class (or shape)."""
+    scans = [scan["pair"] for scan in results.record["findings"]["scans"]["scans"]]
     classes = groups_by_size(results)[:_MOST_CLASSES]
     parts = {"scan": boxes(results, "pair_id", scans), results.class_is: boxes(results, "group", classes)}
     if results.class_is == "label":

@@ -18,9 +18,9 @@ import pyarrow.parquet as pq
 
 from ...schemas.errors import RunError
 from ...schemas.settings import Settings, parse
-from ...schemas.tables import SIDES
+from ...schemas.tables import PAIRS, SIDES
+from ..finished import FinishedRun
 from ..plan import Stage
-from ..record import read_run
 from ..run import STAGES
 from ..store import JobRecord, Store
 from .quadrants import quadrant_of
@@ -87,33 +87,21 @@ def read_results(folder: Path) -> RunResults:
     RunError
         The folder is no run, the run has not ended, a table is damaged, or no pair is scored.
     """
-    record = read_run(folder)
-    if not record:
-        raise RunError(f"run {folder}: no run.json found; a folder written by fidpipe run is wanted")
-    if record.get("experiment", "run") != "run":
-        raise RunError(f"run {folder}: was written by fidpipe {record['experiment']}; one of fidpipe run is wanted")
-    if "summary" not in record:
-        raise RunError(
-            f"run {folder}: the run has not ended; wait for it, or finish it with: fidpipe run {record['dataset']}"
-        )
-    store = Store(folder)
-    of_run = store.records.get(("pairs", "", ""))
-    if of_run is None or not store.is_whole(of_run):
-        raise RunError(f"run {folder}: pairs.parquet is damaged or gone; run fidpipe run again")
-    pairs = pq.read_table(folder / "pairs.parquet").to_pandas()
-    is_scored = pairs.status == "scored"
-    failures = dict(zip(pairs.pair_id[~is_scored], pairs.reason[~is_scored], strict=True))
+    finished = FinishedRun(folder)
+    rows: pd.DataFrame = pa.Table.from_pylist(finished.rows, schema=PAIRS.schema).to_pandas()
+    is_scored = rows.status == "scored"
+    failures = dict(zip(rows.pair_id[~is_scored], rows.reason[~is_scored], strict=True))
     if not is_scored.any():
-        raise RunError(f"run {folder}: none of its {len(pairs)} pairs is scored, so there is nothing to report")
-    pairs = _worst_first(pairs[is_scored], ("match_rate", "cdc_mean", "r_lambda_mean"))
+        raise RunError(f"run {folder}: none of its {len(rows)} pairs is scored, so there is nothing to report")
+    pairs = _worst_first(rows[is_scored], ("match_rate", "cdc_mean", "r_lambda_mean"))
     names = pairs.pair_id.tolist()
-    jobs = _jobs(store, names)
+    jobs = _jobs(finished.store, names)
     objects = _with_place(_read(folder, _files(jobs, "objects")))
     metrics = _read(folder, _files(jobs, "metrics"))
     matching = _read(folder, _files(jobs, "matching"))
     return RunResults(
         folder=folder,
-        record=record,
+        record=finished.record,
         pairs=pairs,
         failures=failures,
         matched=_matched(metrics, objects, names),

@@ -18,6 +18,7 @@ from fidpipe.pipeline.report.pair_view import thinned
 from fidpipe.pipeline.report.results import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.settings import load
 from fidpipe.stages.metrics import IDENTICAL_CHANGE
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 from runs import assert_same_tables, command, run
@@ -230,3 +231,23 @@ def test_a_run_without_a_scored_pair_is_refused(tmp_path):
 def test_signs_of_markup_are_escaped_in_the_embedded_data():
     page = render({"name": "</script><!--&"}, "<script></script>")
     assert r"\u003c/script\u003e\u003c!--\u0026" in page
+
+
+@pytest.mark.slow
+def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objects(tmp_path):
+    dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
+    run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
+    made = write_report(tmp_path / "run")
+    assert "100 % are missing" in embedded(made.page)["verdict"]
+    assert {path.stem for path in made.figures} == FIGURES - {"objects"}
+
+
+@pytest.mark.slow
+def test_objects_without_a_score_are_in_no_quadrant(tmp_path):
+    dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
+    run(dataset, tmp_path / "run", load(None, ["graph.edges=intersection", "graph.tau_m=0.01"]))
+    data = embedded(write_report(tmp_path / "run").page)
+    assert data["histograms"]["r_lambda"]["n"] == 0
+    assert data["histograms"]["r_lambda"]["n_null"] == data["n_matched"] > 0
+    assert data["quadrants"]["no score"]["n"] == data["n_matched"]
+    assert "are too small to judge" in data["verdict"]

@@ -4,13 +4,13 @@ import io
 import json
 import os
 import shutil
-import time
 
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
 
+from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
 from fidpipe.pipeline.report.page import write_report
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
@@ -20,36 +20,17 @@ WIDTHS = (1280, 390)
 BLUE, VERMILLION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
 FIRST_PAIR = HOSTILE_PAIRS[0]
 NO_SCORE = "\N{EN DASH}"
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--enable-unsafe-swiftshader",
-    "--use-angle=swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-)
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     """Chromium; without it the tests are skipped, or fail where real data and so a whole machine are required."""
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not chromium or not driver:
-        reason = "chromium and chromedriver are not installed (Debian: apt-get install chromium chromium-driver)"
+    if missing_programs():
+        reason = f"{missing_programs()} not installed (Debian: apt-get install chromium chromium-driver)"
         if os.environ.get("FIDPIPE_REQUIRE_REAL_DATA") == "1":
             pytest.fail(f"FIDPIPE_REQUIRE_REAL_DATA=1 and {reason}")
         pytest.skip(reason)
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    found = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    found.set_script_timeout(60)
+    found = start_browser(tmp_path_factory.mktemp("profile"))
     yield found
     found.quit()
 
@@ -86,39 +67,6 @@ def page(browser, opened):
     return browser
 
 
-def open_page(browser, path, fragment=""):
-    browser.get(path.as_uri() + fragment)
-    wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
-    settle(browser)
-
-
-def wait_for(browser, script, seconds=60):
-    end = time.monotonic() + seconds
-    while not (found := browser.execute_script(script)):
-        assert time.monotonic() < end, f"still false after {seconds} s: {script}"
-        time.sleep(0.05)
-    return found
-
-
-def settle(browser):
-    """Waits until what was asked for is drawn."""
-    browser.execute_async_script(
-        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 300)))"
-    )
-
-
-def resize(browser, width, dark=False):
-    browser.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride", {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    )
-    theme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": theme})
-
-
-def by_id(browser, name):
-    return browser.find_element("id", name)
-
-
 def pixels(browser, name):
     """(h, w, 3) what an element looks like."""
     place = by_id(browser, name)
@@ -129,14 +77,6 @@ def pixels(browser, name):
 
 def near(picture, colour):
     return np.abs(picture - np.array(colour)).max(axis=2) < 12
-
-
-def choose(browser, name, value):
-    """Chooses in a list by value; selenium's own way fails on values with control characters."""
-    place = by_id(browser, name)
-    values = browser.execute_script("return [...arguments[0].options].map((option) => option.value)", place)
-    place.find_elements("css selector", "option")[values.index(value)].click()
-    settle(browser)
 
 
 def complaints(browser):
@@ -261,8 +201,7 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
     assert page.execute_script("return document.documentElement.scrollWidth") <= width
     colour = "return getComputedStyle(document.body).backgroundColor.match(/[0-9]+/g).map(Number)"
     assert (sum(page.execute_script(colour)) < 200) == dark
-    for chart in page.find_elements("css selector", ".chart"):
-        assert chart.size["width"] <= width
+    wait_for(page, "return [...document.querySelectorAll('.main-svg')].every((svg) => svg.clientWidth <= innerWidth)")
     assert complaints(page) == []
 
 

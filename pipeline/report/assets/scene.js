@@ -143,7 +143,7 @@ function chooseObject(name) {
 }
 
 const PANEL = [
-  ["quadrant", "quadrant"], ["status", "status"], ["reason", "reason"], ["group", "class"], ["range_m", "range (m)"], ["bearing_deg", "bearing (°, left positive)"],
+  ["quadrant", "quadrant"], ["status", "status"], ["reason", "reason"], ["group", report.class_is === "label" ? "class" : "shape"], ["range_m", "range (m)"], ["bearing_deg", "bearing (°, left positive)"],
   ["n_points", "points"], ["n_real", "points, real"], ["n_sim", "points, simulated"], ["n_keep", "nodes kept"], ["cdc", "CDC"], ["r_lambda", "r_lambda"], ["r_gap", "r_gap"],
   ["max_eigenvalue_shift", "largest eigenvalue shift"], ["laplacian_change", "Laplacian change"], ["eigenspectrum_distance", "eigenspectrum distance"],
   ["gap_real", "spectral gap, real"], ["gap_sim", "spectral gap, simulated"], ["alignment_rms_m", "alignment r.m.s. (m)"], ["centroid_distance_m", "centroid distance (m)"],
@@ -179,7 +179,7 @@ function drawSides(index, object) {
       { type: "scatter3d", mode: "markers", name: hasNodes ? "left out" : "point", ...left, hovertemplate: "%{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>", marker: hasNodes ? { size: 3, symbol: "cross", color: css("--soft"), line: { width: 0 } } : { size: 2.4, color: COLOURS[side], line: { width: 0 } } },
       { type: "scatter3d", mode: "markers", name: "kept", ...kept, hovertemplate: "kept: %{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>", marker: { size: 2.4, color: COLOURS[side], line: { width: 0 } } },
     ];
-    draw(`object_${side}`, traces, sceneLayout({ ...limits, camera: { eye: { x: -1.6, y: -1.6, z: 1.1 } } }));
+    draw(`object_${side}`, traces, sceneLayout({ ...limits, camera: { eye: { x: -1.6, y: -1.6, z: 1.1 }, center: { x: 0, y: 0, z: -0.15 } } }));
     const n = object.side ? object.n_points : object[`n_${side}`];
     const shown = kept.x.length + left.x.length;
     byId(`object_${side}_note`).textContent = `${side === "real" ? "Real" : "Simulated"}: ${shown.toLocaleString("en")} of ${n.toLocaleString("en")} points shown. ${hasNodes ? `Coloured dots: nodes kept for the spectral scores (${object.n_keep.toLocaleString("en")} of ${n.toLocaleString("en")}); grey crosses: left out.` : "Unmatched: no counterpart, no score."}`;

@@ -1,0 +1,44 @@
+"""Makes the README's pictures of a report anew: python tests/screenshots.py runs/streets (after fidpipe report)."""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+from browsers import by_id, choose, open_page, resize, settle, start_browser
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+def take(browser, name, selector):
+    """A picture of the window with an element at its top."""
+    place = browser.find_element("css selector", selector)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'start'})", place)
+    settle(browser)
+    path = DOCS / f"{name}.png"
+    browser.save_screenshot(str(path))
+    Image.open(path).convert("RGB").save(path, optimize=True)
+
+
+def main(run):
+    """Takes the pictures."""
+    DOCS.mkdir(exist_ok=True)
+    page = (run / "report.html").resolve()
+    with tempfile.TemporaryDirectory() as profile:
+        browser = start_browser(profile)
+        browser.execute_cdp_cmd("Emulation.setScrollbarsHidden", {"hidden": True})
+        resize(browser, 1280)
+        open_page(browser, page)
+        take(browser, "report", "header")
+        choose(browser, "colour", "r_lambda")
+        by_id(browser, "next").click()
+        take(browser, "report-3d", "#view")
+        take(browser, "report-object", "#panel")
+        resize(browser, 390, dark=True)
+        take(browser, "report-narrow", "header")
+        browser.quit()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
