@@ -23,10 +23,10 @@ from ...schemas.errors import SettingsError
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import ABLATE, ABLATE_SUMMARY, OBJECT_METRICS
 from ...stages.summary import mean_and_std
+from ..costs import object_seconds
 from ..progress import Reporter
 from ..record import run_header
 from ..run import STAGES
-from ..schedule import object_seconds
 from ..store import JobRecord, key_of
 from ..task import PairTask
 from .ablate_jobs import setting_rows

@@ -17,10 +17,10 @@ import pyarrow as pa
 from ...schemas.errors import DatasetError, SettingsError
 from ...schemas.settings import Settings
 from ...stages.perturbations import KINDS, Perturbation
+from ..costs import object_seconds
 from ..progress import Reporter
 from ..record import run_header
 from ..run import STAGES
-from ..schedule import object_seconds
 from ..store import key_of
 from ..task import PairTask
 from ..workbench import Workbench, as_numpy
