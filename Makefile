@@ -1,16 +1,18 @@
 # make run    sets up, makes a small synthetic dataset, evaluates it, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
+# make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
 PYTHON ?= python3
+DATA ?= ../shared/data
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := $(shell find pipeline stages schemas -name '*.py' -not -path '*/__pycache__/*' | sort)
+SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache__/*' | sort)
 FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 	--config-settings editable_mode=strict
 
-.PHONY: run test check fast clean setup browser
+.PHONY: run test check fast bench clean setup browser
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -28,6 +30,15 @@ check: setup browser
 
 fast: setup
 	$(BIN)/pytest -m "not slow"
+
+bench: setup
+	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin
+	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin --every 3
+	$(BIN)/python benchmarks/throughput.py $(DATA)/kitti_twin
+	$(BIN)/python benchmarks/literal.py $(DATA)/kitti_twin
+	$(BIN)/python benchmarks/growth.py
+	$(BIN)/python benchmarks/small_pairs.py 50
+	$(BIN)/python benchmarks/small_pairs.py 10000 300
 
 # The browser tests want Debian's Chromium; where it is absent and cannot be installed, they are skipped.
 browser:

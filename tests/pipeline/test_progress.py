@@ -11,7 +11,7 @@ from fidpipe.pipeline import progress
 from fidpipe.pipeline.progress import Reporter, Work
 from fidpipe.pipeline.store import JobRecord
 
-JOBS = {name: (2, 0) for name in ("ground", "graph", "communities")}
+JOBS = dict.fromkeys(("ground", "graph", "communities"), (2, 0))
 
 
 def seconds_left(words):

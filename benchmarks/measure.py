@@ -1,0 +1,94 @@
+"""Running the command and weighing it: wall and CPU seconds, and the memory of its processes."""
+
+import os
+import platform
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+FIDPIPE = Path(sys.executable).with_name("fidpipe")
+MIB = 2**20
+
+
+@dataclass
+class Weighed:
+    """A command that was run.
+
+    wall_s, cpu_s : of it and all its processes
+    peaks : by process, its largest resident memory in MiB; the first is the command (with the scheduler in it)
+    """
+
+    wall_s: float
+    cpu_s: float
+    peaks: list = field(default_factory=list)
+    output: str = ""
+
+
+def weigh(*words):
+    """Runs `fidpipe WORDS` to its end."""
+    before, start = children_cpu_s(), time.perf_counter()
+    process = subprocess.Popen([FIDPIPE, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    peaks = {}
+    watcher = threading.Thread(target=_watch, args=(process, peaks))
+    watcher.start()
+    output, errors = process.communicate()
+    wall_s = time.perf_counter() - start
+    watcher.join()
+    if process.returncode:
+        sys.exit(f"fidpipe {' '.join(map(str, words))}: exit {process.returncode}\n{errors}")
+    return Weighed(wall_s, children_cpu_s() - before, list(peaks.values()), output)
+
+
+def children_cpu_s():
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+@contextmanager
+def scratch():
+    """A folder for a benchmark's runs; FIDPIPE_BENCH_DIR keeps it."""
+    kept = os.environ.get("FIDPIPE_BENCH_DIR")
+    folder = Path(kept or tempfile.mkdtemp(prefix="fidpipe-bench-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield folder
+    finally:
+        if not kept:
+            shutil.rmtree(folder)
+
+
+def machine():
+    """One line on the machine."""
+    model = next((of for of in _cpuinfo() if of.startswith("model name")), "").partition(":")[2].strip()
+    return (
+        f"{model or platform.processor()}, {os.cpu_count()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB, "
+        f"Python {platform.python_version()}"
+    )
+
+
+def _cpuinfo():
+    path = Path("/proc/cpuinfo")
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def _watch(process, peaks):
+    while process.poll() is None:
+        try:
+            family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+        except psutil.NoSuchProcess:
+            return
+        for of in family:
+            try:
+                peaks[of.pid] = max(peaks.get(of.pid, 0), of.memory_info().rss / MIB)
+            except psutil.Error:
+                continue
+        time.sleep(0.2)

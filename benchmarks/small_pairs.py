@@ -1,0 +1,54 @@
+"""What does a pair cost beyond its own work, and does the scheduler grow?
+
+    python benchmarks/small_pairs.py [N_PAIRS] [POINTS]      by default 10000 pairs of 2000 points
+
+A manifest lists each of some hundred synthetic pairs many times under different names. Wall time times workers less
+the time inside jobs, a pair; Parquet apart; memory of the command (with dask's scheduler in it) and of the workers;
+the time of a second run, which has nothing to do.
+"""
+
+import sys
+
+import pandas as pd
+from measure import machine, scratch, weigh
+
+N_FILES = 250
+WORKERS = 2
+
+
+def main(n_pairs=10_000, points=2000):
+    print(machine())
+    with scratch() as folder:
+        data, out = folder / "small", folder / f"small-run{n_pairs}"
+        n_files = min(N_FILES, n_pairs)
+        weigh("synth", data, "--pairs", n_files, "--points", points, "--workers", WORKERS)
+        original = pd.read_csv(data / "pairs.csv") if (data / "pairs.csv").exists() else listed(data)
+        repeats = pd.concat([original] * -(-n_pairs // n_files), ignore_index=True).head(n_pairs)
+        repeats["pair_id"] = [f"{i:06d}" for i in range(n_pairs)]
+        repeats.to_csv(data / "pairs.csv", index=False)
+        run = weigh("run", data, "--out", out, "--workers", WORKERS, "--from", "ground")
+        timings = pd.read_parquet(out / "timings.parquet")
+        again = weigh("run", data, "--out", out, "--workers", WORKERS)
+    is_file = timings.step.isin(["read", "write"])
+    inside, files = timings.seconds[~is_file].sum(), timings.seconds[is_file].sum()
+    beyond = WORKERS * run.wall_s - inside - files
+    print(f"{n_pairs} pairs of about {points} points: {run.wall_s:.0f} s wall, {run.cpu_s:.0f} s CPU")
+    print(
+        f"a pair: {1e3 * inside / n_pairs:.1f} ms inside the stages, {1e3 * files / n_pairs:.1f} ms Parquet, ", end=""
+    )
+    print(f"{1e3 * beyond / n_pairs:.1f} ms beyond ({beyond / (inside + files):.1%})")
+    workers = ", ".join(f"{of:.0f}" for of in sorted(run.peaks[1:])[-WORKERS:])
+    print(f"peak memory: command with scheduler {run.peaks[0]:.0f} MiB, workers {workers} MiB")
+    print(f"nothing to do: {again.wall_s:.1f} s")
+
+
+def listed(data):
+    """The manifest of a folder of real/ and sim/."""
+    stems = sorted(path.stem for path in (data / "real").glob("*.bin"))
+    return pd.DataFrame(
+        {"pair_id": stems, "real": [f"real/{of}.bin" for of in stems], "sim": [f"sim/{of}.bin" for of in stems]}
+    )
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
