@@ -18,12 +18,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from measure import machine, scratch, weigh
+from measure import machine, repeated, scratch, weigh
 from scipy.linalg import eigvalsh
 from scipy.spatial import cKDTree
 
 from fidpipe.stages.graph import Edges
 from fidpipe.stages.laplacian import induced_laplacian, split_by_community
+
+REPEATS = 3
 
 
 def main(dataset, every):
@@ -35,28 +37,30 @@ def main(dataset, every):
         whole = weigh("run", dataset, "--out", out, "--workers", 2, "--from", "ground")
         pairs = sorted(path.stem for path in (out / "metrics").glob("*.parquet"))
         floors = {pair: floor(out, pair) for pair in pairs}
-        timings = pd.read_parquet(out / "timings.parquet")
         size_mb = sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6 / len(pairs)
-        start_s = start_up(dataset, folder)
+        again = repeated(dataset, REPEATS * len(pairs), folder / "again")
+        more = weigh("run", again, "--out", folder / "more", "--workers", 2, "--from", "ground")
+        timings, timings_of_more = (pd.read_parquet(folder / name / "timings.parquet") for name in ("floor", "more"))
     total = sum(floors.values())
     print("floor by pair: " + ", ".join(f"{pair} {value:.1f}" for pair, value in floors.items()))
     print(f"floor {total:.1f} s; the command on two workers:")
     print(f"  CPU  {whole.cpu_s:.1f} s, {whole.cpu_s / total:.2f} times the floor")
     print(f"  wall {whole.wall_s:.1f} s, {whole.wall_s / total:.2f} times the floor")
-    pace = (whole.wall_s - start_s) / len(pairs)
-    print(f"  start-up aside (a run with nothing to do: {start_s:.1f} s): {pace:.2f} s a pair")
+    pace = (more.wall_s - whole.wall_s) / ((REPEATS - 1) * len(pairs))
+    start_s = whole.wall_s - pace * len(pairs)
+    print(f"  start-up aside: {pace:.2f} s a pair (from {REPEATS} times as many pairs); start-up {start_s:.1f} s")
     print(f"run directory {size_mb:.1f} MB a pair")
-    own = timings[~timings.step.isin(["read", "write"])].seconds.sum()
-    files = timings.seconds.sum() - own
-    waiting = 2 * (whole.wall_s - start_s) - own - files
-    print(f"stages {own:.1f} s; reading and writing tables {files:.1f} s, scheduling and waiting {waiting:.1f} s:")
-    print(f"  together {(files + waiting) / own:.1%} of the stages' own time")
+    inside, files = (b - a for a, b in zip(split(timings), split(timings_of_more), strict=True))
+    waiting = 2 * (more.wall_s - whole.wall_s) - inside - files
+    print(f"of {(REPEATS - 1) * len(pairs)} further pairs: stages {inside:.1f} s, tables {files:.1f} s, ", end="")
+    print(f"scheduling and waiting {waiting:.1f} s: both together {(files + waiting) / inside:.1%} of the stages")
     print(timings.groupby(["stage", "step"]).seconds.sum().round(2).to_string())
 
 
-def start_up(dataset, folder):
-    """Seconds of a run with nothing to do."""
-    return weigh("run", dataset, "--out", folder / "floor", "--workers", 2).wall_s
+def split(timings):
+    """Seconds inside the stages, and of reading and writing tables."""
+    is_file = timings.step.isin(["read", "write"])
+    return timings.seconds[~is_file].sum(), timings.seconds[is_file].sum()
 
 
 def floor(out, pair):

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import pandas as pd
 import psutil
 
 FIDPIPE = Path(sys.executable).with_name("fidpipe")
@@ -64,6 +65,23 @@ def scratch():
     finally:
         if not kept:
             shutil.rmtree(folder)
+
+
+def repeated(dataset, n_pairs, out):
+    """A manifest of so many pairs: those of a dataset, again and again under other names."""
+    listed = dataset / "pairs.csv"
+    if listed.exists():
+        rows = pd.read_csv(listed)
+    else:
+        names = sorted(path.name for path in (dataset / "real").iterdir() if path.suffix == ".bin")
+        rows = pd.DataFrame({"real": [f"real/{name}" for name in names], "sim": [f"sim/{name}" for name in names]})
+    rows = pd.concat([rows] * -(-n_pairs // len(rows)), ignore_index=True).head(n_pairs)
+    rows["pair_id"] = [f"{i:06d}" for i in range(n_pairs)]
+    for side in ("real", "sim"):
+        rows[side] = [str((dataset / path).resolve()) for path in rows[side]]
+    out.mkdir(parents=True, exist_ok=True)
+    rows.to_csv(out / "pairs.csv", index=False)
+    return out
 
 
 def machine():

@@ -10,7 +10,7 @@ the time of a second run, which has nothing to do.
 import sys
 
 import pandas as pd
-from measure import machine, scratch, weigh
+from measure import machine, repeated, scratch, weigh
 
 N_FILES = 250
 WORKERS = 2
@@ -22,10 +22,7 @@ def main(n_pairs=10_000, points=2000):
         data, out = folder / "small", folder / f"small-run{n_pairs}"
         n_files = min(N_FILES, n_pairs)
         weigh("synth", data, "--pairs", n_files, "--points", points, "--workers", WORKERS)
-        original = pd.read_csv(data / "pairs.csv") if (data / "pairs.csv").exists() else listed(data)
-        repeats = pd.concat([original] * -(-n_pairs // n_files), ignore_index=True).head(n_pairs)
-        repeats["pair_id"] = [f"{i:06d}" for i in range(n_pairs)]
-        repeats.to_csv(data / "pairs.csv", index=False)
+        data = repeated(data, n_pairs, folder / "listed")
         run = weigh("run", data, "--out", out, "--workers", WORKERS, "--from", "ground")
         timings = pd.read_parquet(out / "timings.parquet")
         again = weigh("run", data, "--out", out, "--workers", WORKERS)
@@ -40,14 +37,6 @@ def main(n_pairs=10_000, points=2000):
     workers = ", ".join(f"{of:.0f}" for of in sorted(run.peaks[1:])[-WORKERS:])
     print(f"peak memory: command with scheduler {run.peaks[0]:.0f} MiB, workers {workers} MiB")
     print(f"nothing to do: {again.wall_s:.1f} s")
-
-
-def listed(data):
-    """The manifest of a folder of real/ and sim/."""
-    stems = sorted(path.stem for path in (data / "real").glob("*.bin"))
-    return pd.DataFrame(
-        {"pair_id": stems, "real": [f"real/{of}.bin" for of in stems], "sim": [f"sim/{of}.bin" for of in stems]}
-    )
 
 
 if __name__ == "__main__":
