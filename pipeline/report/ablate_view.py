@@ -62,7 +62,7 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
     paper = f"; the paper chose {_PAPER[name]:g}" if name in _PAPER else ""
     table = _table(f"{WORDS[name]}; mean ± std over {n_pairs} pairs, * in force{paper}")
     table.add_column(name.removesuffix("_m"), justify="right", no_wrap=True)
-    table.add_column("objects\nreal", justify="right")
+    table.add_column("objects\nreal", justify="right", min_width=7)
     table.add_column("\nsim", justify="right")
     for _, heading in _COLUMNS:
         table.add_column(heading.replace(" ", "\n"), justify="right", no_wrap=True)

@@ -102,7 +102,7 @@ def _draw_object(axis: Any, points: FloatArray, colour: str) -> None:
     start = (low + high - size) / 2
     axis.scatter(*(points - start).T, s=1.5, color=colour, linewidths=0)
     axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
-    axis.set_box_aspect(size, zoom=0.82)
+    axis.set_box_aspect(size, zoom=0.75)
     for name, of, length in zip("xyz", (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
         of.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
         of.set_tick_params(labelsize=6, pad=-2)

@@ -25,6 +25,13 @@ TABLE_I = {
     Perturbation("rigid", 2.0, 0.05): ((1.0, 0.0), (0.8299, 0.0049), (4.494e-6, 5.511e-6)),
 }
 _TABLE_I_METRICS = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
+_SHORT = {
+    "noise": "noise\n{:g} m",
+    "dropout": "drop\n{:.0%}",
+    "rigid": "rigid\n{:g}°",
+    "hallucination": "added\n{:.0%}",
+    "density": "dens.\nx {:g}",
+}
 _ROUNDING = 1e-12
 _DETAILS = (
     ("max_eigenvalue_shift", "shift"),
@@ -41,7 +48,9 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
     scans = ", ".join(task.pair.pair_id for task in outcome.tasks)
     parts: list[RenderableType] = []
     if outcome.tasks:
-        parts += [_table_i(outcome, means, scans), _chosen_table(outcome)]
+        if any(means.get(None, level, "match_rate").n for level in outcome.levels):
+            parts.append(_table_i(outcome, means, scans))
+        parts.append(_chosen_table(outcome))
         for metric, reading in (
             ("r_lambda", "structure: 0 best, 1 worst"),
             ("r_gap", "overall connectivity: 0 best, 0.5 worst"),
@@ -110,7 +119,7 @@ def _object_table(outcome: PerturbOutcome, means: Means, metric: str, reading: s
     for name in names:
         table.add_column(name, justify="right")
     for level in outcome.levels:
-        cells = [_spread(means.get(name, level, metric)) for name in names]
+        cells = [_spread(means.get(name, level, metric)).replace(" ", "") for name in names]
         table.add_row(level_words(level), *cells, end_section=_is_last(level, outcome))
     return table
 
@@ -144,11 +153,11 @@ def _reaction_table(reactions: list[Reaction], outcome: PerturbOutcome) -> Table
     table = _table("Which metric reacts to what: means over the objects at the strongest level of each kind")
     table.add_column("metric", no_wrap=True)
     for level in strongest:
-        table.add_column(level_words(level).replace(" ", "\n", 1), justify="right")
-    table.add_column("most to")
+        table.add_column(_SHORT[level.kind].format(level.amount), justify="right", no_wrap=True)
+    table.add_column("most to", no_wrap=True)
     for of in reactions:
-        cells = ["-" if value is None else f"{value:.2g}" for value in of.values]
-        most = "" if of.most is None else of.most.kind
+        cells = ["-" if value is None else _number(value) for value in of.values]
+        most = "" if of.most is None else _SHORT[of.most.kind].partition("\n")[0]
         table.add_row(of.metric, *cells, most, end_section=of.metric == OWN_METRICS[-1])
     return table
 
@@ -167,7 +176,9 @@ def _spread(of: Mean) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:.3f}" if value == 0 or abs(value) >= 5e-4 else f"{value:.0e}"
+    if abs(value) >= 10:
+        return f"{value:.0f}"
+    return f"{value:.3f}" if abs(value) >= 5e-4 or value == 0 else f"{value:.0e}"
 
 
 def _table(title: str) -> Table:
