@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ..schemas.columns import SIDES
 from ..schemas.settings import BASELINE_NAMES, Settings
-from ..schemas.tables import BASELINES, SIDES
+from ..schemas.tables import BASELINES
 from ..stages.baselines import Baseline, compare_objects, compare_points
 from ..stages.registration import can_register
 from ..stages.summary import mean_and_std

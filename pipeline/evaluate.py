@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings
-from ..schemas.tables import SIDES, TABLES
+from ..schemas.tables import TABLES
 from .fanout import one_blas_thread
 from .plan import plan_pair
 from .readers.dataset import ScanPair

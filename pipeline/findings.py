@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ..schemas.tables import SIDES
+from ..schemas.columns import SIDES
 from ..stages.arrays import IntArray
 from ..stages.claims import check_claims
 from ..stages.findings import MatchedObjects, SideObjects, summarise_objects

@@ -13,8 +13,8 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
+from ..schemas.columns import SIDES
 from ..schemas.errors import RunError
-from ..schemas.tables import SIDES
 from .record import read_run
 from .store import JobName, Store
 

@@ -12,8 +12,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ..schemas.columns import OBJECT_METRICS, SIDES
 from ..schemas.errors import FidpipeError
-from ..schemas.tables import COMMUNITIES, GRAPH, GROUND, MATCHING, METRICS, OBJECT_METRICS, OBJECTS, SELECTION, SIDES
+from ..schemas.tables import COMMUNITIES, GRAPH, GROUND, MATCHING, METRICS, OBJECTS, SELECTION
 from ..stages.arrays import FloatArray
 from ..stages.clean import clean_scan
 from ..stages.communities import find_communities

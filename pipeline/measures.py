@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..schemas.columns import OBJECT_METRICS, SIDES
 from ..schemas.errors import DatasetError, SettingsError
-from ..schemas.tables import OBJECT_METRICS, SIDES
 from ..stages.arrays import BoolArray, FloatArray, IndexArray
 from ..stages.findings import MatchedObjects, SideObjects, distribution
 from .findings import read_objects

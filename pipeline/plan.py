@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
+from ..schemas.columns import SIDES
 from ..schemas.settings import Settings
-from ..schemas.tables import SIDES
 from .readers.dataset import ScanPair
 from .store import JobRecord, Store, key_of
 from .task import Facts, Job, PairTask, Tables

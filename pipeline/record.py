@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..schemas.columns import OBJECT_METRICS
 from ..schemas.settings import Settings
-from ..schemas.tables import OBJECT_METRICS
 from ..stages.summary import summarise_dataset
 from .plan import Stage, library_versions
 from .store import JobRecord

@@ -14,8 +14,9 @@ from typing import Any
 
 import pyarrow as pa
 
+from ..schemas.columns import SIDES
 from ..schemas.settings import Settings, to_toml
-from ..schemas.tables import PAIRS, SIDES, TIMINGS
+from ..schemas.tables import PAIRS, TIMINGS
 from .fanout import DaskPool, InProcess, Pool, cpu_count
 from .findings import run_findings
 from .intake import ScanFacts, file_marks, inspect_pairs, pair_warnings, settings_key

@@ -8,8 +8,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from ..schemas.columns import SIDES
 from ..schemas.errors import RunError
-from ..schemas.tables import SIDES
 from .finished import FinishedRun, PairObjects, Row
 
 

@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ..schemas.columns import SIDES
 from ..schemas.errors import StageError
 from ..schemas.settings import Settings
-from ..schemas.tables import SIDES
 from ..stages.arrays import FloatArray, IntArray
 from ..stages.graph import Edges
 from ..stages.laplacian import Subgraph, split_by_community

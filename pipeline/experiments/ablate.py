@@ -19,9 +19,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ...schemas.columns import OBJECT_METRICS
 from ...schemas.errors import SettingsError
+from ...schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
 from ...schemas.settings import Settings, parse
-from ...schemas.tables import ABLATE, ABLATE_SUMMARY, OBJECT_METRICS
 from ...stages.summary import mean_and_std
 from ..costs import object_seconds
 from ..progress import Reporter

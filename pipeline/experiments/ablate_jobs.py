@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.columns import OBJECT_METRICS, SIDES
+from ...schemas.experiment_tables import ABLATE
 from ...schemas.settings import Settings
-from ...schemas.tables import ABLATE, OBJECT_METRICS, SIDES
 from ...stages.laplacian import Subgraph
 from ...stages.matching import match_communities
 from ...stages.metrics import Scores

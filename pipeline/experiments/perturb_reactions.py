@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
-from ...schemas.tables import OBJECT_METRICS
+from ...schemas.columns import OBJECT_METRICS
 from ...stages.perturbations import Perturbation
 from .perturb_claims import Means
 

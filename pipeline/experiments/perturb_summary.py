@@ -13,7 +13,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ...schemas.tables import OBJECT_METRICS, PERTURB_SUMMARY, TABLES
+from ...schemas.columns import OBJECT_METRICS
+from ...schemas.experiment_tables import PERTURB_SUMMARY
+from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..store import JobRecord, key_of
 from .sweep import Sweep

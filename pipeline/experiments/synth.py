@@ -18,8 +18,8 @@ from time import monotonic
 
 import numpy as np
 
+from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
-from ...schemas.tables import SIDES
 from ...stages.raycast import SENSORS, need_ray_caster
 from ..readers.dataset import LABEL_NAMES, MANIFEST
 from .scans import SynthScan, make_pair

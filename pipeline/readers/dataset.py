@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
-from ...schemas.tables import SIDES
 from . import stem_of, suffix_of
 
 MANIFEST = "pairs.csv"

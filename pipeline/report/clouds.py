@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow.compute as pc
 
-from ...schemas.tables import SIDES
+from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.laplacian import induced_laplacian
 from ...stages.spectrum import eigenvalues

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.tables import SIDES
+from ...schemas.columns import SIDES
 from ...stages.arrays import IndexArray, IntArray
 from .aggregates import plain_rows
 from .clouds import Cloud, PairTables, Spectra

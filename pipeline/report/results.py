@@ -16,9 +16,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.settings import Settings, parse
-from ...schemas.tables import PAIRS, SIDES
+from ...schemas.tables import PAIRS
 from ..finished import FinishedRun
 from ..plan import Stage
 from ..run import STAGES

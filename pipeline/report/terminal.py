@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ...schemas.tables import SIDES
+from ...schemas.columns import SIDES
 from ..check import DatasetCheck
 from ..session import RunOutcome
 from ..status import STATES, RunStatus

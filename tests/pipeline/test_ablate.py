@@ -16,9 +16,10 @@ from fidpipe.pipeline.experiments.ablate_choice import choose, influences
 from fidpipe.pipeline.progress import Reporter
 from fidpipe.pipeline.readers import read_scan
 from fidpipe.pipeline.report.ablate_figure import draw_ablation
+from fidpipe.schemas.columns import OBJECT_METRICS
 from fidpipe.schemas.errors import DatasetError, SettingsError
+from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.settings import load
-from fidpipe.schemas.tables import ABLATE, OBJECT_METRICS
 from runs import command
 from scenes import write_dataset
 

@@ -17,8 +17,8 @@ from fidpipe.pipeline.progress import Reporter
 from fidpipe.pipeline.report.perturb_figure import draw_perturbations
 from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
+from fidpipe.schemas.experiment_tables import PERTURB_SUMMARY
 from fidpipe.schemas.settings import load
-from fidpipe.schemas.tables import PERTURB_SUMMARY
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.perturbations import Perturbation, perturb
 from runs import command

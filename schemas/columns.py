@@ -1,0 +1,110 @@
+"""What a table is: named columns of fixed type, nullability, unit and meaning, and the columns that sort its rows.
+
+Leaves to others: which tables there are (`tables`, `experiment_tables`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+SIDES = ("real", "sim")
+
+#: The object metrics whose mean and standard deviation stand in `pairs`, in that order.
+OBJECT_METRICS = (
+    "centroid_distance_m",
+    "cdc",
+    "r_lambda",
+    "r_gap",
+    "max_eigenvalue_shift",
+    "laplacian_change",
+    "eigenspectrum_distance",
+    "alignment_rms_m",
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table: its name, its columns, and the columns by which its rows are sorted."""
+
+    name: str
+    schema: pa.Schema
+    keys: tuple[str, ...]
+    version: int = 1
+
+    def check(self, table: pa.Table) -> pa.Table:
+        """The table itself, if names, types and nullability are as agreed.
+
+        Raises
+        ------
+        ValueError
+            A column is missing, surplus, of another type, or has a null that the schema forbids.
+        """
+        if table.schema.names != self.schema.names:
+            raise ValueError(f"table {self.name}: columns {table.schema.names} found, {self.schema.names} wanted")
+        for field in self.schema:
+            column = table.column(field.name)
+            if column.type != field.type and not (field.type == SAME and column.type == pa.string()):
+                raise ValueError(f"table {self.name}, column {field.name}: {column.type} found, {field.type} wanted")
+            if not field.nullable and column.null_count:
+                raise ValueError(
+                    f"table {self.name}, column {field.name}: {column.null_count} nulls found, none allowed"
+                )
+        return table
+
+    def build(self, columns: dict[str, Any], n_rows: int | None = None) -> pa.Table:
+        """A checked table from arrays; a single string, number or None fills its column for `n_rows` rows."""
+        if n_rows is None:
+            n_rows = next(len(value) for value in columns.values() if _is_column(value))
+        arrays = []
+        for field in self.schema:
+            value = columns[field.name]
+            if _is_column(value):
+                arrays.append(pa.array(value, type=field.type, from_pandas=False))
+            elif field.type == SAME:
+                arrays.append(pa.DictionaryArray.from_arrays(np.zeros(n_rows, dtype=np.int32), pa.array([value])))
+            else:
+                arrays.append(pa.repeat(pa.scalar(value, type=field.type), n_rows))
+        return self.check(pa.Table.from_arrays(arrays, schema=self.schema))
+
+    @property
+    def same(self) -> list[str]:
+        """The columns that are dictionaries in memory."""
+        return [field.name for field in self.schema if field.type == SAME]
+
+    def plain(self, table: pa.Table) -> pa.Table:
+        """The table with plain strings in place of dictionaries."""
+        plain = [field.with_type(pa.string()) if field.type == SAME else field for field in table.schema]
+        return table.cast(pa.schema(plain))
+
+    def from_rows(self, rows: Iterable[dict[str, Any]]) -> pa.Table:
+        """A checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
+        table = pa.Table.from_pylist(list(rows), schema=self.schema)
+        return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
+
+
+def _is_column(value: Any) -> bool:
+    return hasattr(value, "__len__") and not isinstance(value, str)
+
+
+def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional: bool = False) -> pa.Field:
+    """A column with its meaning, and its unit if it has one."""
+    metadata = {"meaning": meaning}
+    if unit:
+        metadata["unit"] = unit
+    return pa.field(name, kind, nullable=optional, metadata=metadata)
+
+
+STRING, ID, REAL, FLAG, COUNT = pa.string(), pa.int32(), pa.float64(), pa.bool_(), pa.int32()
+#: Strings that are the same in all rows of a file: in memory a dictionary, in Parquet plain strings.
+SAME = pa.dictionary(pa.int32(), pa.string())
+
+PAIR = column("pair_id", SAME, "name of the scan pair")
+SIDE = column("side", SAME, "real or sim")
+POINT = column("point_id", ID, "row of the point in its input file, from 0")
+COMMUNITY = column("community_id", ID, "object of this side; 0 is the largest")
+LABEL = column("label", STRING, "semantic class, where the input has labels", optional=True)
