@@ -22,7 +22,6 @@ QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILLI
 
 #: Part of plasma that is seen on white: dark blue is faithful, orange is failed.
 _FIDELITY_PART = (0.0, 0.82)
-_LONGEST_NAME = 28
 
 _STYLE = {
     "font.size": 9,
@@ -86,7 +85,7 @@ def community_colours(n: int) -> Any:
     return wheel[np.arange(n) % len(wheel)]
 
 
-def shown_name(name: str) -> str:
+def shown_name(name: str, most: int = 28) -> str:
     r"""A name as a figure can show it: shortened, and with escapes in place of signs that the font does not have.
 
     Examples
@@ -100,4 +99,4 @@ def shown_name(name: str) -> str:
     text = "".join(
         sign if ord(sign) in known and sign.isprintable() else sign.encode("unicode_escape").decode() for sign in name
     )
-    return text if len(text) <= _LONGEST_NAME else f"{text[: _LONGEST_NAME - 1]}…"
+    return text if len(text) <= most else f"{text[: most - 1]}…"

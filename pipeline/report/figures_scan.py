@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.tables import SIDES
+from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray
 from .clouds import Cloud, PairTables
 from .figure_style import (

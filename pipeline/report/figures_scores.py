@@ -14,6 +14,7 @@ from .results import RunResults
 
 _COLOURS = {"r_lambda": BLUE, "cdc": ORANGE}
 _MOST_CLASSES = 8
+_MOST_LETTERS = 70  # that fit side by side under the boxes
 
 
 def draw_distributions(results: RunResults, folder: Any) -> Any:
@@ -100,8 +101,14 @@ def _draw_groups(axis: Any, groups: list[dict[str, Any]]) -> None:
             flierprops={"markersize": 2.5, "marker": "o", "markerfacecolor": _COLOURS[column], "markeredgewidth": 0},
             manage_ticks=False,
         )
-    labels = [f"{shown_name(str(group['name']))}\n({group['n']})" for group in groups]
-    axis.set_xticks(range(len(groups)), labels, rotation=30 if max(map(len, labels), default=0) > 16 else 0)
+    names = [shown_name(group["name"], most=16) for group in groups]
+    if len(names) * max(map(len, names), default=0) > _MOST_LETTERS:
+        labels = [f"{name} ({group['n']})" for name, group in zip(names, groups, strict=True)]
+        axis.set_xticks(range(len(groups)), labels, rotation=25, ha="right", rotation_mode="anchor")
+    else:
+        axis.set_xticks(
+            range(len(groups)), [f"{name}\n({group['n']})" for name, group in zip(names, groups, strict=True)]
+        )
     axis.set_xlim(-0.6, len(groups) - 0.4)
     axis.set_ylim(0, 2.02)
     axis.grid(axis="y")

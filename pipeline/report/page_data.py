@@ -18,7 +18,8 @@ from .verdict import limits_in_words, verdict_of
 #: More than these would make the page slow; the tables and charts then say what part they show.
 _MOST_DOTS = 3000
 _MOST_ROWS = 5000
-_MOST_SCANS, _MOST_CLASSES = 16, 10
+_MOST_SCANS, _MOST_CLASSES, _MOST_FAILURES = 16, 10, 5
+_DIGITS = 6  # of the tables; the panel of an object has all
 
 _PAIR_COLUMNS = (
     "pair_id", "n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean",
@@ -46,7 +47,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
         "verdict": verdict.sentence,
         "weakest": verdict.weakest,
         "numbers": verdict.numbers,
-        "failures": results.failures,
+        "failures": {"n": len(results.failures), "first": dict(list(results.failures.items())[:_MOST_FAILURES])},
         "names": results.pairs.pair_id.tolist(),
         "n_matched": len(matched),
         "class_is": results.class_is,
@@ -70,7 +71,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
         "times": stage_times(results),
         "pairs": {
             "columns": _PAIR_COLUMNS,
-            "rows": plain_rows(results.pairs, _PAIR_COLUMNS),
+            "rows": plain_rows(results.pairs.round(_DIGITS), _PAIR_COLUMNS),
             "note": "Worst first, by the mean of the ranks in match rate, CDC and r_lambda.",
         },
         "objects": _objects(results),
@@ -119,7 +120,7 @@ def _objects(results: RunResults) -> dict[str, Any]:
     cut = f" The page holds {n_rows:,} of {n_all:,}; the rest is in the run's tables." if n_rows < n_all else ""
     return {
         "columns": _OBJECT_COLUMNS,
-        "rows": plain_rows(matched, _OBJECT_COLUMNS) + plain_rows(lone, _OBJECT_COLUMNS),
+        "rows": plain_rows(matched.round(_DIGITS), _OBJECT_COLUMNS) + plain_rows(lone.round(_DIGITS), _OBJECT_COLUMNS),
         "note": "Worst first: matched objects by the mean of their ranks in CDC and r_lambda, then unmatched ones, "
         f"largest first.{cut}",
     }

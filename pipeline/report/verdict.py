@@ -102,6 +102,7 @@ def _numbers(results: RunResults) -> list[dict[str, Any]]:
             "name": name,
             "mean": _or_none(pairs[column].mean()),
             "std": _or_none(pairs[column].std()),
+            "digits": 1 if column.startswith("n_") else 3,
             "scale": scale,
             "meaning": meaning,
         }

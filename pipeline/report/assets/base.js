@@ -17,9 +17,14 @@ const RAMPS = {
   dark: ["#6a00a8", "#9c179e", "#cc4778", "#ed7953", "#fdb42f", "#f0f921"],
 };
 
+// Signs that steer the text around them (direction marks, controls) are shown by their number instead.
+const shown = (text) =>
+  String(text).replace(/[\u0000-\u001f\u007f-\u009f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff]/g, (sign) => `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`);
+const say = (id, text) => { byId(id).textContent = shown(text); };
+
 function element(tag, text, options = {}) {
   const made = document.createElement(tag);
-  if (text !== undefined && text !== null) made.textContent = text;
+  if (text !== undefined && text !== null) made.textContent = shown(text);
   for (const [name, value] of Object.entries(options)) {
     if (name === "class") made.className = value;
     else if (name in made) made[name] = value;
@@ -31,8 +36,7 @@ function element(tag, text, options = {}) {
 // Plotly reads a little markup in its texts: take its meaning away, and shorten.
 const shorten = (text, most = 22) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
 const plotText = (text, most) =>
-  shorten(String(text), most).replace(/[\u0000-\u001f\u202a-\u202e\u2066-\u2069]/g, "\u00b7")
-    .replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+  shorten(shown(text), most).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
 function number(value, digits = 3) {
   if (value === null || value === undefined) return "–";
@@ -71,5 +75,14 @@ function layout(more) {
   return merged;
 }
 
-const CONFIG = { responsive: true, displaylogo: false, displayModeBar: false };
-const draw = (id, data, more, config = {}) => Plotly.react(id, data, layout(more), { ...CONFIG, ...config });
+const CONFIG = { displaylogo: false, displayModeBar: false };
+const charts = new ResizeObserver((changes) => {
+  for (const { target } of changes) if (target.offsetWidth) Plotly.Plots.resize(target);
+});
+
+// Draws a chart, or draws it anew. It follows the size of its place, also when that was hidden meanwhile.
+function draw(id, data, more, config = {}) {
+  const done = Plotly.react(id, data, layout(more), { ...CONFIG, ...config });
+  charts.observe(byId(id));
+  return done;
+}

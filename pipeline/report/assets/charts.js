@@ -38,7 +38,7 @@ function drawQuadrants() {
     showObject(report.names[pair], `real ${id}`);
   });
   const sampled = all.cdc.length < report.n_matched ? ` ${all.cdc.length.toLocaleString("en")} of ${report.n_matched.toLocaleString("en")} objects are drawn, evenly over the order from worst to best; the counts are of all.` : "";
-  byId("quadrant_note").textContent = `Limits: ${report.limits.words}.${sampled}`;
+  say("quadrant_note", `Limits: ${report.limits.words}.${sampled}`);
 }
 
 function drawBoxes(id, groups) {
@@ -88,7 +88,7 @@ function drawPolar() {
   });
   const n = report.fates.missing + report.fates.hallucinated;
   const sampled = report.unmatched_points.length < n ? ` ${report.unmatched_points.length.toLocaleString("en")} of ${n.toLocaleString("en")} are drawn, largest first.` : "";
-  byId("polar_note").textContent = `Unmatched objects of all pairs around the sensor, at their centroids, seen from above.${sampled}`;
+  say("polar_note", `Unmatched objects of all pairs around the sensor, at their centroids, seen from above.${sampled}`);
 }
 
 function drawBands() {

@@ -3,20 +3,21 @@
 
 function fillVerdict() {
   document.title = `fidpipe report: ${report.title}`;
-  byId("title").textContent = report.title;
-  byId("sentence").textContent = report.verdict;
-  byId("weakest").textContent = report.weakest;
-  const failed = Object.entries(report.failures);
-  byId("failures").textContent = failed.length ? `${failed.length} more pairs failed and count nowhere here: ${failed.slice(0, 5).map(([name, why]) => `${shorten(name)} (${shorten(why, 120)})`).join("; ")}${failed.length > 5 ? " …" : ""}` : "";
+  say("title", report.title);
+  say("sentence", report.verdict);
+  say("weakest", report.weakest);
+  const { n, first } = report.failures;
+  const named = Object.entries(first).map(([name, why]) => `${shorten(name)} (${shorten(why, 120)})`);
+  say("failures", n ? `${n.toLocaleString("en")} more pair${n > 1 ? "s" : ""} failed and count nowhere here: ${named.join("; ")}${named.length < n ? " …" : ""}` : "");
   byId("numbers").replaceChildren(...report.numbers.map((of) => {
     const tile = element("div", null, { class: "tile" });
-    const value = element("div", number(of.mean, Math.abs(of.mean) >= 3 ? 1 : 3), { class: "value" });
-    value.append(element("span", ` ± ${number(of.std, Math.abs(of.mean) >= 3 ? 1 : 3)}`, { class: "spread" }));
+    const value = element("div", of.mean === null ? number(null) : of.mean.toFixed(of.digits), { class: "value" });
+    value.append(element("span", ` ± ${of.std === null ? number(null) : of.std.toFixed(of.digits)}`, { class: "spread" }));
     tile.append(element("div", of.name, { class: "name" }), value, element("p", `${of.scale}: ${of.meaning}`));
     return tile;
   }));
-  byId("box_scan_note").textContent = report.boxes.scan_note;
-  byId("box_class_note").textContent = report.boxes.class_note;
+  say("box_scan_note", report.boxes.scan_note);
+  say("box_class_note", report.boxes.class_note);
 }
 
 function fillTables() {

@@ -29,7 +29,7 @@ function openPair(name) {
   const list = byId("object");
   list.replaceChildren(element("option", "none", { value: "" }), ...scene.objects.map((object) => element("option", objectTitle(object), { value: object.name })));
   const said = Object.entries(view.sides).map(([side, of]) => `${of.n_shown.toLocaleString("en")} of ${of.n.toLocaleString("en")} object points (${side})`);
-  byId("scene_note").textContent = `Shown: ${said.join(", ")}. Points are thinned for display only; all scores are of all points. Road points are not shown. Click a point, or choose in the list, to see its object.`;
+  say("scene_note", `Shown: ${said.join(", ")}. Points are thinned for display only; all scores are of all points. Road points are not shown. Click a point, or choose in the list, to see its object.`);
   chooseObject(null);
   drawScene();
   return true;
@@ -151,7 +151,7 @@ const PANEL = [
 
 function drawPanel(index) {
   const object = scene.objects[index];
-  byId("panel_title").textContent = `Pair ${shorten(scene.pair, 60)}, object ${objectTitle(object)}`;
+  say("panel_title", `Pair ${shorten(scene.pair, 60)}, object ${objectTitle(object)}`);
   byId("panel_numbers").replaceChildren(...PANEL.filter(([key]) => key in object && !(key === "reason" && object[key] === null)).map(([key, title]) => {
     const fact = element("div");
     fact.append(element("span", title, { class: "name" }), element("span", typeof object[key] === "number" ? number(object[key], 6) : object[key] ?? "–", { class: "value", "data-key": key }));
@@ -181,8 +181,8 @@ function drawSides(index, object) {
     ];
     draw(`object_${side}`, traces, sceneLayout({ ...limits, camera: { eye: { x: -1.6, y: -1.6, z: 1.1 }, center: { x: 0, y: 0, z: -0.15 } } }));
     const n = object.side ? object.n_points : object[`n_${side}`];
-    const shown = kept.x.length + left.x.length;
-    byId(`object_${side}_note`).textContent = `${side === "real" ? "Real" : "Simulated"}: ${shown.toLocaleString("en")} of ${n.toLocaleString("en")} points shown. ${hasNodes ? `Coloured dots: nodes kept for the spectral scores (${object.n_keep.toLocaleString("en")} of ${n.toLocaleString("en")}); grey crosses: left out.` : "Unmatched: no counterpart, no score."}`;
+    const nShown = kept.x.length + left.x.length;
+    say(`object_${side}_note`, `${side === "real" ? "Real" : "Simulated"}: ${nShown.toLocaleString("en")} of ${n.toLocaleString("en")} points shown. ${hasNodes ? `Coloured dots: nodes kept for the spectral scores (${object.n_keep.toLocaleString("en")} of ${n.toLocaleString("en")}); grey crosses: left out.` : "Unmatched: no counterpart, no score."}`);
   }
   if (sides.length === 2) tieCameras();
 }
@@ -206,7 +206,7 @@ function drawSpectrum(object) {
   const place = byId("spectrum");
   place.hidden = Boolean(of.reason);
   if (of.reason) {
-    byId("spectrum_note").textContent = `Spectra: ${of.reason}.`;
+    say("spectrum_note", `Spectra: ${of.reason}.`);
     return;
   }
   const index = decode(of.index, Int32Array);
@@ -216,7 +216,7 @@ function drawSpectrum(object) {
   const traces = ["real", "sim"].map((side) => ({ type: "scatter", mode: "lines", name: side === "real" ? "real" : "simulated", x: index, y: curves[side], line: { color: COLOURS[side], width: 2, dash: side === "real" ? "solid" : "dash" }, hovertemplate: "eigenvalue %{x}: %{y:.4f}<extra></extra>" }));
   traces.push({ type: "scatter", mode: "lines+markers", name: `largest shift ${Math.abs(ends[1] - ends[0]).toFixed(3)}`, x: [at, at], y: ends, line: { color: css("--ink"), width: 3 }, marker: { size: 7, color: css("--ink") } });
   draw("spectrum", traces, { xaxis: { title: { text: "number of the eigenvalue, in ascending order" } }, yaxis: { title: { text: "eigenvalue (0 to 2)" } } });
-  byId("spectrum_note").textContent = `Spectra of the reduced Laplacians, ${of.n.toLocaleString("en")} eigenvalues a side${index.length < of.n ? `, ${index.length} of them drawn` : ""}. r_lambda is the marked shift over the Laplacian change: ${number(object.max_eigenvalue_shift, 4)} / ${number(object.laplacian_change, 4)} = ${number(object.r_lambda, 4)}.`;
+  say("spectrum_note", `Spectra of the reduced Laplacians, ${of.n.toLocaleString("en")} eigenvalues a side${index.length < of.n ? `, ${index.length} of them drawn` : ""}. r_lambda is the marked shift over the Laplacian change: ${number(object.max_eigenvalue_shift, 4)} / ${number(object.laplacian_change, 4)} = ${number(object.r_lambda, 4)}.`);
 }
 
 function showObject(pair, name) {
@@ -230,7 +230,7 @@ function showObject(pair, name) {
 
 function startScene() {
   const names = Object.keys(report.views);
-  byId("view_note").textContent = report.view_note;
+  say("view_note", report.view_note);
   if (!names.length) return;
   byId("viewer").hidden = false;
   byId("pair").append(...names.map((name) => element("option", shorten(name, 60), { value: name, title: name })));

@@ -76,8 +76,8 @@ function makeTable(place, what, columns, rows, action, note) {
           button.addEventListener("click", does);
           cell.append(button);
         } else {
-          cell.textContent = text;
-          if (column.text) cell.title = text;
+          cell.textContent = shown(text);
+          if (column.text) cell.title = shown(text);
         }
         if (column.text) cell.dir = "auto";
         line.append(cell);
@@ -88,9 +88,9 @@ function makeTable(place, what, columns, rows, action, note) {
       const sort = column.key === state.sort ? (state.up ? "ascending" : "descending") : "none";
       headRow.cells[k].setAttribute("aria-sort", sort);
     });
-    const shown = Math.min(found.length, state.shown);
-    count.textContent = `${found.length.toLocaleString("en")} of ${rows.length.toLocaleString("en")} ${what}${shown < found.length ? `, the first ${shown} shown` : ""}. ${state.sort === null ? note : ""}`;
-    more.hidden = shown >= found.length;
+    const nShown = Math.min(found.length, state.shown);
+    count.textContent = `${found.length.toLocaleString("en")} of ${rows.length.toLocaleString("en")} ${what}${nShown < found.length ? `, the first ${nShown} shown` : ""}. ${state.sort === null ? note : ""}`;
+    more.hidden = nShown >= found.length;
   }
   fill();
 }
