@@ -103,13 +103,15 @@ def check(
 def run(
     dataset: DatasetFolder,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the run. [default: runs/NAME_OF_DATASET]")
+        Path | None, typer.Option("--out", help="Folder of the run.", show_default="runs/NAME_OF_DATASET")
     ] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, help="Processes on this machine; 1 starts no cluster. [default: one a core]"),
+        typer.Option(
+            "--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one a core"
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -182,7 +184,9 @@ def synth(
     sensor: Annotated[str, typer.Option("--sensor", help="Model of the sensor: vlp32c or hdl64.")] = "vlp32c",
     points: Annotated[
         int | None,
-        typer.Option("--points", min=100, help="About so many points a real scan. [default: as the sensor has them]"),
+        typer.Option(
+            "--points", min=100, help="About so many points a real scan.", show_default="as the sensor has them"
+        ),
     ] = None,
     workers: Annotated[
         int, typer.Option("--workers", min=1, help="Processes on this machine; they change nothing but the time.")

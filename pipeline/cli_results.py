@@ -75,8 +75,12 @@ def gate(
     criteria: Annotated[
         Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
     ] = None,
-    junit: Annotated[Path | None, typer.Option("--junit", help="JUnit XML for CI. [default: RUN/gate.xml]")] = None,
-    json_: Annotated[Path | None, typer.Option("--json", help="The same as JSON. [default: RUN/gate.json]")] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
+    ] = None,
+    json_: Annotated[
+        Path | None, typer.Option("--json", help="The same as JSON.", show_default="RUN/gate.json")
+    ] = None,
 ) -> None:
     """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
 

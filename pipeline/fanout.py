@@ -154,7 +154,7 @@ class DaskPool:
 
     Parameters
     ----------
-    n_workers : processes of a cluster on this machine; None for one a core
+    n_workers : processes of a cluster on this machine
     address : of a scheduler whose workers see the same files; no cluster is started then
     shared_file : a file that every worker must see with the same content
     libraries : versions that every worker must have
@@ -168,7 +168,7 @@ class DaskPool:
 
     def __init__(
         self,
-        n_workers: int | None,
+        n_workers: int,
         address: str | None,
         shared_file: Path,
         libraries: dict[str, str],
@@ -187,7 +187,7 @@ class DaskPool:
         if address is None:
             with _ignoring_interrupts():
                 self._cluster = distributed.LocalCluster(
-                    n_workers=n_workers or cpu_count(),
+                    n_workers=n_workers,
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
@@ -261,6 +261,21 @@ class DaskPool:
         for worker, fault in self._client.run(worker_fault, str(shared_file.resolve()), content, libraries).items():
             if fault:
                 raise RunError(f"scheduler {address}, worker {worker}: {fault}")
+
+
+def start_pool(
+    n_workers: int | None,
+    address: str | None,
+    memory_gib: float | None,
+    shared_file: Path,
+    libraries: dict[str, str],
+) -> Pool:
+    """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`."""
+    memory = None if memory_gib is None else int(memory_gib * 2**30)
+    n_workers = n_workers or cpu_count()
+    if address is None and n_workers == 1:
+        return InProcess(memory)
+    return DaskPool(n_workers, address, shared_file, libraries, memory)
 
 
 @contextmanager

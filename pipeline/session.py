@@ -17,7 +17,7 @@ import pyarrow as pa
 from ..schemas.columns import SIDES
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
-from .fanout import DaskPool, InProcess, Pool, cpu_count
+from .fanout import InProcess, Pool, start_pool
 from .findings import run_findings
 from .intake import ScanFacts, file_marks, inspect_pairs, pair_warnings, settings_key
 from .plan import Stage, library_versions, plan_pair, with_whole_results
@@ -267,16 +267,14 @@ class Session:
     def pool(self) -> Pool:
         """Where tasks run; started when first needed."""
         if self._pool is None:
-            self._pool = self._start_pool()
+            self._pool = start_pool(
+                self.request.workers,
+                self.request.scheduler,
+                self.settings.machine.memory_gib,
+                self.store.token_path,
+                library_versions(LIBRARIES),
+            )
         return self._pool
-
-    def _start_pool(self) -> Pool:
-        workers = self.request.workers or cpu_count()
-        gib = self.settings.machine.memory_gib
-        memory = None if gib is None else int(gib * 2**30)
-        if self.request.scheduler is None and workers == 1:
-            return InProcess(memory)
-        return DaskPool(workers, self.request.scheduler, self.store.token_path, library_versions(LIBRARIES), memory)
 
     def _recall(self, pair: ScanPair) -> bool:
         """Whether the facts of a pair's files are known from the last run and still hold."""
@@ -368,4 +366,6 @@ class Session:
 
 
 def _input_name(pair: ScanPair, side: str) -> str:
-    return f"{pair.pair_id} {side} {pair.path(side)}"
+    """What a file is called in the index: by its absolute path, so that it is known wherever the command is called."""
+    path = pair.path(side)
+    return f"{pair.pair_id} {side} {path and path.absolute()}"

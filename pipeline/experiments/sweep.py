@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import Settings, to_toml
-from ..fanout import DaskPool, InProcess, Pool, WorkerDied, cpu_count
+from ..fanout import Pool, WorkerDied, start_pool
 from ..plan import library_versions
 from ..progress import Reporter
 from ..record import LIBRARIES, RUN_JSON, SETTINGS_TOML, dumps, read_run, run_header, what_changed
@@ -87,7 +87,15 @@ def make_part(part: Part, folder: Path, token: str) -> Report:
 class Sweep:
     """An experiment's folder while it is worked on; `sweeping` opens one."""
 
-    def __init__(self, out: Path, workers: int | None, scheduler: str | None, store: Store, reporter: Reporter) -> None:
+    def __init__(
+        self,
+        out: Path,
+        workers: int | None,
+        scheduler: str | None,
+        memory_gib: float | None,
+        store: Store,
+        reporter: Reporter,
+    ) -> None:
         self.out = out
         self.store = store
         self.reporter = reporter
@@ -96,6 +104,7 @@ class Sweep:
         self.n_made = self.n_reused = 0
         self._workers = workers
         self._scheduler = scheduler
+        self._memory_gib = memory_gib
         self._pool: Pool | None = None
 
     def run(self, parts: Iterable[Part], tables: Iterable[str]) -> None:
@@ -169,12 +178,13 @@ class Sweep:
     def pool(self) -> Pool:
         """Where tasks run; started when first needed."""
         if self._pool is None:
-            workers = self._workers or cpu_count()
-            if self._scheduler is None and workers == 1:
-                self._pool = InProcess()
-            else:
-                libraries = library_versions(LIBRARIES)
-                self._pool = DaskPool(workers, self._scheduler, self.store.token_path, libraries)
+            self._pool = start_pool(
+                self._workers,
+                self._scheduler,
+                self._memory_gib,
+                self.store.token_path,
+                library_versions(LIBRARIES),
+            )
         return self._pool
 
     def close(self) -> None:
@@ -212,7 +222,7 @@ def sweeping(
     check_folder(out, source, experiment)
     store = Store(out)
     with store.locked():
-        sweep = Sweep(out, workers, scheduler, store, reporter)
+        sweep = Sweep(out, workers, scheduler, settings.machine.memory_gib, store, reporter)
         sweep.changes = what_changed(read_run(out), settings, STAGES)
         sweep.record({"experiment": experiment, **run_header(source, settings, STAGES)})
         store.replace(out / SETTINGS_TOML, to_toml(settings).encode())

@@ -1,6 +1,7 @@
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import fidpipe
+from fidpipe.pipeline import session
 from fidpipe.pipeline.run import STAGE_NAMES
 from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
@@ -150,6 +152,15 @@ def test_a_touched_but_unchanged_input_file_touches_nothing(again, tmp_path, dat
     move_run(again, data)
     os.utime(data / "sim" / "001.bin", (1, 1))
     assert run(data, again).n_made == 0
+
+
+def test_files_are_known_wherever_the_command_is_called(again, dataset, monkeypatch):
+    run(dataset, again)
+    seen = []
+    monkeypatch.setattr(session, "inspect_pairs", lambda pairs, *_: seen.extend(pairs))
+    monkeypatch.chdir(dataset.parent)
+    assert run(Path(dataset.name), again).n_made == 0
+    assert not seen
 
 
 @pytest.mark.parametrize("stage", STAGE_NAMES)

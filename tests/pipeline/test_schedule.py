@@ -3,9 +3,8 @@
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline import costs, jobs, schedule
+from fidpipe.pipeline import costs, jobs, schedule, session
 from fidpipe.pipeline.fanout import InProcess, Memory
-from fidpipe.pipeline.session import Session
 from runs import assert_same_tables, run
 from scenes import write_dataset
 
@@ -44,7 +43,7 @@ def finished(dataset, tmp_path_factory):
 
 
 def run_in(pool, monkeypatch, dataset, out):
-    monkeypatch.setattr(Session, "_start_pool", lambda self: pool)
+    monkeypatch.setattr(session, "start_pool", lambda *args: pool)
     return run(dataset, out)
 
 
