@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from .files import write_whole
 from .quadrants import QUADRANTS, UNKNOWN
 
 #: Okabe and Ito, Color Universal Design (2008).
@@ -59,10 +61,13 @@ def new_figure(width_in: float, height_in: float, **layout: Any) -> Iterator[Any
 
 def save(figure: Any, folder: Path, name: str) -> list[Path]:
     """Writes a figure as PNG and as SVG; clouds of points are pictures inside the SVG."""
-    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
-    figure.savefig(paths[0])
-    figure.set_layout_engine("none")  # all is in its place now; finding it took half of the time
-    figure.savefig(paths[1], metadata={"Date": None})
+    paths = []
+    for kind, metadata in (("png", {}), ("svg", {"Date": None})):
+        content = BytesIO()
+        figure.savefig(content, format=kind, metadata=metadata)
+        figure.set_layout_engine("none")  # all is in its place now; finding it took half of the time
+        paths.append(folder / f"{name}.{kind}")
+        write_whole(paths[-1], content.getvalue())
     return paths
 
 

@@ -20,7 +20,6 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
     chosen : names of the pairs to choose that pair from, worst first
     folder : where the files go; made if it is not there
     """
-    folder.mkdir(exist_ok=True)
     pair_id = chosen[len(chosen) // 2]
     return [
         *draw_overview(results, pair_id, folder),

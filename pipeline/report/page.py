@@ -8,7 +8,6 @@ Leaves to others: the content (`page_data`, `pair_view`), the drawing (`assets`,
 from __future__ import annotations
 
 import json
-import secrets
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 from ..store import file_stem
 from .figures import draw_figures
+from .files import write_whole
 from .page_data import page_data
 from .pair_view import pair_view
 from .results import RunResults, read_results
@@ -64,7 +64,7 @@ def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: b
         data |= {"views": {name: pair_view(results, name) for name in shown}}
         data |= {"view_note": _view_note(len(shown), len(chosen), len(results.pairs), pattern)}
         page, n_pages, n_views = folder / PAGE, 1, len(shown)
-        _write(page, render(data, f"<script>{_plotly()}</script>"))
+        write_whole(page, render(data, f"<script>{_plotly()}</script>").encode())
     figures = draw_figures(results, chosen, folder / FIGURES)
     return ReportFiles(page, n_pages, figures, n_views, len(results.pairs))
 
@@ -113,17 +113,16 @@ def render(data: dict[str, Any], plotly: str, script_source: str = "") -> str:
 def _write_folder(results: RunResults, data: dict[str, Any], chosen: list[str]) -> tuple[Path, int]:
     """One page a pair and an index, with one plotly.js for all; pages of an earlier report go away."""
     folder = results.folder / PAGES
-    folder.mkdir(exist_ok=True)
     plotly, source = f'<script src="{_PLOTLY}"></script>', " 'self' file:"
-    _write(folder / _PLOTLY, _plotly())
+    write_whole(folder / _PLOTLY, _plotly().encode())
     links = {name: f"pair-{file_stem(name)}.html" for name in chosen}
     for name in chosen:
         own = data | {"views": {name: pair_view(results, name)}, "links": _as_links(links)}
         own |= {"view_note": "This page shows one pair; the tables lead to the others."}
-        _write(folder / links[name], render(own, plotly, source))
+        write_whole(folder / links[name], render(own, plotly, source).encode())
     index = data | {"views": {}, "links": _as_links(links)}
     index |= {"view_note": f"The 3D views of {len(chosen)} pairs have pages of their own: choose one in the tables."}
-    _write(folder / "index.html", render(index, plotly, source))
+    write_whole(folder / "index.html", render(index, plotly, source).encode())
     for path in folder.glob("pair-*.html"):
         if path.name not in links.values():
             path.unlink()
@@ -157,13 +156,3 @@ def _plotly() -> str:
 
 def _asset(name: str) -> str:
     return resources.files(__package__).joinpath("assets", name).read_text(encoding="utf-8")
-
-
-def _write(path: Path, text: str) -> None:
-    """Puts a whole file in place of another."""
-    temporary = path.with_name(f".{secrets.token_hex(8)}")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
