@@ -6,12 +6,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Libraries read these when they are loaded, so the imports come after.
-from pathlib import Path  # noqa: E402
+from pathlib import Path
 
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
+import numpy as np
+import pytest
 
-from reports import finished_run  # noqa: E402
+from reports import finished_run
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
