@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic
 from typing import Any, Protocol
 
 from ..schemas.errors import RunError
@@ -27,13 +28,16 @@ _FIRST_WORKER_TIMEOUT_S = 60
 _STOP_S = 2.0
 _KILL_S = 0.2
 _SHARE_OF_MEMORY = 0.8
+_SECONDS_BETWEEN_COUNTS = 1.0
 
 
-#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; and in workers the
-#: allocator keeps blocks of up to 32 MiB instead of giving the pages back and faulting them in again for each array.
+#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; the scheduler keeps
+#: a short log, so that it does not grow with the number of tasks; and in workers the allocator keeps blocks of up to
+#: 32 MiB instead of giving the pages back and faulting them in again for each array.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.admin.tick.limit": "1h",
+    "distributed.admin.low-level-log-length": 1000,
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 25,
 }
@@ -184,6 +188,7 @@ class DaskPool:
         self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
         self._address, self._given_memory = address, memory
+        self._n_workers, self._asked = 1, -_SECONDS_BETWEEN_COUNTS
         if address is None:
             with _ignoring_interrupts():
                 self._cluster = distributed.LocalCluster(
@@ -209,8 +214,11 @@ class DaskPool:
 
     @property
     def n_workers(self) -> int:
-        """Threads of all workers that are there now, at least 1."""
-        return max(1, sum(int(n) for n in self._client.nthreads().values()))
+        """Threads of all workers that are there now, at least 1; asked of the scheduler once in a while."""
+        if monotonic() - self._asked > _SECONDS_BETWEEN_COUNTS:
+            self._asked = monotonic()
+            self._n_workers = max(1, sum(int(n) for n in self._client.nthreads().values()))
+        return self._n_workers
 
     @property
     def memory(self) -> Memory:
