@@ -31,13 +31,11 @@ _SHARE_OF_MEMORY = 0.8
 _SECONDS_BETWEEN_COUNTS = 1.0
 
 
-#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; the scheduler keeps
-#: a short log, so that it does not grow with the number of tasks; and in workers the allocator keeps blocks of up to
-#: 32 MiB instead of giving the pages back and faulting them in again for each array.
+#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; and in workers the
+#: allocator keeps blocks of up to 32 MiB instead of giving the pages back and faulting them in again for each array.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.admin.tick.limit": "1h",
-    "distributed.admin.low-level-log-length": 1000,
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 25,
 }
