@@ -55,6 +55,16 @@ def object_bytes(n_keep: int) -> int:
     return 8 * n_keep**2 + _BYTES_A_NODE * n_keep
 
 
+def most_workers(memory: int) -> int:
+    """How many worker processes may be there, so that at least half of the memory is left for what they make.
+
+    Parameters
+    ----------
+    memory : bytes that all of them together may occupy
+    """
+    return max(1, memory // (2 * PROCESS_BYTES))
+
+
 def largest_object(n_keep: Iterable[tuple[int, int]]) -> tuple[int, int]:
     """Real id and nodes of the object that has the most; (-1, 0) where there is none."""
     return max(n_keep, key=lambda of: of[1], default=(-1, 0))

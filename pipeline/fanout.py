@@ -22,6 +22,7 @@ from time import monotonic
 from typing import Any, Protocol
 
 from ..schemas.errors import RunError
+from .costs import most_workers
 
 _CONNECT_TIMEOUT_S = 10
 _FIRST_WORKER_TIMEOUT_S = 60
@@ -276,9 +277,14 @@ def start_pool(
     shared_file: Path,
     libraries: dict[str, str],
 ) -> Pool:
-    """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`."""
+    """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`.
+
+    There are no more workers than the memory holds.
+    """
     memory = None if memory_gib is None else int(memory_gib * 2**30)
     n_workers = n_workers or cpu_count()
+    if address is None and n_workers > 1:
+        n_workers = min(n_workers, most_workers(memory or machine_memory()))
     if address is None and n_workers == 1:
         return InProcess(memory)
     return DaskPool(n_workers, address, shared_file, libraries, memory)

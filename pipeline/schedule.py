@@ -109,9 +109,12 @@ class Schedule:
             if not order.pair.n_waiting:
                 self._go_on(order.pair)
             self._fill()
+        if left := [*self._pending, *self._active, *self._quarantine]:
+            raise RuntimeError(f"{len(left)} pairs were left over though nothing ran any more")
 
     def _fill(self) -> None:
         if self._alone:
+            self._admit()
             return
         window = (_FEW_PAIRS_A_WORKER if self._few_left() else _PAIRS_A_WORKER) * self._pool.n_workers
         while self._pending and len(self._active) < window:
@@ -167,8 +170,9 @@ class Schedule:
         elif any(job.stage in OBJECT_STAGES for job in pair.todo):
             self._submit_objects(pair)
         else:
+            need = self._pair_bytes(pair) + object_bytes(largest_object(_n_keep(pair.task) or [])[1])
             for job in pair.todo:
-                self._submit(_Order(pair, run_jobs, (_names([job]),), need=self._pair_bytes(pair)))
+                self._submit(_Order(pair, run_jobs, (_names([job]),), need=need))
 
     def _end(self, pair: _Active) -> None:
         self._alone = False
@@ -250,9 +254,8 @@ class Schedule:
     def _too_large(self, pair: _Active) -> Failure | None:
         """The failure of a pair that does not fit into the memory even when nothing runs beside it."""
         own = self._pair_bytes(pair)
-        n_keep = _n_keep(pair.task) if any(job.stage in OBJECT_STAGES for job in pair.todo) else None
-        real_id, n = largest_object(n_keep or [])
-        usable = min(self._usable, self._memory.alone - PROCESS_BYTES)
+        real_id, n = largest_object(_n_keep(pair.task) or [])
+        usable = max(0, self._memory.alone - PROCESS_BYTES)
         if not pair.todo or own + object_bytes(n) <= usable:
             return None
         what = f"object {real_id} of {n} aligned nodes" if n else f"{self._n_raw[pair.task.pair.pair_id]} points"
@@ -260,7 +263,7 @@ class Schedule:
         job = pair.todo[0]
         reason = (
             f"{what}: {_gib(own + object_bytes(n))} of memory may be needed at once, {_gib(usable)} are there for "
-            f"it (machine.memory_gib, less {_gib(PROCESS_BYTES)} a worker process); {lower}input.include_box or "
+            f"it (machine.memory_gib, less {_gib(PROCESS_BYTES)} for the worker process); {lower}input.include_box or "
             "input.max_range_m fewer points"
         )
         return Failure(job.stage, job.side, reason)

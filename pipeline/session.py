@@ -68,6 +68,7 @@ class RunOutcome:
     rows : of `pairs`
     record : what `run.json` holds
     n_made, n_reused : jobs
+    failed_extras : why a baseline or the like failed of a pair that is scored
     """
 
     folder: Path
@@ -75,11 +76,13 @@ class RunOutcome:
     record: dict[str, Any]
     n_made: int
     n_reused: int
+    failed_extras: dict[str, str]
 
     @property
     def failures(self) -> dict[str, str]:
-        """Why each failed pair failed."""
-        return {row["pair_id"]: row["reason"] for row in self.rows if row["status"] == "failed"}
+        """Why each failed pair failed, or what was asked for besides its scores."""
+        failed = {row["pair_id"]: row["reason"] for row in self.rows if row["status"] == "failed"}
+        return failed | self.failed_extras
 
 
 class Session:
@@ -250,7 +253,9 @@ class Session:
         self.store.replace(self.request.out / RUN_JSON, dumps(record))
         self.store.compact()
         n_reused = len(self.current_records()) - len(self.made)
-        return RunOutcome(self.request.out, rows.to_pylist(), record, len(self.made), n_reused)
+        scored = {row["pair_id"] for row in rows.to_pylist() if row["status"] == "scored"}
+        failed_extras = {pair_id: reason for pair_id, reason in self.failures.items() if pair_id in scored}
+        return RunOutcome(self.request.out, rows.to_pylist(), record, len(self.made), n_reused, failed_extras)
 
     def _findings(self, rows: pa.Table, key: str) -> dict[str, Any]:
         scored = [row for row in rows.to_pylist() if row["status"] == "scored"]
@@ -342,17 +347,18 @@ class Session:
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of `pairs`: every pair with current results, and every pair that failed."""
-        rows = [{"pair_id": pair_id, "status": "failed", "reason": reason} for pair_id, reason in self.failures.items()]
+        scored = {}
         for pair_id, task in self.tasks.items():
-            if pair_id in self.failures:
-                continue
             jobs = [job for job in task.jobs if job.stage not in self.extras]
-            past = self.store.failures.get(pair_id)
             if all(job.stored for job in jobs):
-                rows.append(jobs[-1].facts["row"])
-            elif past and any(past["key"] == job.key for job in task.jobs if not job.stored):
-                rows.append({"pair_id": pair_id, "status": "failed", "reason": past["reason"]})
-        return rows
+                scored[pair_id] = jobs[-1].facts["row"]
+        failed = {pair_id: reason for pair_id, reason in self.failures.items() if pair_id not in scored}
+        for pair_id in self.tasks.keys() - scored.keys() - failed.keys():
+            past = self.store.failures.get(pair_id)
+            if past and any(past["key"] == job.key for job in self.tasks[pair_id].jobs if not job.stored):
+                failed[pair_id] = past["reason"]
+        rows = [{"pair_id": pair_id, "status": "failed", "reason": reason} for pair_id, reason in failed.items()]
+        return rows + list(scored.values())
 
     def _still_holds(self, record: JobRecord) -> bool:
         """Whether the result of an extra that is not asked for this time is of the current results."""

@@ -1,10 +1,15 @@
 """The order of work: what is admitted when, and what cannot fit."""
 
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 
 from fidpipe.pipeline import costs, jobs, schedule, session
-from fidpipe.pipeline.fanout import InProcess, Memory
+from fidpipe.pipeline import run as run_module
+from fidpipe.pipeline.fanout import InProcess, Memory, WorkerDied
+from fidpipe.schemas.errors import StageError
+from fidpipe.schemas.settings import load
 from runs import assert_same_tables, run
 from scenes import write_dataset
 
@@ -94,3 +99,55 @@ def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path, monke
     assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
     assert max(need for n, need in at_once if n > 1) <= memory - 2 * costs.PROCESS_BYTES
     assert 1 in {n for n, _ in at_once}  # some had to wait until nothing ran beside them
+
+
+def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_same(
+    dataset, finished, tmp_path, monkeypatch
+):
+    class DyingOnce(TwoAtOnce):
+        died = False
+
+        def next_done(self):
+            handle, outcome = super().next_done()
+            if not self.died:
+                self.died = True
+                return handle, WorkerDied("killed")
+            return handle, outcome
+
+    monkeypatch.setattr(schedule, "_FEW_PAIRS_A_WORKER", 0)
+    monkeypatch.setattr(costs, "_BYTES_A_NODE", 2**22)
+    pool = DyingOnce(3 * GIB // 2)
+    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
+    assert pool.died
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_pairs_that_nobody_ended_are_an_error_not_a_silence(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(schedule.Schedule, "_admit", lambda self: None)
+    with pytest.raises(RuntimeError, match="3 pairs were left over"):
+        run_in(TwoAtOnce(GIB), monkeypatch, dataset, tmp_path / "run")
+
+
+@pytest.mark.parametrize("n_workers", [2, 32])
+def test_what_fits_alone_does_not_depend_on_the_number_of_workers(dataset, finished, tmp_path, monkeypatch, n_workers):
+    pool = TwoAtOnce(2 * GIB)
+    pool.n_workers = n_workers
+    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_there_are_no_more_workers_than_the_memory_holds():
+    assert costs.most_workers(2 * GIB) == 3
+    assert costs.most_workers(1) == 1
+
+
+def test_a_failed_extra_leaves_its_pair_scored_and_is_told(dataset, finished, tmp_path, monkeypatch):
+    def fail(*_):
+        raise StageError("no such thing")
+
+    monkeypatch.setattr(run_module, "EXTRAS", tuple(replace(of, make=fail) for of in run_module.EXTRAS))
+    outcome = run(dataset, tmp_path / "run", load(None, ["metrics.baselines=chamfer"]))
+    assert {row["status"] for row in outcome.rows} == {"scored"}
+    assert all("stage baselines: no such thing" in reason for reason in outcome.failures.values())
+    assert len(outcome.failures) == 3
+    assert_same_tables(tmp_path / "run", finished)
