@@ -21,7 +21,7 @@ from ..stages.findings import MatchedObjects, SideObjects, summarise_objects
 from .store import TableFolder, key_of
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
-_VERSION = 1
+_VERSION = 2
 
 
 def run_findings(

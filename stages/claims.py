@@ -6,10 +6,12 @@ is one line: claim, the paper's value, the value here, the rule, the verdict. Th
 - a value with a spread (a ± s) holds where the mean here lies within a ± s;
 - a plain value holds where the value here lies within a tenth of it;
 - an order (more, farther, wider) holds where it is so here; between means or shares of two groups of objects, where
-  they differ by more than two standard errors.
+  they differ by more than two standard errors, and each group has five objects. The error of a share must not vanish at
+  0 and 1: both share and error are taken with two unmatched and two matched objects added (Agresti and Coull, 1998).
 
-The rules were written before any of our results was seen, but for the two standard errors, which came later and make
-it harder to hold. Claims about single pictures are left out, as is what the perturbation experiment shows.
+The rules were written before any of our results was seen, but for the two standard errors and the five objects, which
+came later and make it harder to hold. Claims about single pictures are left out, as is what the perturbation
+experiment shows.
 
 Leaves to others: the numbers themselves (`findings`, `summary`).
 """
@@ -30,8 +32,20 @@ CONSISTENT_SHARE = 0.9
 _FOLIAGE = ("tree", "vegetation")
 _IN_WORDS = "(in words)"  # the paper gives no number
 
-_Estimate = tuple[float | None, float | None]  #: a value and its standard error
-_NOTHING: _Estimate = (None, None)
+#: A group of fewer objects is not compared with another.
+LEAST_OBJECTS = 5
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """A value of a group of objects; `centre` and `error` are what an order between groups is judged by."""
+
+    value: float | None = None
+    centre: float | None = None
+    error: float | None = None
+
+
+_NOTHING = _Estimate()
 
 
 @dataclass(frozen=True)
@@ -221,7 +235,7 @@ def _classes(classes: list[dict[str, Any]]) -> Iterator[Claim]:
             f"walls have the lowest {name} of the four classes",
             paper,
             "mean of the next class > mean of walls",
-            min(means, key=lambda of: math.inf if of[0] is None else of[0], default=_NOTHING),
+            min(means, key=lambda of: math.inf if of.value is None else of.value, default=_NOTHING),
             _mean(walls, score),
         )
     yield _more(
@@ -271,8 +285,8 @@ def _more(claim: str, paper: str, rule: str, larger: _Estimate, smaller: _Estima
         paper,
         f"{rule}, by over two standard errors",
         "{:.3f} and {:.3f}",
-        [larger[0], smaller[0], larger[1], smaller[1]],
-        lambda a, b, error_a, error_b: a - b > 2 * math.hypot(error_a, error_b),
+        [larger.value, smaller.value, larger.centre, smaller.centre, larger.error, smaller.error],
+        lambda _, __, a, b, error_a, error_b: a - b > 2 * math.hypot(error_a, error_b),
     )
 
 
@@ -281,19 +295,20 @@ def _span(of: Mapping[str, Any], low: str, high: str) -> float | None:
 
 
 def _share(groups: Sequence[Mapping[str, Any]], what: str, side: str) -> _Estimate:
-    """Share of unmatched objects in some groups together, and its standard error."""
+    """Share of unmatched objects in some groups together, with centre and error after Agresti and Coull."""
     n = sum(group.get(f"n_{side}", 0) for group in groups)
-    if not n:
+    if n < LEAST_OBJECTS:
         return _NOTHING
-    share = sum(group[f"n_{what}"] for group in groups) / n
-    return share, math.sqrt(share * (1 - share) / n)
+    n_unmatched = sum(group[f"n_{what}"] for group in groups)
+    centre = (n_unmatched + 2) / (n + 4)
+    return _Estimate(n_unmatched / n, centre, math.sqrt(centre * (1 - centre) / (n + 4)))
 
 
 def _mean(classes: list[dict[str, Any]], score: str) -> _Estimate:
     """Mean of a score over the objects of some classes together, and its standard error."""
     rows = [row for row in classes if row[f"{score}_n"]]
     n = sum(row[f"{score}_n"] for row in rows)
-    if n < 2:
+    if n < LEAST_OBJECTS:
         return _NOTHING
     mean = sum(row[f"{score}_n"] * row[f"{score}_mean"] for row in rows) / n
     squares = sum(
@@ -301,4 +316,4 @@ def _mean(classes: list[dict[str, Any]], score: str) -> _Estimate:
         + row[f"{score}_n"] * (row[f"{score}_mean"] - mean) ** 2
         for row in rows
     )
-    return mean, math.sqrt(squares / (n - 1) / n)
+    return _Estimate(mean, mean, math.sqrt(squares / (n - 1) / n))

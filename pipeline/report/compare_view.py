@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ...stages.comparison import LEAST_CHANGE
+from ...stages.comparison import LEAST_CHANGE, LEAST_PAIRS
 from ..compare import Comparison, ObjectChange, ScoreChange
 from .layout import number, plain_table
 
@@ -38,7 +38,12 @@ def remarks(found: Comparison) -> list[str]:
     """What a reader must know beside the numbers."""
     lines = [f"settings differ: {text}" for text in found.settings]
     lines += [f"also other: {text}" for text in found.notes]
-    if len(found.pairs) < FEW_PAIRS:
+    undecided: dict[str, list[str]] = {}
+    for of in found.scores:
+        if of.difference.why:
+            undecided.setdefault(of.difference.why, []).append(of.name)
+    lines += [f"undecided: {', '.join(names)}: {why}" for why, names in undecided.items()]
+    if LEAST_PAIRS <= len(found.pairs) < FEW_PAIRS:
         lines.append(f"{len(found.pairs)} pairs are few: the intervals are too narrow rather than too wide")
     if found.unfollowed:
         lines.append(

@@ -75,6 +75,49 @@ def test_a_difference_within_chance_does_not_hold():
     assert verdicts(summary, findings)["near trees keep their structure, distant ones less"] == FAILS
 
 
+SHARES = "trees and vegetation are missing more often than cars and walls"
+
+
+def with_missing(findings, tree, car):
+    """The findings with (missing, all) real objects of the classes tree and car, and no other class."""
+    rows = {row["label"]: dict(row) for row in findings["classes"]}
+    for label, (n_missing, n_real) in (("tree", tree), ("car", car)):
+        rows[label] |= {"n_missing": n_missing, "n_real": n_real}
+    return findings | {"classes": [rows["tree"], rows["car"]]}
+
+
+@pytest.mark.parametrize(
+    ("tree", "car", "verdict"),
+    [
+        ((1, 1), (0, 1), UNKNOWN),
+        ((4, 4), (0, 100), UNKNOWN),
+        ((5, 5), (4, 5), FAILS),
+        ((5, 5), (3, 5), FAILS),
+        ((5, 5), (0, 5), HOLDS),
+    ],
+)
+def test_a_share_of_all_or_none_of_a_few_objects_is_not_taken_for_sure(tree, car, verdict):
+    summary, findings = dataset()
+    assert verdicts(summary, with_missing(findings, tree, car))[SHARES] == verdict
+
+
+def test_the_error_of_a_share_worked_out_by_hand():
+    # 8 of 12 and 2 of 12: centres 10/16 and 4/16, errors sqrt(10 6 / 16^3) and sqrt(4 12 / 16^3), 0.375 > 2 x 0.162
+    summary, findings = dataset()
+    assert verdicts(summary, with_missing(findings, (8, 12), (2, 12)))[SHARES] == HOLDS
+    # 7 of 12 and 2 of 12: 9/16 and 4/16, 0.3125 < 2 x 0.165
+    assert verdicts(summary, with_missing(findings, (7, 12), (2, 12)))[SHARES] == FAILS
+
+
+@pytest.mark.parametrize(("n", "verdict"), [(2, UNKNOWN), (4, UNKNOWN), (5, HOLDS)])
+def test_means_of_a_few_equal_values_are_not_checkable(n, verdict):
+    summary, findings = dataset()
+    for row in findings["classes"]:
+        for name, mean in (("r_lambda_near", 0.1), ("r_lambda_far", 0.2)):
+            row |= {f"{name}_mean": mean, f"{name}_std": 0.0, f"{name}_n": n}
+    assert verdicts(summary, findings)["near trees keep their structure, distant ones less"] == verdict
+
+
 def test_without_labels_and_timestamps_those_claims_are_not_checkable():
     summary, findings = dataset(labels=("",), times=False)
     unknown = [claim for claim in check_claims(summary, findings) if claim.verdict == UNKNOWN]

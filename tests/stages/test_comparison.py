@@ -33,11 +33,32 @@ def test_no_difference_between_random_pairs_is_undecided(rng):
     assert judge(found, higher_is_better=True) == "undecided"
 
 
-def test_equal_values_are_the_same_and_equal_steps_are_sure():
+def test_equal_values_are_the_same_and_equal_steps_of_six_pairs_are_sure():
     same = paired_difference(np.array([0.1, 0.7]), np.array([0.1, 0.7]))
     assert (same.low, same.high, judge(same, False)) == (0.0, 0.0, "same")
-    step = paired_difference(np.array([1.0, 2.0]), np.array([0.5, 1.5]))
+    step = paired_difference(np.arange(6.0), np.arange(6.0) - 0.5)
     assert (step.low, step.high, judge(step, False)) == (-0.5, -0.5, "better")
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
+def test_fewer_than_six_pairs_decide_nothing_however_much_they_agree(n, rng):
+    before = rng.uniform(0, 1, n)
+    for step in (np.full(n, 0.5), rng.uniform(0.5, 0.6, n)):
+        found = paired_difference(before, before + step)
+        assert found.difference == pytest.approx(step.mean())
+        assert (found.low, found.high, judge(found, True)) == (None, None, "undecided")
+        assert "too few for a 95 % interval, 6 are wanted" in found.why
+
+
+def test_without_any_difference_few_pairs_are_never_better_or_worse(rng):
+    for n in (2, 4):
+        verdicts = {judge(paired_difference(*rng.normal(0, 1, (2, n))), True) for _ in range(50)}
+        assert verdicts == {"undecided"}
+
+
+def test_six_pairs_that_all_change_the_same_way_are_decided(rng):
+    before = rng.uniform(0, 1, 6)
+    assert judge(paired_difference(before, before - rng.uniform(0.1, 0.2, 6)), False) == "better"
 
 
 def test_pairs_without_a_value_are_left_out_and_too_few_have_no_interval():
