@@ -204,7 +204,7 @@ def _parts(task: PairTask, points: Sequence[Point], settings_of: dict[Point, Set
         n_scorings = len({point.t for point in walk})
         cost_s = 1e-4 * n_points + n_scorings * 20 * object_seconds(n_points // 60)
         args = (task, [(point, settings_of[point]) for point in walk])
-        parts.append(Part(TABLE, task.pair.pair_id, f"k{k}-tau{tau_m:g}", key, setting_rows, args, cost_s))
+        parts.append(Part(TABLE, task.pair.pair_id, f"k{k}-tau{tau_m!r}", key, setting_rows, args, cost_s))
     return parts
 
 

@@ -216,7 +216,8 @@ def _parts(request: PerturbRequest, task: PairTask, objects: Sequence[ChosenObje
 
 
 def _name(level: Perturbation) -> str:
-    return f"{level.kind}-{level.amount:g}" + (f"-{level.shift_m:g}" if level.kind == "rigid" else "")
+    """A level as a part's name holds it: amounts in full, since levels may agree to many digits."""
+    return f"{level.kind}-{level.amount!r}" + (f"-{level.shift_m!r}" if level.kind == "rigid" else "")
 
 
 def _write_record(sweep: Sweep, request: PerturbRequest, objects: Sequence[ChosenObject], wall_s: float) -> None:

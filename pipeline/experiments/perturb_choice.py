@@ -74,7 +74,8 @@ def choose_objects(task: PairTask, wanted: Sequence[str] | None) -> Choice:
     least three quarters are of that label and that have at least 2 k points, the one of median size (of an even
     number the lower); where there is none, the largest whose most frequent label it is. Without labels the same is
     done for the linear, planar and scattered objects (the largest of the three shape features tells which); where
-    there is none of a kind, the one that comes nearest.
+    there is none of a kind, the one that comes nearest of those that stand for no other. No object is chosen twice:
+    a word or a shape that leaves nothing new is left out, with a note.
 
     Parameters
     ----------
@@ -89,17 +90,14 @@ def choose_objects(task: PairTask, wanted: Sequence[str] | None) -> Choice:
     found = _describe(task)
     least = LEAST_POINTS_OVER_K * task.settings.graph.k
     if wanted is not None:
-        return Choice(tuple(_by_word(found, word, least) for word in wanted))
+        return _by_words(found, wanted, least)
     objects = [of for name in CLASSES if (of := _by_label(found, name, least)) is not None]
     if objects:
         absent = [name for name in CLASSES if name not in {of.name for of in objects}]
         notes = (f"scan {found.pair_id} has no object labelled {' or '.join(absent)}",) if absent else ()
         return Choice(tuple(objects), notes)
     why = "has no labels" if not any(found.labels) else f"has no object labelled {', '.join(CLASSES)}"
-    return Choice(
-        tuple(_by_shape(found, column, least) for column in range(len(SHAPES))),
-        (f"scan {found.pair_id} {why}: one typical object for each shape instead",),
-    )
+    return _by_shapes(found, least, f"scan {found.pair_id} {why}: one typical object for each shape instead")
 
 
 def _describe(task: PairTask) -> _Described:
@@ -120,6 +118,20 @@ def _describe(task: PairTask) -> _Described:
         label_share=n_own / n_points,
         shape=np.column_stack([as_numpy(objects, name) for name in SHAPES]),
     )
+
+
+def _by_words(found: _Described, words: Sequence[str], least: int) -> Choice:
+    chosen: dict[int, ChosenObject] = {}
+    notes = []
+    for word in words:
+        of = _by_word(found, word, least)
+        first = chosen.setdefault(of.community_id, of)
+        if first is not of:
+            notes.append(
+                f"--objects {word}: in scan {found.pair_id} that is object {of.community_id}, "
+                f"which is chosen as {first.name} already; left out"
+            )
+    return Choice(tuple(chosen.values()), tuple(notes))
 
 
 def _by_word(found: _Described, word: str, least: int) -> ChosenObject:
@@ -149,16 +161,31 @@ def _by_label(found: _Described, name: str, least: int) -> ChosenObject | None:
     return found.chosen(largest, name, why)
 
 
-def _by_shape(found: _Described, column: int, least: int) -> ChosenObject:
-    name = SHAPE_NAMES[SHAPES[column]]
+def _by_shapes(found: _Described, least: int, note: str) -> Choice:
+    """An object for each shape; first those that are of a shape, then the nearest of the others."""
     is_large = found.n_points >= least
-    typical = np.flatnonzero((np.argmax(found.shape, axis=1) == column) & is_large)
-    if len(typical):
-        return found.chosen(_median_sized(found, typical), name, f"median size of {len(typical)} {name} objects")
-    candidates = np.flatnonzero(is_large) if is_large.any() else np.arange(len(found.n_points))
-    nearest = int(candidates[np.argmax(found.shape[candidates, column])])
-    value = found.shape[nearest, column]
-    return found.chosen(nearest, name, f"none is mostly {name}; this one has the largest {SHAPES[column]}, {value:.2f}")
+    is_free = is_large.copy() if is_large.any() else np.ones(len(found.n_points), dtype=bool)
+    chosen: dict[str, ChosenObject] = {}
+    for column, shape in enumerate(SHAPES):
+        name = SHAPE_NAMES[shape]
+        typical = np.flatnonzero((np.argmax(found.shape, axis=1) == column) & is_large)
+        if len(typical):
+            why = f"median size of {len(typical)} {name} objects"
+            chosen[name] = found.chosen(_median_sized(found, typical), name, why)
+            is_free[chosen[name].community_id] = False
+    for column, shape in enumerate(SHAPES):
+        name = SHAPE_NAMES[shape]
+        if name not in chosen and is_free.any():
+            nearest = int(np.argmax(np.where(is_free, found.shape[:, column], -np.inf)))
+            value = found.shape[nearest, column]
+            rest = "" if is_free.sum() == (is_large.sum() or len(is_large)) else " of the others"
+            why = f"none is mostly {name}; this one has the largest {shape}{rest}, {value:.2f}"
+            chosen[name] = found.chosen(nearest, name, why)
+            is_free[nearest] = False
+    names = [SHAPE_NAMES[shape] for shape in SHAPES]
+    absent = [name for name in names if name not in chosen]
+    notes = [f"scan {found.pair_id} has no further object that could stand for {' or '.join(absent)}"] if absent else []
+    return Choice(tuple(chosen[name] for name in names if name in chosen), (note, *notes))
 
 
 def _median_sized(found: _Described, candidates: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> int:

@@ -85,7 +85,8 @@ def prepare(
     planned = []
     for pair in source.pairs:
         facts = {side: of for side in sides if (of := _inspect(sweep, pair, side, settings, source)) is not None}
-        faults = [pair.fault] if pair.fault else [of.fault for of in facts.values() if of.fault]
+        lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
+        faults = [pair.fault] if pair.fault and lacks_scan else [of.fault for of in facts.values() if of.fault]
         if faults and source.is_scan:
             raise ScanError("; ".join(faults))
         if faults:

@@ -108,8 +108,17 @@ class Sweep:
         self._pool: Pool | None = None
 
     def run(self, parts: Iterable[Part], tables: Iterable[str]) -> None:
-        """Makes the parts that are not there under their key; removes all else from the folders of these tables."""
+        """Makes the parts that are not there under their key; removes all else from the folders of these tables.
+
+        Raises
+        ------
+        ValueError
+            Two parts have one name: they would write one file. Nothing is removed or made.
+        """
         parts, tables = list(parts), list(tables)
+        twice = [name for name, n in Counter(part.name for part in parts).items() if n > 1]
+        if twice:
+            raise ValueError(f"part {' '.join(twice[0])} is there twice; each part of an experiment needs its own name")
         wanted = {part.name: part.key for part in parts}
         unwanted = []
         for record in self.store.records.values():

@@ -32,6 +32,11 @@ _SHORT = {
     "hallucination": "added\n{:.0%}",
     "density": "dens.\nx {:g}",
 }
+_VERDICTS = {
+    True: Text("yes", style="green"),
+    False: Text("NO", style="red"),
+    None: Text("not checkable", style="yellow"),
+}
 _ROUNDING = 1e-12
 _DETAILS = (
     ("max_eigenvalue_shift", "shift"),
@@ -143,8 +148,7 @@ def _claims_table(claims: list[Claim]) -> Table:
     for heading in ("claim", "paper", "here", "holds"):
         table.add_column(heading)
     for of in claims:
-        verdict = Text("yes", style="green") if of.holds else Text("NO", style="red")
-        table.add_row(of.claim, of.paper, of.here, verdict)
+        table.add_row(of.claim, of.paper, of.here, _VERDICTS[of.holds])
     return table
 
 

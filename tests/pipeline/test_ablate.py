@@ -66,6 +66,13 @@ def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp
     assert built == []
 
 
+def test_values_of_tau_that_agree_to_many_digits_are_two(dataset, tmp_path):
+    values = {"tau_m": (0.2, 0.2000000001)}
+    outcome = ablated(dataset, tmp_path / "run", values=values, pattern="000")
+    assert not outcome.failures
+    assert set(pd.read_parquet(tmp_path / "run" / "ablate").tau_m) >= set(values["tau_m"])
+
+
 def test_a_row_has_the_numbers_of_an_evaluation_under_its_settings(done, dataset):
     scans = [read_scan(dataset / side / "001.bin").points for side in ("real", "sim")]
     rows = done.rows.to_pandas().query("pair_id == '001'")

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pandas as pd
@@ -9,10 +11,11 @@ import pytest
 from rich.console import Console
 from scipy.spatial import cKDTree
 
-from fidpipe.pipeline.experiments import perturb_jobs
+from fidpipe.pipeline.experiments import perturb_choice, perturb_jobs
 from fidpipe.pipeline.experiments.perturb import PerturbRequest, parse_levels, perturb_source
 from fidpipe.pipeline.experiments.perturb_claims import judge_claims
 from fidpipe.pipeline.experiments.perturb_reactions import react
+from fidpipe.pipeline.experiments.sweep import Part, sweeping
 from fidpipe.pipeline.progress import Reporter
 from fidpipe.pipeline.report.perturb_figure import draw_perturbations
 from fidpipe.pipeline.status import run_status
@@ -178,6 +181,52 @@ def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
         perturbed(labelled, tmp_path / "run", objects=("bus",), **options)
 
 
+def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labelled, tmp_path):
+    options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
+    (car,) = perturbed(labelled, tmp_path / "run", objects=("car",), **options).objects
+    said = Console(record=True, width=200, file=StringIO())
+    words = ("car", str(car.community_id))
+    request = PerturbRequest(labelled, tmp_path / "run", SETTINGS, objects=words, workers=1, **options)
+    assert perturb_source(request, Reporter(said)).objects == (car,)
+    assert f"that is object {car.community_id}, which is chosen as car already; left out" in said.export_text()
+    assert len(rows(tmp_path / "run")) == 1
+
+
+@pytest.mark.parametrize(
+    ("shapes", "chosen", "n_notes"),
+    [
+        ([(0.2, 0.1, 0.7), (0.4, 0.5, 0.1), (0.3, 0.6, 0.1), (0.1, 0.7, 0.2)], [1, 2, 0], 1),
+        ([(0.3, 0.1, 0.6), (0.4, 0.1, 0.5)], [1, 0], 2),
+    ],
+)
+def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes, monkeypatch, done):
+    n = len(shapes)
+    ones = np.ones(n)
+    found = perturb_choice._Described("a", np.full(n, 99), ones, [None] * n, ones, np.array(shapes))
+    monkeypatch.setattr(perturb_choice, "_describe", lambda task: found)
+    choice = perturb_choice.choose_objects(done.tasks[0], None)
+    assert [of.community_id for of in choice.objects] == chosen
+    assert len(choice.notes) == n_notes
+
+
+def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan, tmp_path):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    part = Part("perturb_global", "street", "noise-1.0", "key", perturb_jobs.global_rows, ())
+    with (
+        sweeping("perturb", scan, out, SETTINGS, 1, None, Reporter(Console(quiet=True))) as sweep,
+        pytest.raises(ValueError, match=r"perturb_global street noise-1\.0 is there twice"),
+    ):
+        sweep.run([part, replace(part, key="other")], ["perturb_global"])
+    assert len(rows(out, "perturb_global")) == 2 * len(LEVELS)
+
+
+def test_levels_that_agree_to_many_digits_are_two(scan, tmp_path):
+    levels = parse_levels(["noise=0.01,0.0100000001"])
+    outcome = perturbed(scan, tmp_path / "run", levels=levels, repeats=0, global_repeats=1)
+    assert not outcome.failures
+    assert rows(tmp_path / "run", "perturb_global").amount.tolist() == [0.01, 0.0100000001]
+
+
 def test_without_labels_each_shape_has_an_object(done):
     assert [of.name for of in done.objects] == ["linear", "planar", "scattered"]
     assert all(of.why for of in done.objects)
@@ -193,6 +242,18 @@ def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(t
     assert row["n"] == 2
     with pytest.raises(DatasetError, match="an object's number belongs to one scan, 2 are chosen"):
         perturbed(dataset, tmp_path / "two", pattern="00[12]", objects=("1",), **options)
+
+
+def test_a_dataset_whose_first_pair_lacks_its_simulated_scan_is_perturbed(tmp_path):
+    dataset = write_dataset(tmp_path / "data")
+    (dataset / "sim" / "000.bin").unlink()
+    options = {"levels": LEVELS[:1], "repeats": 0, "global_repeats": 1}
+    outcome = perturbed(dataset, tmp_path / "run", **options)
+    assert [task.pair.pair_id for task in outcome.tasks] == ["000"]
+    assert not outcome.failures
+    write_bin(dataset / "sim" / "000.bin", street())
+    (dataset / "real" / "000.bin").unlink()
+    assert "no partner" in perturbed(dataset, tmp_path / "run", **options).failures["000"]
 
 
 def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(done):
@@ -267,6 +328,12 @@ def test_claims_are_judged_by_the_numbers():
     claims = judge_claims(bad, levels)
     assert [claim.holds for claim in claims] == [False, False]
     assert claims[0].here == "0 of 1, not car"
+    levels, flat = summary((0.8, 0.8), (0.2, 0.2))
+    assert [claim.holds for claim in judge_claims(flat, levels)] == [False, False]
+    levels, gap = summary((0.9, None), (None, 0.2))
+    claims = judge_claims(gap, levels)
+    assert [claim.holds for claim in claims] == [None, None]
+    assert [claim.here for claim in claims] == ["no value for dropout 0.1 of car", "no value for dropout 0.2"]
 
 
 @pytest.mark.slow
