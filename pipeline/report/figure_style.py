@@ -46,6 +46,10 @@ _STYLE = {
 }
 
 
+#: Formats in which each figure is written, each with what its file says of itself.
+KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}}
+
+
 @contextmanager
 def new_figure(width_in: float, height_in: float, **layout: Any) -> Iterator[Any]:
     """A figure in our style that needs no display and is let go of at the end."""
@@ -62,7 +66,7 @@ def new_figure(width_in: float, height_in: float, **layout: Any) -> Iterator[Any
 def save(figure: Any, folder: Path, name: str) -> list[Path]:
     """Writes a figure as PNG and as SVG; clouds of points are pictures inside the SVG."""
     paths = []
-    for kind, metadata in (("png", {}), ("svg", {"Date": None})):
+    for kind, metadata in KINDS.items():
         content = BytesIO()
         figure.savefig(content, format=kind, metadata=metadata)
         figure.set_layout_engine("none")  # all is in its place now; finding it took half of the time

@@ -1,4 +1,4 @@
-"""Writing a file that people and programs read, whole or not at all."""
+"""Writing a file that people and programs read, whole or not at all, and removing one that is out of date."""
 
 from __future__ import annotations
 
@@ -29,3 +29,17 @@ def write_whole(path: Path, content: bytes) -> None:
         raise RunError(f"{path}: cannot be written ({error.strerror}); give another file") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_stale(path: Path) -> None:
+    """Removes a file that an earlier report left, if it is there.
+
+    Raises
+    ------
+    RunError
+        It cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise RunError(f"{path}: out of date, but cannot be removed ({error.strerror}); remove it") from error

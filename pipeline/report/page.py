@@ -15,7 +15,7 @@ from typing import Any
 
 from ..store import file_stem
 from .figures import draw_figures
-from .files import write_whole
+from .files import remove_stale, write_whole
 from .page_data import page_data
 from .pair_view import pair_view
 from .results import RunResults, read_results
@@ -26,6 +26,8 @@ FIGURES = "figures"
 #: A page holds the points of so many pairs at most: a third of them worst, median and best each.
 MOST_VIEWS = 15
 _PLOTLY = "plotly.min.js"
+_INDEX = "index.html"
+_PAIR_PAGES = "pair-*.html"
 _CODE = ("base.js", "charts.js", "tables.js", "scene.js", "page.js")
 
 
@@ -41,7 +43,7 @@ class ReportFiles:
 
 
 def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: bool = False) -> ReportFiles:
-    """Writes the page and the figures of a finished run into its folder.
+    """Writes the page and the figures of a finished run into its folder, in place of those of an earlier report.
 
     Parameters
     ----------
@@ -59,12 +61,14 @@ def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: b
     data = page_data(results)
     if one_page_a_pair:
         page, n_pages, n_views = *_write_folder(results, data, chosen), len(chosen)
+        remove_stale(folder / PAGE)
     else:
         shown = some_of(chosen, MOST_VIEWS)
         data |= {"views": {name: pair_view(results, name) for name in shown}}
         data |= {"view_note": _view_note(len(shown), len(chosen), len(results.pairs), pattern)}
         page, n_pages, n_views = folder / PAGE, 1, len(shown)
         write_whole(page, render(data, f"<script>{_plotly()}</script>").encode())
+        _remove_folder(folder / PAGES)
     figures = draw_figures(results, chosen, folder / FIGURES)
     return ReportFiles(page, n_pages, figures, n_views, len(results.pairs))
 
@@ -122,11 +126,19 @@ def _write_folder(results: RunResults, data: dict[str, Any], chosen: list[str]) 
         write_whole(folder / links[name], render(own, plotly, source).encode())
     index = data | {"views": {}, "links": _as_links(links)}
     index |= {"view_note": f"The 3D views of {len(chosen)} pairs have pages of their own: choose one in the tables."}
-    write_whole(folder / "index.html", render(index, plotly, source).encode())
-    for path in folder.glob("pair-*.html"):
+    write_whole(folder / _INDEX, render(index, plotly, source).encode())
+    for path in folder.glob(_PAIR_PAGES):
         if path.name not in links.values():
-            path.unlink()
-    return folder / "index.html", len(chosen) + 1
+            remove_stale(path)
+    return folder / _INDEX, len(chosen) + 1
+
+
+def _remove_folder(folder: Path) -> None:
+    """Removes the pages that an earlier report wrote; a folder in which there is something else stays."""
+    for path in (folder / _INDEX, folder / _PLOTLY, *folder.glob(_PAIR_PAGES)):
+        remove_stale(path)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def _as_links(links: dict[str, str]) -> dict[str, str]:

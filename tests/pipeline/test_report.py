@@ -91,6 +91,23 @@ def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are
 
 
 @pytest.mark.slow
+def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own(copied_run, monkeypatch):
+    write_report(copied_run, one_page_a_pair=True)
+    notes = copied_run / "report" / "notes.txt"
+    notes.write_text("mine")
+    (copied_run / "figures" / "mine.png").write_bytes(b"")
+    monkeypatch.setattr("fidpipe.pipeline.report.figures.draw_objects", lambda results, folder: [])
+    write_report(copied_run)
+    assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
+    assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}
+    notes.unlink()
+    write_report(copied_run)
+    assert not notes.parent.exists()
+    write_report(copied_run, one_page_a_pair=True)
+    assert not (copied_run / "report.html").exists()
+
+
+@pytest.mark.slow
 def test_a_run_after_a_report_neither_removes_nor_trips_over_it(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1)
     run(dataset, tmp_path / "run")
