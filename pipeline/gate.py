@@ -1,8 +1,8 @@
 """Acceptance criteria on a finished run: each has a measure, a bound and a verdict.
 
-Three criteria are there unless the user gives other bounds for them: no pair failed, none is still to do, and none has
-scan files other than those that were evaluated. A criterion on something that could not be computed fails. Leaves to
-others: what the measures are (`measures`), how results are shown and written (`report.gate_view`).
+Three criteria are there unless the user gives another max for them: no pair failed, none is still to do, and none has
+scans, labels or T_real_sim other than those that were evaluated. A criterion on something that could not be computed
+fails. Leaves to others: what the measures are (`measures`), how results are shown and written (`report.gate_view`).
 """
 
 from __future__ import annotations
@@ -98,20 +98,22 @@ def judge_run(folder: Path, criteria: Iterable[Criterion]) -> GateResult:
     run = FinishedRun(folder)
     measures = Measures(run)
     wanted = list(criteria)
-    given = {criterion.measure for criterion in wanted}
+    given = {(criterion.measure, criterion.bound) for criterion in wanted}
     own = [
         Criterion("every pair is scored", "pairs.failed", "max", 0, "a gate is about the whole dataset"),
         Criterion("no pair is left to do", "pairs.to_do", "max", 0, "a gate is about the whole dataset"),
     ]
     notes = []
-    if measures.dataset is None:
+    if measures.dataset_is_gone:
         notes.append(
             f"the dataset {run.record['dataset']} is not here: not checked whether it has changed since the run"
         )
     else:
-        own.append(Criterion("the scans are those that were evaluated", "pairs.changed", "max", 0, "else run it again"))
+        own.append(
+            Criterion("scans and labels are those that were evaluated", "pairs.changed", "max", 0, "else run it again")
+        )
     judged = []
-    for criterion in [*(of for of in own if of.measure not in given), *wanted]:
+    for criterion in [*(of for of in own if (of.measure, of.bound) not in given), *wanted]:
         found = measures.of(criterion.measure)
         met = found.value is not None and (
             found.value <= criterion.limit if criterion.bound == "max" else found.value >= criterion.limit

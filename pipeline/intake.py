@@ -6,13 +6,14 @@ again. Leaves to others: which files form a pair (`readers.dataset`), what is do
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..schemas.columns import SIDES
 from ..schemas.errors import FidpipeError
 from ..schemas.settings import InputSettings
 from ..stages.arrays import FloatArray
@@ -86,8 +87,7 @@ def inspect_scan(
     marks, key = file_marks(path), settings_key(side, T_real_sim, settings)
     try:
         scan = read_scan(path, settings.columns, label_names)
-        label_path = label_path_of(path, stem_of(path))
-        sha256, label_sha256 = hash_file(path), hash_file(label_path) if label_path.exists() else ""
+        sha256, label_sha256 = hash_scan(path)
     except (FidpipeError, OSError) as error:
         return ScanFacts(marks, key, fault=str(error))
     is_sim = side == "sim"
@@ -164,6 +164,32 @@ def widest_azimuth_gap_deg(points: FloatArray) -> float:
         return 360.0
     azimuth = np.sort(np.degrees(np.arctan2(points[:, 1], points[:, 0])))
     return float(np.diff(azimuth, append=azimuth[0] + 360.0).max())
+
+
+def hash_scan(path: Path) -> tuple[str, str]:
+    """Content hashes of a scan file and of its labels, "" where it has none."""
+    label_path = label_path_of(path, stem_of(path))
+    return hash_file(path), hash_file(label_path) if label_path.exists() else ""
+
+
+def input_hashes(
+    pair: ScanPair, label_names: Mapping[int, str], facts: Mapping[str, ScanFacts] | None = None
+) -> dict[str, str]:
+    """What a pair's numbers come from besides settings and code: each scan's hash by side, and `content` of it all.
+
+    `content` hashes scans, their labels, the names of these, and T_real_sim.
+
+    Parameters
+    ----------
+    facts : by side, where the files were read already; else they are read now
+    """
+    if facts is None:
+        hashes = {side: hash_scan(path) for side in SIDES if (path := pair.path(side)) is not None}
+    else:
+        hashes = {side: (of.sha256, of.label_sha256) for side, of in facts.items()}
+    has_labels = any(label_sha256 for _, label_sha256 in hashes.values())
+    content = key_of(hashes, sorted(label_names.items()) if has_labels else [], pair.T_real_sim)
+    return {side: sha256 for side, (sha256, _) in hashes.items()} | {"content": content}
 
 
 def file_marks(path: Path) -> list[list[int]]:

@@ -19,8 +19,8 @@ from ..stages.arrays import BoolArray, FloatArray, IndexArray
 from ..stages.findings import MatchedObjects, SideObjects, distribution
 from .findings import read_objects
 from .finished import FinishedRun
+from .intake import input_hashes
 from .readers.dataset import Dataset, read_dataset
-from .store import hash_file
 
 _OF_PAIRS = ("mean", "std", "min", "median", "max")
 _OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
@@ -30,6 +30,7 @@ _PAIR_SCORES = ("match_rate", *OBJECT_METRICS)
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
 
 _STATES = ("scored", "failed", "to_do", "changed")
+_NO_PAIR = "no pair is scored"
 
 #: Every name that can be measured; words in capitals stand for many.
 KNOWN = (
@@ -71,12 +72,15 @@ class Measures:
         raise SettingsError(f"criterion {name!r}: no such measure; known are {'; '.join(KNOWN)}")
 
     @cached_property
-    def dataset(self) -> Dataset | None:
-        """The dataset of the run as it is now; None where it is not on this machine or cannot be read."""
+    def dataset_is_gone(self) -> bool:
+        """Whether the dataset's folder is not on this machine; one that is there but broken is not gone."""
         try:
-            return read_dataset(Path(self.run.record["dataset"]))
-        except DatasetError:
-            return None
+            Path(self.run.record["dataset"]).stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return True
+        except OSError:
+            pass  # it is there and cannot be read, which `_dataset` says
+        return False
 
     def _of_pairs(self, score: str, stat: str) -> Measured:
         column = score if score == "match_rate" else f"{score}_mean"
@@ -84,6 +88,8 @@ class Measures:
         return _statistic(values, stat, "pair", score)
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> Measured:
+        if not self.run.scored:
+            return Measured(None, _NO_PAIR)
         values: FloatArray = getattr(self._matched, score)
         if label is not None:
             values = values[self._matched.label == label]
@@ -92,6 +98,8 @@ class Measures:
         )
 
     def _unmatched(self, label: str | None, what: str, within: str | None, count: str | None) -> Measured:
+        if not self.run.scored:
+            return Measured(None, _NO_PAIR)
         side = self._sides[_UNMATCHED[what]]
         chosen: BoolArray = np.ones(len(side.pair), dtype=np.bool_)
         if label is not None:
@@ -103,18 +111,15 @@ class Measures:
         if within is not None:
             chosen &= side.range_m < float(within)
         alone = chosen & ~side.is_matched
-        n_pairs = len(self.run.scored)
-        if not n_pairs:
-            return Measured(None, "no pair is scored")
         if count == "share":
             if not chosen.any():
                 return Measured(None, f"there is no such object on the {SIDES[_UNMATCHED[what]]} side")
             return Measured(float(np.mean(alone[chosen])))
-        return Measured(_counted(np.bincount(side.pair[alone], minlength=n_pairs), count or "total"))
+        return Measured(_counted(np.bincount(side.pair[alone], minlength=len(self.run.scored)), count or "total"))
 
     def _both(self, count: str) -> Measured:
         if not self.run.scored:
-            return Measured(None, "no pair is scored")
+            return Measured(None, _NO_PAIR)
         return Measured(_counted(np.array([row["n_matched"] for row in self.run.scored]), count))
 
     def _pairs(self, state: str) -> Measured:
@@ -122,21 +127,44 @@ class Measures:
             return self._changed()
         if state != "to_do":
             return Measured(float(sum(row["status"] == state for row in self.run.rows)))
-        n = int(self.run.record["pairs"]["to_do"])
-        if self.dataset is not None:
-            n = len({pair.pair_id for pair in self.dataset.pairs} - {row["pair_id"] for row in self.run.rows})
-        return Measured(float(n))
+        if self.dataset_is_gone:
+            return Measured(float(self.run.record["pairs"]["to_do"]))
+        if isinstance(self._dataset, str):
+            return Measured(None, self._dataset)
+        return Measured(
+            float(len({of.pair_id for of in self._dataset.pairs} - {row["pair_id"] for row in self.run.rows}))
+        )
 
     def _changed(self) -> Measured:
-        """Pairs whose files' content is other than that which was evaluated, or that the dataset no longer has."""
-        if self.dataset is None:
+        """Pairs of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset."""
+        if self.dataset_is_gone:
             return Measured(None, f"the dataset {self.run.record['dataset']} is not here")
-        now = {pair.pair_id: pair for pair in self.dataset.pairs}
-        n = 0
-        for pair_id, hashes in self.run.record["inputs"].items():
-            paths = {side: now[pair_id].path(side) for side in SIDES} if pair_id in now else {}
-            n += any((path := paths.get(side)) is None or hash_file(path) != known for side, known in hashes.items())
+        if isinstance(self._dataset, str):
+            return Measured(None, self._dataset)
+        before = self.run.record["inputs"]
+        if not all("content" in hashes for hashes in before.values()):
+            again = f"fidpipe run {self.run.record['dataset']} --out {self.run.folder}"
+            return Measured(
+                None, f"an older fidpipe wrote the run and did not note all that it is made of; run again: {again}"
+            )
+        now = {pair.pair_id: pair for pair in self._dataset.pairs}
+        names = self._dataset.label_names
+        try:
+            n = sum(
+                pair_id not in now or input_hashes(now[pair_id], names)["content"] != hashes["content"]
+                for pair_id, hashes in before.items()
+            )
+        except OSError as error:
+            return Measured(None, f"a file of the dataset cannot be read ({error})")
         return Measured(float(n))
+
+    @cached_property
+    def _dataset(self) -> Dataset | str:
+        """The dataset of the run as it is now, or why it cannot be read."""
+        try:
+            return read_dataset(Path(self.run.record["dataset"]))
+        except (DatasetError, OSError) as error:
+            return str(error)
 
     @cached_property
     def _objects(self) -> tuple[SideObjects, SideObjects, MatchedObjects]:

@@ -92,7 +92,7 @@ def run_record(
     Parameters
     ----------
     header : from `run_header`
-    input_hashes : content hash by pair and side
+    input_hashes : by pair, content hash by side, and `content` of all that the pair's numbers come from
     rows : of `pairs`
     wall_s : seconds of this command by phase
     n_workers : of this command; 0 where there was nothing to do

@@ -19,7 +19,7 @@ from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .fanout import InProcess, Pool, start_pool
 from .findings import run_findings
-from .intake import ScanFacts, file_marks, inspect_pairs, pair_warnings, settings_key
+from .intake import ScanFacts, file_marks, input_hashes, inspect_pairs, pair_warnings, settings_key
 from .plan import Stage, library_versions, plan_pair, with_whole_results
 from .progress import Reporter
 from .readers.dataset import Dataset, ScanPair
@@ -235,9 +235,9 @@ class Session:
         self._end_phase("tables")
         self.wall_s["total"] = perf_counter() - self._start
         hashes = {
-            pair_id: {side: of.sha256 for side, of in sides.items()}
-            for pair_id, sides in self.facts.items()
-            if not any(of.fault for of in sides.values())
+            pair.pair_id: input_hashes(pair, self.dataset.label_names, self.facts[pair.pair_id])
+            for pair in self.dataset.pairs
+            if pair.pair_id in self.facts and not any(of.fault for of in self.facts[pair.pair_id].values())
         }
         n_workers = self._pool.n_workers if self._pool else 0
         header = run_header(self.request.dataset, self.settings, self.stages)

@@ -4,6 +4,7 @@ import json
 import shutil
 from xml.etree import ElementTree
 
+import numpy as np
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
@@ -115,6 +116,98 @@ def test_scans_that_changed_since_the_run_fail_it(tmp_path):
     result = judge_run(tmp_path / "run", [parse_word("match_rate.mean=0", "min")])
     assert result.passed
     assert "is not here: not checked whether it has changed" in result.notes[0]
+
+
+def write_labelled(folder):
+    """Two pairs with a manifest, and labels for the first."""
+    data = write_dataset(folder, 2)
+    n = (data / "real" / "000.bin").stat().st_size // 16
+    np.full(n, 4, dtype="<u4").tofile(data / "real" / "000.label")
+    (data / "labels.toml").write_text('4 = "tree"\n')
+    write_manifest(data, "")
+    return data
+
+
+def write_manifest(data, T_real_sim):
+    rows = [f"{name},real/{name}.bin,sim/{name}.bin,{T}" for name, T in (("000", ""), ("001", T_real_sim))]
+    (data / "pairs.csv").write_text("\n".join(["pair_id,real,sim,T_real_sim", *rows]) + "\n")
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("labelled")
+    run(write_labelled(folder / "streets"), folder / "run")
+    return folder
+
+
+@pytest.fixture
+def moved(labelled, tmp_path):
+    """A copy of the labelled dataset and its run, the run's record naming the copy."""
+    shutil.copytree(labelled, tmp_path, dirs_exist_ok=True)
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    record["dataset"] = str(tmp_path / "streets")
+    (tmp_path / "run" / "run.json").write_text(json.dumps(record))
+    return tmp_path
+
+
+def changed(folder):
+    return judged(folder / "run", "min match_rate.mean=0")["pairs.changed"]
+
+
+def test_labels_their_names_and_T_real_sim_count_as_changes(moved):
+    data = moved / "streets"
+    assert (changed(moved).value, changed(moved).passed) == (0, True)
+    write_manifest(data, "1 0 0 0.5 0 1 0 0 0 0 1 0")
+    assert (changed(moved).value, changed(moved).passed) == (1, False)
+    write_manifest(data, "")
+    (data / "labels.toml").write_text('4 = "car"\n')  # of the pair with labels, not of the other
+    assert changed(moved).value == 1
+    (data / "labels.toml").write_text('4 = "tree"\n')
+    labels = data / "real" / "000.label"
+    labels.write_bytes(b"\x05" + labels.read_bytes()[1:])
+    assert changed(moved).value == 1
+    labels.unlink()
+    assert changed(moved).value == 1
+
+
+def test_a_dataset_that_is_there_but_broken_fails_with_the_reason(moved):
+    (moved / "streets" / "pairs.csv").write_text("pair_id,real\n")
+    result = judge_run(moved / "run", [parse_word("match_rate.mean=0", "min")])
+    found = {of.criterion.measure: of for of in result.judged}
+    assert result.notes == ()
+    for measure in ("pairs.changed", "pairs.to_do"):
+        assert (found[measure].value, found[measure].passed) == (None, False)
+        assert "sim wanted as well" in found[measure].why
+
+
+def test_a_record_that_does_not_say_what_it_is_made_of_fails_with_the_command(moved):
+    path = moved / "run" / "run.json"
+    record = json.loads(path.read_text())
+    for hashes in record["inputs"].values():
+        del hashes["content"]
+    path.write_text(json.dumps(record))
+    assert (changed(moved).value, changed(moved).passed) == (None, False)
+    assert "run again: fidpipe run" in changed(moved).why
+
+
+def test_a_min_does_not_switch_off_the_max_of_failed_pairs(incomplete):
+    result = judge_run(incomplete, [parse_word("pairs.failed=0", "min")])
+    found = {of.criterion.bound: of.passed for of in result.judged if of.criterion.measure == "pairs.failed"}
+    assert found == {"max": False, "min": True}
+
+
+def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    (data / "sim" / "000.bin").write_bytes(b"")
+    run(data, tmp_path / "run")
+    measures = ("missing.within_20m", "objects.cdc.mean", "class.car.missing.total", "class.car.cdc.mean", "cdc.mean")
+    words = [word for measure in measures for word in ("--max", f"{measure}=1")]
+    result = CliRunner().invoke(app, ["gate", str(tmp_path / "run"), *words])
+    assert result.exit_code == 4, result.output
+    assert (tmp_path / "run" / "gate.xml").exists()
+    found = json.loads((tmp_path / "run" / "gate.json").read_text())["criteria"]
+    why = {of["measure"]: of["why"] for of in found if of["measure"] in measures}
+    assert all("could not be computed: no pair" in why[measure] for measure in measures)
 
 
 def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(copied, tmp_path):
