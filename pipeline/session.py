@@ -120,7 +120,8 @@ class Session:
     def inspect(self, *, note: bool = True) -> None:
         """Reads every file once that is not known yet, and names every fault; with `note` the run remembers it."""
         known = {pair_id for _, pair_id, _ in self.store.records} | self.store.failures.keys()
-        pairs = [pair for pair in self.dataset.pairs if pair.pair_id in self.selected | known]
+        wanted = self.selected | known
+        pairs = [pair for pair in self.dataset.pairs if pair.pair_id in wanted]
         unknown = [pair for pair in pairs if not self._recall(pair)]
         chunk = max(1, min(32, len(unknown) // 8))
         chunks = [unknown[i : i + chunk] for i in range(0, len(unknown), chunk)]
@@ -229,7 +230,7 @@ class Session:
         rows = PAIRS.from_rows(self.rows())
         key = key_of([record.key for record in self.current_records() if record.stage == "metrics"], self.failures)
         table = self.store.write_at(self.request.out / "pairs.parquet", "pairs", rows, key)
-        self.store.records["pairs", "", ""] = JobRecord("pairs", "", "", key, {"pairs.parquet": table})
+        self.store.take(JobRecord("pairs", "", "", key, {"pairs.parquet": table}))
         timings = TIMINGS.from_rows(timing_rows(self.current_records(), self.made))
         self.store.write_at(self.request.out / "timings.parquet", "timings", timings, key)
         self._end_phase("tables")
@@ -317,7 +318,7 @@ class Session:
 
     def _take(self, report: Report) -> None:
         for record in report.records:
-            self.store.records[record.name] = record
+            self.store.take(record)
             self.made.add(record.name)
         self.reporter.jobs_done(report.records)
         self.tasks[report.pair_id] = self.tasks[report.pair_id].with_records(report.records)
@@ -325,7 +326,7 @@ class Session:
     def _end_pair(self, pair_id: str, failure: Failure | None) -> None:
         self.reporter.pair_done(pair_id)
         if failure is None:
-            self.store.failures.pop(pair_id, None)
+            self.store.drop_failure(pair_id)
             return
         where = f"stage {failure.stage}{', ' + failure.side if failure.side else ''}"
         self.failures[pair_id] = f"{where}: {failure.reason}"

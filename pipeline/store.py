@@ -17,7 +17,7 @@ import re
 import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -179,7 +179,7 @@ class TableFolder:
         journal = self.folder / _JOURNALS / f"{self.token}-{platform.node()}-{os.getpid()}.jsonl"
         journal.parent.mkdir(exist_ok=True)
         with journal.open("a", encoding="ascii") as file:
-            file.write(_index_line({"job": asdict(record)}))
+            file.write(_index_line({"job": _as_dict(record)}))
 
     def _check_token(self) -> None:
         try:
@@ -198,6 +198,8 @@ class Store(TableFolder):
         self.records: dict[JobName, JobRecord] = {}
         self.failures: dict[str, dict[str, Any]] = {}
         self.inputs: dict[str, dict[str, Any]] = {}
+        self._is_compact = False
+        self._loaded: list[tuple[Path, int, int]] = []
         self._load_index()
 
     @contextmanager
@@ -220,7 +222,8 @@ class Store(TableFolder):
                 f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
             ) from None
         try:
-            self._load_index()
+            if self._loaded != self._index_files():
+                self._load_index()
             self.token_path.write_text(self.token)
             self.compact()  # a line torn by a crash must not run into the next one
             yield
@@ -231,6 +234,11 @@ class Store(TableFolder):
     def token_path(self) -> Path:
         """The file that names the run which may write here."""
         return self.folder / _TOKEN
+
+    def take(self, record: JobRecord) -> None:
+        """Knows a finished job from now on; `compact` keeps it."""
+        self.records[record.name] = record
+        self._is_compact = False
 
     def note_failure(self, pair_id: str, facts: dict[str, Any]) -> None:
         """Adds to the index why a pair failed, at once."""
@@ -254,36 +262,52 @@ class Store(TableFolder):
         for name in record.files:
             (self.folder / name).unlink(missing_ok=True)
         self.records.pop(record.name, None)
+        self._is_compact = False
+
+    def drop_failure(self, pair_id: str) -> None:
+        """Forgets why a pair failed, if it did."""
+        if self.failures.pop(pair_id, None) is not None:
+            self._is_compact = False
 
     def strays(self, stage_folders: Iterable[str]) -> list[Path]:
         """Files in the stage folders that are in no record: half-written ones, and those of a killed run."""
         known = {name for record in self.records.values() for name in record.files}
         return [
-            path
+            Path(entry.path)
             for stage in stage_folders
-            for path in sorted((self.folder / stage).glob("*"))
-            if str(path.relative_to(self.folder)) not in known and path.is_file()
+            if (self.folder / stage).is_dir()
+            for entry in os.scandir(self.folder / stage)
+            if f"{stage}/{entry.name}" not in known and entry.is_file()
         ]
 
     def compact(self) -> None:
-        """Writes the index anew, each job, failure and input once, and does away with the journals."""
+        """Writes the index anew, each entry once, and does away with the journals; only if there is need."""
+        if self._is_compact:
+            return
         lines = [_index_line({"input": name, "facts": facts}) for name, facts in sorted(self.inputs.items())]
         lines += [_index_line({"failure": pair_id, "facts": facts}) for pair_id, facts in sorted(self.failures.items())]
-        lines += [_index_line({"job": asdict(record)}) for _, record in sorted(self.records.items())]
+        lines += [_index_line({"job": _as_dict(record)}) for _, record in sorted(self.records.items())]
         self.replace(self.folder / INDEX, "".join(lines).encode())
         for journal in (self.folder / _JOURNALS).glob("*.jsonl"):
             journal.unlink()
+        self._is_compact = True
 
     def _append(self, entry: dict[str, Any]) -> None:
         with (self.folder / INDEX).open("a", encoding="ascii") as file:
             file.write(_index_line(entry))
+        self._is_compact = False
+
+    def _index_files(self) -> list[tuple[Path, int, int]]:
+        """The index and the journals, with the file system's marks."""
+        paths = [self.folder / INDEX, *sorted((self.folder / _JOURNALS).glob("*.jsonl"))]
+        return [(path, (of := path.stat()).st_mtime_ns, of.st_size) for path in paths if path.exists()]
 
     def _load_index(self) -> None:
         self.records.clear()
         self.failures.clear()
         self.inputs.clear()
-        files = [self.folder / INDEX, *sorted((self.folder / _JOURNALS).glob("*.jsonl"))]
-        lines = [line for path in files if path.exists() for line in path.read_bytes().split(b"\n")]
+        self._loaded = self._index_files()
+        lines = [line for path, _, _ in self._loaded for line in path.read_bytes().split(b"\n")]
         for line in lines:
             entry = _index_entry(line)
             if "job" in entry:
@@ -296,6 +320,13 @@ class Store(TableFolder):
                 self.failures[entry["failure"]] = entry["facts"]
             elif "input" in entry:
                 self.inputs[entry["input"]] = entry["facts"]
+        n_entries = len(self.records) + len(self.failures) + len(self.inputs)
+        self._is_compact = len(self._loaded) == 1 and len(lines) == n_entries + 1 and not lines[-1]
+
+
+def _as_dict(record: JobRecord) -> dict[str, Any]:
+    """The same as `dataclasses.asdict`, which copies all that is inside."""
+    return vars(record) | {"files": {name: vars(of) for name, of in record.files.items()}}
 
 
 def _index_line(entry: dict[str, Any]) -> str:

@@ -225,6 +225,6 @@ def _gather(sweep: Sweep) -> pa.Table:
     key = key_of(sorted(record.key for record in records))
     path = sweep.out / f"{SUMMARY}.parquet"
     stored = sweep.store.write_at(path, SUMMARY, ABLATE_SUMMARY.from_rows(summary), key)
-    sweep.store.records[SUMMARY, "", ""] = JobRecord(SUMMARY, "", "", key, {path.name: stored})
+    sweep.store.take(JobRecord(SUMMARY, "", "", key, {path.name: stored}))
     sweep.store.compact()
     return rows

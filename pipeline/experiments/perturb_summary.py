@@ -41,7 +41,7 @@ def summarise(sweep: Sweep) -> pa.Table:
     key = key_of(sorted(record.key for record in records))
     path = sweep.out / f"{SUMMARY}.parquet"
     stored = sweep.store.write_at(path, SUMMARY, summary, key)
-    sweep.store.records[SUMMARY, "", ""] = JobRecord(SUMMARY, "", "", key, {path.name: stored})
+    sweep.store.take(JobRecord(SUMMARY, "", "", key, {path.name: stored}))
     sweep.store.compact()
     return summary
 

@@ -203,7 +203,7 @@ class Sweep:
 
     def _take(self, call: Call, report: Report) -> None:
         for record in report.records:
-            self.store.records[record.name] = record
+            self.store.take(record)
             self.n_made += 1
         if report.failure is not None:
             self.fail(call.name, report.failure.reason)
