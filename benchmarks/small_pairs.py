@@ -2,11 +2,12 @@
 
     python benchmarks/small_pairs.py [N_PAIRS] [POINTS]      by default 10000 pairs of 2000 points
 
-A manifest lists each of some hundred synthetic pairs many times under different names. Wall time times workers less
-the time inside jobs, a pair; Parquet apart; memory of the command (with dask's scheduler in it) and of the workers;
+A manifest lists each of some hundred synthetic pairs many times under different names. While the stages run: wall time
+times workers less the time inside jobs, a pair; Parquet apart; memory of the command (with dask's scheduler in it) and of the workers;
 the time of a second run, which has nothing to do.
 """
 
+import json
 import sys
 
 import pandas as pd
@@ -25,10 +26,11 @@ def main(n_pairs=10_000, points=2000):
         data = repeated(data, n_pairs, folder / "listed")
         run = weigh("run", data, "--out", out, "--workers", WORKERS, "--from", "ground")
         timings = pd.read_parquet(out / "timings.parquet")
+        wall_s = json.loads((out / "run.json").read_text())["wall_s"]
         again = weigh("run", data, "--out", out, "--workers", WORKERS)
     is_file = timings.step.isin(["read", "write"])
     inside, files = timings.seconds[~is_file].sum(), timings.seconds[is_file].sum()
-    beyond = WORKERS * run.wall_s - inside - files
+    beyond = WORKERS * wall_s["stages"] - inside - files
     print(f"{n_pairs} pairs of about {points} points: {run.wall_s:.0f} s wall, {run.cpu_s:.0f} s CPU")
     print(
         f"a pair: {1e3 * inside / n_pairs:.1f} ms inside the stages, {1e3 * files / n_pairs:.1f} ms Parquet, ", end=""

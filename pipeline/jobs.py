@@ -48,6 +48,11 @@ def run_jobs(
     return _reported(bench, [job for job in task.jobs if (job.stage, job.side) in set(wanted)], bytes_for_objects)
 
 
+def run_pairs(parts: list[tuple[PairTask, tuple[tuple[str, str], ...], int]]) -> list[Report]:
+    """What `run_jobs` gives for each of several pairs, in one task: the way to a worker then costs less a pair."""
+    return [run_jobs(*part) for part in parts]
+
+
 def score_objects(task: PairTask, real_ids: tuple[int, ...]) -> ObjectScores | Failure:
     """Selection and scores of some matched objects of a pair whose matching is done; nothing is written."""
     bench = _kept_bench(task)

@@ -1,10 +1,10 @@
 """The order of work: which tasks of which pairs are submitted when, and what is done when one ends.
 
-Pairs are started through a bounded window. A pair is one task; only when few pairs are left for the workers does it
-fall into tasks by side and, largest first, by object. A pair whose worker died is tried once more with nothing
-beside it, so that only the guilty one fails. Tasks are admitted by the memory that those running at once may need
-together; a pair with an object that cannot fit even alone fails. Leaves to others: where tasks run (`fanout`), what
-they cost (`costs`), what is kept (`session`).
+Pairs are started through a bounded window. A pair is one task, and several small ones are one together; only when few
+pairs are left for the workers does a pair fall into tasks by side and, largest first, by object. A pair whose worker
+died is tried once more with nothing beside it, so that only the guilty one fails. Tasks are admitted by the memory that
+those running at once may need together; a pair with an object that cannot fit even alone fails. Leaves to others: where
+tasks run (`fanout`), what they cost (`costs`), what is kept (`session`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 from .costs import PROCESS_BYTES, largest_object, object_bytes, object_seconds, pair_bytes, side_seconds
 from .fanout import Handle, Memory, Pool, WorkerDied
-from .jobs import OBJECT_STAGES, gather_objects, run_jobs, score_objects
+from .jobs import OBJECT_STAGES, gather_objects, run_jobs, run_pairs, score_objects
 from .task import Failure, Job, ObjectScores, PairTask, Report
 
 _SIDE_STAGES = ("ground", "graph", "communities")
@@ -27,6 +27,7 @@ _FEW_PAIRS_A_WORKER = 4
 _FIRST = 1e6  # priority of what others wait for
 _WORTH_SPLITTING_S = 1.0
 _BATCH_S = 0.5
+_LEAST_WEIGHT = 1 / 16
 
 
 @dataclass
@@ -48,12 +49,13 @@ class _Active:
 class _Order:
     """A task that waits for memory, or runs.
 
+    pairs : whose task it is; several only of `run_pairs`
     need : bytes that it may occupy
     objects : for a batch of objects, their nodes; the scores stay where they are made
     """
 
-    pair: _Active
-    function: Callable[..., Report | ObjectScores | Failure]
+    pairs: tuple[_Active, ...]
+    function: Callable[..., Report | list[Report] | ObjectScores | Failure]
     arguments: tuple[Any, ...]
     priority: float = 0.0
     need: int = 0
@@ -95,6 +97,7 @@ class Schedule:
         self._waiting: list[tuple[float, int, _Order]] = []
         self._running: dict[Handle, _Order] = {}
         self._count = itertools.count()
+        self._bundle: list[_Active] = []
         self._quarantine: deque[_Active] = deque()
         self._alone = False
 
@@ -104,10 +107,12 @@ class Schedule:
         while self._running:
             handle, outcome = self._pool.next_done()
             order = self._running.pop(handle)
-            order.pair.n_waiting -= 1
-            self._take(order, outcome)
-            if not order.pair.n_waiting:
-                self._go_on(order.pair)
+            outcomes = outcome if isinstance(outcome, list) else [outcome] * len(order.pairs)
+            for pair, of_pair in zip(order.pairs, outcomes, strict=True):
+                pair.n_waiting -= 1
+                self._take(pair, of_pair, order.objects)
+                if not pair.n_waiting:
+                    self._go_on(pair)
             self._fill()
         if left := [*self._pending, *self._active, *self._quarantine]:
             raise RuntimeError(f"{len(left)} pairs were left over though nothing ran any more")
@@ -117,20 +122,22 @@ class Schedule:
             self._admit()
             return
         window = (_FEW_PAIRS_A_WORKER if self._few_left() else _PAIRS_A_WORKER) * self._pool.n_workers
-        while self._pending and len(self._active) < window:
+        while self._pending and sum(map(self._weight, self._active.values())) < window:
             pair = _Active(self._pending.popleft())
             self._active[pair.task.pair.pair_id] = pair
             self._go_on(pair)
+        if not self._pending:
+            self._submit_bundle()
         self._admit()
         if self._quarantine and not self._active:
             self._alone = True
             pair = self._quarantine.popleft()
             self._active[pair.task.pair.pair_id] = pair
             self._submit_whole(pair)
+            self._submit_bundle()
             self._admit()
 
-    def _take(self, order: _Order, outcome: Any) -> None:
-        pair = order.pair
+    def _take(self, pair: _Active, outcome: Any, objects: tuple[int, ...]) -> None:
         if isinstance(outcome, WorkerDied):
             if self._alone and pair.failure is None:
                 job = pair.todo[0]
@@ -144,7 +151,7 @@ class Schedule:
             pair.task = pair.task.with_records(outcome.records)
             pair.failure = pair.failure or outcome.failure
         else:
-            self._on_objects(pair.task.pair.pair_id, order.objects)
+            self._on_objects(pair.task.pair.pair_id, objects)
 
     def _go_on(self, pair: _Active) -> None:
         """Submits what comes next for a pair of which nothing is running."""
@@ -156,7 +163,7 @@ class Schedule:
             del self._active[pair.task.pair.pair_id]
             self._quarantine.append(pair)
         elif pair.scored:
-            self._submit(_Order(pair, gather_objects, (list(pair.scored),), priority=_FIRST))
+            self._submit(_Order((pair,), gather_objects, (list(pair.scored),), priority=_FIRST))
             pair.scored.clear()
         elif not self._is_worth_splitting(pair):
             self._submit_whole(pair)
@@ -164,15 +171,15 @@ class Schedule:
             split = not pair.task.settings.ground.shared
             for side in ("real", "sim") if split else ("",):
                 if own := [job for job in sides if not split or job.side == side]:
-                    self._submit(_Order(pair, run_jobs, (_names(own),), _FIRST, self._pair_bytes(pair)))
+                    self._submit(_Order((pair,), run_jobs, (_names(own),), _FIRST, self._pair_bytes(pair)))
         elif matching := [job for job in pair.todo if job.stage == "matching"]:
-            self._submit(_Order(pair, run_jobs, (_names(matching),), priority=_FIRST))
+            self._submit(_Order((pair,), run_jobs, (_names(matching),), priority=_FIRST))
         elif any(job.stage in OBJECT_STAGES for job in pair.todo):
             self._submit_objects(pair)
         else:
             need = self._pair_bytes(pair) + object_bytes(largest_object(_n_keep(pair.task) or [])[1])
             for job in pair.todo:
-                self._submit(_Order(pair, run_jobs, (_names([job]),), need=need))
+                self._submit(_Order((pair,), run_jobs, (_names([job]),), need=need))
 
     def _end(self, pair: _Active) -> None:
         self._alone = False
@@ -194,9 +201,25 @@ class Schedule:
         return len(self._pending) + len(self._active) <= _FEW_PAIRS_A_WORKER * self._pool.n_workers
 
     def _submit_whole(self, pair: _Active) -> None:
-        """All that is left of a pair as one task; it stops where an object needs more than a worker's share."""
-        names, share = _names(pair.todo), self._object_share(pair)
-        self._submit(_Order(pair, run_jobs, (names, share), need=self._pair_bytes(pair) + share))
+        """All that is left of a pair in one piece; small pairs wait for others to go with them."""
+        self._bundle.append(pair)
+        pair.n_waiting += 1
+        if sum(map(self._weight, self._bundle)) >= 1 or self._alone:
+            self._submit_bundle()
+
+    def _submit_bundle(self) -> None:
+        """The pairs that wait for company, as one task; each stops where an object needs more than a worker's share."""
+        if not self._bundle:
+            return
+        pairs, self._bundle = tuple(self._bundle), []
+        parts = [(pair.task, _names(pair.todo), self._object_share(pair)) for pair in pairs]
+        need = max(self._pair_bytes(pair) + share for pair, (_, _, share) in zip(pairs, parts, strict=True))
+        self._queue(_Order(pairs, run_pairs, (parts,), need=need))
+
+    def _weight(self, pair: _Active) -> float:
+        """The part of a task that a pair is worth."""
+        seconds = 2 * side_seconds(self._n_raw[pair.task.pair.pair_id] // 2)
+        return min(1.0, max(_LEAST_WEIGHT, seconds / _BATCH_S))
 
     def _submit_objects(self, pair: _Active) -> None:
         """Selection and scores of a pair's objects: large ones alone, small ones together, largest first.
@@ -212,14 +235,17 @@ class Schedule:
             if seconds >= _BATCH_S or i + 1 == len(sizes):
                 need = self._pair_bytes(pair) + object_bytes(batch[0][1])
                 ids, nodes = tuple(of for of, _ in batch), tuple(of for _, of in batch)
-                self._submit(_Order(pair, score_objects, (ids,), first + seconds, need, nodes))
+                self._submit(_Order((pair,), score_objects, (ids,), first + seconds, need, nodes))
                 batch = []
         if not sizes:
-            self._submit(_Order(pair, gather_objects, ([],), priority=_FIRST))
+            self._submit(_Order((pair,), gather_objects, ([],), priority=_FIRST))
 
     def _submit(self, order: _Order) -> None:
-        """Queues a task for `_admit`."""
-        order.pair.n_waiting += 1
+        """Queues a task of one pair for `_admit`."""
+        order.pairs[0].n_waiting += 1
+        self._queue(order)
+
+    def _queue(self, order: _Order) -> None:
         heapq.heappush(self._waiting, (-order.priority, next(self._count), order))
 
     def _admit(self) -> None:
@@ -232,12 +258,11 @@ class Schedule:
                 return
             heapq.heappop(self._waiting)
             keep = order.function is score_objects
-            handle = self._pool.submit(
-                order.function, order.pair.task, *order.arguments, priority=order.priority, keep=keep
-            )
+            first = () if order.function is run_pairs else (order.pairs[0].task,)
+            handle = self._pool.submit(order.function, *first, *order.arguments, priority=order.priority, keep=keep)
             self._running[handle] = order
             if keep:
-                order.pair.scored.append(handle)
+                order.pairs[0].scored.append(handle)
 
     @property
     def _usable(self) -> int:

@@ -93,6 +93,7 @@ def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path, monke
             at_once.append((len(needs), sum(needs[:2])))
 
     monkeypatch.setattr("fidpipe.pipeline.session.Schedule", Watched)
+    monkeypatch.setattr(schedule, "_LEAST_WEIGHT", 1.0)  # a task a pair
     monkeypatch.setattr(costs, "_BYTES_A_NODE", 2**22)
     memory = 3 * GIB
     pool = TwoAtOnce(memory)
@@ -119,6 +120,13 @@ def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_sam
     pool = DyingOnce(3 * GIB // 2)
     assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
     assert pool.died
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_small_pairs_go_together_and_give_the_same(dataset, finished, tmp_path, monkeypatch):
+    pool = TwoAtOnce(8 * GIB)
+    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
+    assert pool.submitted == ["run_pairs"]
     assert_same_tables(tmp_path / "run", finished)
 
 
