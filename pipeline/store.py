@@ -10,6 +10,7 @@ Leaves to others: which stages there are (`run`), what a table holds (`schemas.t
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
 import platform
@@ -162,11 +163,15 @@ class TableFolder:
 
     def replace(self, path: Path, content: bytes | memoryview | pa.Buffer) -> None:
         """Puts a whole file in place of another: written beside it under a dot name, flushed, renamed."""
+        self.replace_by(path, [content])
+
+    def replace_by(self, path: Path, parts: Iterable[bytes | memoryview | pa.Buffer]) -> None:
+        """The same with a file whose parts are made while it is written, so that they never are in memory together."""
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
         try:
             with temporary.open("wb") as file:
-                file.write(content)
+                file.writelines(parts)
                 file.flush()
                 os.fsync(file.fileno())
             self._check_token()
@@ -284,10 +289,12 @@ class Store(TableFolder):
         """Writes the index anew, each entry once, and does away with the journals; only if there is need."""
         if self._is_compact:
             return
-        lines = [_index_line({"input": name, "facts": facts}) for name, facts in sorted(self.inputs.items())]
-        lines += [_index_line({"failure": pair_id, "facts": facts}) for pair_id, facts in sorted(self.failures.items())]
-        lines += [_index_line({"job": _as_dict(record)}) for _, record in sorted(self.records.items())]
-        self.replace(self.folder / INDEX, "".join(lines).encode())
+        entries: Iterator[dict[str, Any]] = itertools.chain(
+            ({"input": name, "facts": facts} for name, facts in sorted(self.inputs.items())),
+            ({"failure": pair_id, "facts": facts} for pair_id, facts in sorted(self.failures.items())),
+            ({"job": _as_dict(record)} for _, record in sorted(self.records.items())),
+        )
+        self.replace_by(self.folder / INDEX, (_index_line(entry).encode() for entry in entries))
         for journal in (self.folder / _JOURNALS).glob("*.jsonl"):
             journal.unlink()
         self._is_compact = True
@@ -307,21 +314,27 @@ class Store(TableFolder):
         self.failures.clear()
         self.inputs.clear()
         self._loaded = self._index_files()
-        lines = [line for path, _, _ in self._loaded for line in path.read_bytes().split(b"\n")]
-        for line in lines:
-            entry = _index_entry(line)
-            if "job" in entry:
-                job = entry["job"]
-                stored = {name: StoredFile(**of) for name, of in job.pop("files").items()}
-                steps = tuple((step, seconds) for step, seconds in job.pop("steps"))
-                record = JobRecord(**job, files=stored, steps=steps)
-                self.records[record.name] = record
-            elif "failure" in entry:
-                self.failures[entry["failure"]] = entry["facts"]
-            elif "input" in entry:
-                self.inputs[entry["input"]] = entry["facts"]
+        n_lines, is_torn = 0, False
+        for path, _, _ in self._loaded:
+            with path.open("rb") as file:
+                for line in file:
+                    n_lines += 1
+                    is_torn |= not line.endswith(b"\n")
+                    self._learn(_index_entry(line.rstrip(b"\n")))
         n_entries = len(self.records) + len(self.failures) + len(self.inputs)
-        self._is_compact = len(self._loaded) == 1 and len(lines) == n_entries + 1 and not lines[-1]
+        self._is_compact = len(self._loaded) == 1 and n_lines == n_entries and not is_torn
+
+    def _learn(self, entry: dict[str, Any]) -> None:
+        if "job" in entry:
+            job = entry["job"]
+            stored = {name: StoredFile(**of) for name, of in job.pop("files").items()}
+            steps = tuple((step, seconds) for step, seconds in job.pop("steps"))
+            record = JobRecord(**job, files=stored, steps=steps)
+            self.records[record.name] = record
+        elif "failure" in entry:
+            self.failures[entry["failure"]] = entry["facts"]
+        elif "input" in entry:
+            self.inputs[entry["input"]] = entry["facts"]
 
 
 def _as_dict(record: JobRecord) -> dict[str, Any]:
