@@ -27,6 +27,7 @@ _FEW_PAIRS_A_WORKER = 4
 _FIRST = 1e6  # priority of what others wait for
 _WORTH_SPLITTING_S = 1.0
 _BATCH_S = 0.5
+_BUNDLE_S = 0.5
 _LEAST_WEIGHT = 1 / 16
 
 
@@ -219,7 +220,7 @@ class Schedule:
     def _weight(self, pair: _Active) -> float:
         """The part of a task that a pair is worth."""
         seconds = 2 * side_seconds(self._n_raw[pair.task.pair.pair_id] // 2)
-        return min(1.0, max(_LEAST_WEIGHT, seconds / _BATCH_S))
+        return min(1.0, max(_LEAST_WEIGHT, seconds / _BUNDLE_S))
 
     def _submit_objects(self, pair: _Active) -> None:
         """Selection and scores of a pair's objects: large ones alone, small ones together, largest first.
