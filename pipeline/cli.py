@@ -10,7 +10,17 @@ from typing import Annotated
 import typer
 
 from .cli_experiments import ablate, perturb
-from .cli_options import Assignments, DatasetFolder, SettingsFile
+from .cli_options import (
+    EXIT_INTERRUPTED,
+    EXIT_PAIRS_FAILED,
+    EXIT_WRONG_INPUT,
+    Assignments,
+    DatasetFolder,
+    Scheduler,
+    SettingsFile,
+    Workers,
+    check_machines,
+)
 from .cli_results import compare, gate, show
 from .console import print_view as _print
 
@@ -24,10 +34,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-EXIT_WRONG_INPUT = 1
-EXIT_PAIRS_FAILED = 3
-EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
@@ -107,16 +113,8 @@ def run(
     ] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one a core"
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
-    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     from_stage: Annotated[
         str | None, typer.Option("--from", metavar="STAGE", help="Make this stage and those after it again.")
     ] = None,
@@ -158,8 +156,7 @@ def run(
         raise typer.BadParameter(
             f"{from_stage!r} is no stage; one of {', '.join(stage_names)} is wanted", param_hint="--from"
         )
-    if scheduler is not None and workers is not None:
-        raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")
+    check_machines(workers, scheduler)
     request = RunRequest(
         dataset=dataset,
         out=out or Path("runs") / (dataset.resolve().name or "dataset"),

@@ -7,10 +7,16 @@ from typing import Annotated
 
 import typer
 
-from .cli_options import Assignments, DatasetFolder, Scheduler, SettingsFile, Workers
+from .cli_options import (
+    EXIT_PAIRS_FAILED,
+    Assignments,
+    DatasetFolder,
+    Scheduler,
+    SettingsFile,
+    Workers,
+    check_machines,
+)
 from .console import print_view
-
-_EXIT_SOME_FAILED = 3
 
 
 def perturb(
@@ -79,7 +85,7 @@ def perturb(
     from .report.perturb_figure import draw_perturbations
     from .report.perturb_view import perturb_view
 
-    _check_machines(workers, scheduler)
+    check_machines(workers, scheduler)
     baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
     request = PerturbRequest(
         source=source,
@@ -97,7 +103,7 @@ def perturb(
     outcome = perturb_source(request, Reporter())
     draw_perturbations(outcome)
     print_view(perturb_view(outcome))
-    raise typer.Exit(_EXIT_SOME_FAILED if outcome.failures else 0)
+    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
 
 
 def ablate(
@@ -144,7 +150,7 @@ def ablate(
     from .report.ablate_figure import draw_ablation
     from .report.ablate_view import ablate_view
 
-    _check_machines(workers, scheduler)
+    check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}
     request = AblateRequest(
         dataset=dataset,
@@ -159,7 +165,7 @@ def ablate(
     outcome = ablate_dataset(request, Reporter())
     draw_ablation(outcome)
     print_view(ablate_view(outcome))
-    raise typer.Exit(_EXIT_SOME_FAILED if outcome.failures else 0)
+    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:
@@ -167,11 +173,6 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
         return tuple(float(word) for word in text.split(","))
     except ValueError:
         raise typer.BadParameter(f"{text!r} found, numbers with commas are wanted", param_hint=option) from None
-
-
-def _check_machines(workers: int | None, scheduler: str | None) -> None:
-    if scheduler is not None and workers is not None:
-        raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")
 
 
 def _experiment_folder(source: Path, experiment: str) -> Path:

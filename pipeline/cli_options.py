@@ -1,4 +1,4 @@
-"""Options and arguments that several commands have."""
+"""Options and arguments that several commands have, and the codes that they exit with."""
 
 from __future__ import annotations
 
@@ -19,9 +19,20 @@ DatasetFolder = Annotated[
 ]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", min=1, help="Processes on this machine; 1 starts no cluster. Default: one a core."),
+    typer.Option("--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one a core"),
 ]
 Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
 ]
+
+EXIT_WRONG_INPUT = 1
+EXIT_PAIRS_FAILED = 3
+EXIT_GATE_FAILED = 4
+EXIT_INTERRUPTED = 130
+
+
+def check_machines(workers: int | None, scheduler: str | None) -> None:
+    """Raises `typer.BadParameter` where both a number of workers and a cluster are given."""
+    if scheduler is not None and workers is not None:
+        raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")

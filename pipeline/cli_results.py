@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
+from .cli_options import EXIT_GATE_FAILED
 from .console import print_json, print_view
-
-EXIT_GATE_FAILED = 4
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)]
 

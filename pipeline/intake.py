@@ -56,9 +56,10 @@ class ScanFacts:
     warnings: list[str] = field(default_factory=list)
     fault: str | None = None
 
-    def content_key(self) -> str:
-        """A hash of all that the scan is read from."""
-        return key_of(self.sha256, self.label_sha256)
+    def content_key(self, label_names: Mapping[int, str]) -> str:
+        """A hash of all that the scan is read from; names count where it has labels."""
+        names = key_of(sorted(label_names.items()) if self.label_sha256 else [])
+        return key_of(key_of(self.sha256, self.label_sha256), names)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for the run's index."""
@@ -190,6 +191,29 @@ def input_hashes(
     has_labels = any(label_sha256 for _, label_sha256 in hashes.values())
     content = key_of(hashes, sorted(label_names.items()) if has_labels else [], pair.T_real_sim)
     return {side: sha256 for side, (sha256, _) in hashes.items()} | {"content": content}
+
+
+def input_name(pair: ScanPair, side: str) -> str:
+    """What a file is called in an index: by its absolute path, so that it is known wherever the command is called."""
+    path = pair.path(side)
+    return f"{pair.pair_id} {side} {path and path.absolute()}"
+
+
+def recall_scan(
+    known: Mapping[str, Mapping[str, Any]], pair: ScanPair, side: str, settings: InputSettings
+) -> ScanFacts | None:
+    """What was learnt of a scan file before, if it still holds.
+
+    Parameters
+    ----------
+    known : facts of files by `input_name`, as a run's index has them
+    """
+    path, facts = pair.path(side), known.get(input_name(pair, side))
+    if path is None or facts is None:
+        return None
+    found = ScanFacts(**facts)
+    holds = found.marks == file_marks(path) and found.settings_key == settings_key(side, pair.T_real_sim, settings)
+    return found if holds else None
 
 
 def file_marks(path: Path) -> list[list[int]]:

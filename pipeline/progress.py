@@ -16,10 +16,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from .costs import object_seconds, side_seconds
 from .store import JobRecord
 
-_SECONDS_BETWEEN_LINES = 5.0
+SECONDS_BETWEEN_LINES = 5.0
 _SECONDS_OF_SILENCE = 30.0
 _SECONDS_BETWEEN_LOOKS = 1.0
 _SIDE_STAGES = 3
+
+
+def words_of_time_left(seconds: float) -> str:
+    """So many seconds as a person says it."""
+    return f"about {seconds:.0f} s left" if seconds < 90 else f"about {seconds / 60:.0f} min left"
 
 
 class Reporter:
@@ -114,7 +119,7 @@ class Reporter:
             with self._lock:
                 self._show(_SECONDS_OF_SILENCE)
 
-    def _show(self, seconds_between_lines: float = _SECONDS_BETWEEN_LINES) -> None:
+    def _show(self, seconds_between_lines: float = SECONDS_BETWEEN_LINES) -> None:
         now = monotonic()
         if self._bar is not None:
             counts, left = self._work.counts(), self._work.time_left(now)
@@ -191,7 +196,7 @@ class Work:
         left = (self._last - self._start) * (total - done) / done - (now - self._last)
         if left < 1:
             return "a large object takes longer than expected" if done < total else "about 0 s left"
-        return f"about {left:.0f} s left" if left < 90 else f"about {left / 60:.0f} min left"
+        return words_of_time_left(left)
 
     def _add(self, pair_id: str, seconds: float) -> None:
         self._done_of[pair_id] = self._done_of.get(pair_id, 0.0) + seconds

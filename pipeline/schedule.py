@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .costs import PROCESS_BYTES, largest_object, object_bytes, object_seconds, pair_bytes, side_seconds
-from .fanout import Handle, Memory, Pool, WorkerDied
+from .fanout import Handle, Pool, WorkerDied
 from .jobs import OBJECT_STAGES, gather_objects, run_jobs, run_pairs, score_objects
 from .task import Failure, Job, ObjectScores, PairTask, Report
 
@@ -71,7 +71,6 @@ class Schedule:
     pool : where tasks run
     tasks : the pairs, each with jobs to be made
     n_raw : points of both files, by pair_id
-    memory : what tasks may occupy
     on_report : called with what each task has finished, as soon as it has
     on_objects : called with pair_id and numbers of nodes of objects that are scored
     on_end : called with pair_id and failure (or None) when a pair has ended
@@ -82,7 +81,6 @@ class Schedule:
         pool: Pool,
         tasks: Iterable[PairTask],
         n_raw: Mapping[str, int],
-        memory: Memory,
         on_report: Callable[[Report], None],
         on_objects: Callable[[str, tuple[int, ...]], None],
         on_end: Callable[[str, Failure | None], None],
@@ -90,7 +88,7 @@ class Schedule:
         self._pool = pool
         self._pending = deque(tasks)
         self._n_raw = n_raw
-        self._memory = memory
+        self._memory = pool.memory
         self._on_report = on_report
         self._on_objects = on_objects
         self._on_end = on_end

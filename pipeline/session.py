@@ -19,7 +19,7 @@ from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .fanout import InProcess, Pool, start_pool
 from .findings import run_findings
-from .intake import ScanFacts, file_marks, input_hashes, inspect_pairs, pair_warnings, settings_key
+from .intake import ScanFacts, input_hashes, input_name, inspect_pairs, pair_warnings, recall_scan
 from .plan import Stage, library_versions, plan_pair, with_whole_results
 from .progress import Reporter
 from .readers.dataset import Dataset, ScanPair
@@ -134,7 +134,7 @@ class Session:
             for pair, facts in zip(handles.pop(handle), found, strict=True):
                 self.facts[pair.pair_id] = facts
                 for side, of in facts.items() if note else ():
-                    self.store.note_input(_input_name(pair, side), of.as_dict())
+                    self.store.note_input(input_name(pair, side), of.as_dict())
         if pool is not self._pool:
             pool.close()
         for text in self.dataset.warnings:
@@ -156,7 +156,7 @@ class Session:
             facts = self.facts.get(pair.pair_id)
             if facts is None or pair.pair_id in self.failures:
                 continue
-            inputs = {side: key_of(facts[side].content_key(), self._names_key(facts[side])) for side in SIDES}
+            inputs = {side: facts[side].content_key(self.dataset.label_names) for side in SIDES}
             task = replace(
                 plan_pair(self.stages, pair, inputs, self.settings),
                 label_names=self.dataset.label_names,
@@ -220,7 +220,7 @@ class Session:
             pool = self.pool
             self.reporter.start(n_raw, n_jobs)
             try:
-                Schedule(pool, todo, n_raw, pool.memory, self._take, self.reporter.objects_done, self._end_pair).run()
+                Schedule(pool, todo, n_raw, self._take, self.reporter.objects_done, self._end_pair).run()
             finally:
                 self.reporter.stop()
         self._end_phase("stages")
@@ -286,18 +286,12 @@ class Session:
         """Whether the facts of a pair's files are known from the last run and still hold."""
         facts = {}
         for side in SIDES:
-            path = pair.path(side)
-            if path is None:
+            if pair.path(side) is None:
                 continue
-            known = self.store.inputs.get(_input_name(pair, side))
+            known = recall_scan(self.store.inputs, pair, side, self.settings.input)
             if known is None:
                 return False
-            of = ScanFacts(**known)
-            if of.marks != file_marks(path) or of.settings_key != settings_key(
-                side, pair.T_real_sim, self.settings.input
-            ):
-                return False
-            facts[side] = of
+            facts[side] = known
         self.facts[pair.pair_id] = facts
         return True
 
@@ -310,11 +304,6 @@ class Session:
             self.reporter.fail(pair.pair_id, self.failures[pair.pair_id])
         for text in pair_warnings(pair, facts):
             self.reporter.warn(f"pair {pair.pair_id}: {text}")
-
-    def _names_key(self, facts: ScanFacts) -> str:
-        """A hash of the label names where the scan has labels."""
-        names = self.dataset.label_names if facts.label_sha256 else {}
-        return key_of(sorted(names.items()))
 
     def _take(self, report: Report) -> None:
         for record in report.records:
@@ -370,9 +359,3 @@ class Session:
         now = perf_counter()
         self.wall_s[name] = now - self._phase_start
         self._phase_start = now
-
-
-def _input_name(pair: ScanPair, side: str) -> str:
-    """What a file is called in the index: by its absolute path, so that it is known wherever the command is called."""
-    path = pair.path(side)
-    return f"{pair.pair_id} {side} {path and path.absolute()}"

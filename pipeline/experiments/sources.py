@@ -12,7 +12,7 @@ from pathlib import Path
 from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings
 from ..costs import side_seconds
-from ..intake import ScanFacts, file_marks, inspect_scan, pair_warnings, settings_key
+from ..intake import ScanFacts, input_name, inspect_scan, pair_warnings, recall_scan
 from ..jobs import run_jobs
 from ..plan import library_versions, plan_pair, with_whole_results
 from ..readers import stem_of, suffix_of
@@ -129,16 +129,11 @@ def _inspect(sweep: Sweep, pair: ScanPair, side: str, settings: Settings, source
     path = pair.path(side)
     if path is None:
         return None
-    known = sweep.store.inputs.get(_input_name(pair, side))
+    known = recall_scan(sweep.store.inputs, pair, side, settings.input)
     if known is not None:
-        facts = ScanFacts(**known)
-        if (facts.marks, facts.settings_key) == (
-            file_marks(path),
-            settings_key(side, pair.T_real_sim, settings.input),
-        ):
-            return facts
+        return known
     facts = inspect_scan(path, side, pair.T_real_sim, settings.input, source.label_names)
-    sweep.store.note_input(_input_name(pair, side), facts.as_dict())
+    sweep.store.note_input(input_name(pair, side), facts.as_dict())
     return facts
 
 
@@ -150,8 +145,7 @@ def _plan(
     source: Source,
     stages: Sequence[str],
 ) -> PairTask:
-    names = sorted(source.label_names.items())
-    inputs = {side: key_of(of.content_key(), names if of.label_sha256 else []) for side, of in facts.items()}
+    inputs = {side: of.content_key(source.label_names) for side, of in facts.items()}
     wanted = [stage for stage in STAGES if stage.name in stages]
     task = plan_pair(wanted, pair, {"real": "", "sim": ""} | inputs, settings)
     return with_whole_results(
@@ -190,8 +184,4 @@ def _open_jobs(task: PairTask) -> tuple[tuple[str, str], ...]:
 
 
 def _n_raw(sweep: Sweep, task: PairTask, side: str) -> int:
-    return int(sweep.store.inputs.get(_input_name(task.pair, side), {}).get("n_raw", 0))
-
-
-def _input_name(pair: ScanPair, side: str) -> str:
-    return f"{pair.pair_id} {side} {pair.path(side)}"
+    return int(sweep.store.inputs.get(input_name(task.pair, side), {}).get("n_raw", 0))

@@ -8,7 +8,8 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-_SECONDS_BETWEEN_LINES = 5.0
+from ..progress import SECONDS_BETWEEN_LINES, words_of_time_left
+
 _SURE_SHARE = 0.05  # before that a guess of the time left is worth nothing
 
 
@@ -51,7 +52,7 @@ class Ticker:
         self._done_s += cost_s
         now = monotonic()
         self._bar.update(self._bar.task_ids[0], completed=self._done_s, words=self._words())
-        if not self._console.is_terminal and now - self._last_line >= _SECONDS_BETWEEN_LINES:
+        if not self._console.is_terminal and now - self._last_line >= SECONDS_BETWEEN_LINES:
             self._last_line = now
             self._console.print(self._words(), markup=False)
 
@@ -61,4 +62,4 @@ class Ticker:
         if self._done_s < _SURE_SHARE * self._cost_s or elapsed < 1:
             return words
         left = elapsed * (self._cost_s - self._done_s) / self._done_s
-        return f"{words}, about {left:.0f} s left" if left < 90 else f"{words}, about {left / 60:.0f} min left"
+        return f"{words}, {words_of_time_left(left)}"
