@@ -14,8 +14,8 @@ from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 from . import banding
 from .arrays import FloatArray
 
-_BANDED_NODES = 2000  # from here the detour over a band is the faster way
-_BAND_WIDTH = 40
+_BANDED_NODES = 1400  # from here the detour over a band is the faster way
+_BAND_WIDTH = 32
 _DENSE_NORM_NODES = 64
 
 

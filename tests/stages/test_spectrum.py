@@ -37,6 +37,16 @@ def test_a_shuffled_band_matrix_has_the_eigenvalues_of_the_ordered_one(rng, band
     np.testing.assert_allclose(found, np.linalg.eigvalsh(dense), atol=1e-11)
 
 
+@pytest.mark.parametrize("half", [[2, 120, 5], [90, 3, 90, 1, 60], [0, 45, 0, 33]])
+def test_a_band_of_uneven_width_has_the_same_eigenvalues(rng, banded, half):
+    reach = np.repeat(half, 400 // len(half))
+    n = len(reach)
+    row, column = np.indices((n, n))
+    dense = np.where(np.abs(row - column) <= np.minimum(reach[row], reach[column]), rng.normal(0, 1, (n, n)), 0)
+    dense += dense.T
+    np.testing.assert_allclose(eigenvalues(sparse.csr_matrix(dense)), np.linalg.eigvalsh(dense), atol=1e-11)
+
+
 @pytest.mark.parametrize("width", [1, 7, 64])
 def test_any_width_of_the_band_gives_the_same(rng, banded, monkeypatch, width):
     monkeypatch.setattr(spectrum, "_BAND_WIDTH", width)
