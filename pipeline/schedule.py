@@ -23,7 +23,7 @@ from .task import Failure, Job, ObjectScores, PairTask, Report
 
 _SIDE_STAGES = ("ground", "graph", "communities")
 _PAIRS_A_WORKER = 2
-_FEW_PAIRS_A_WORKER = 4
+_FEW_PAIRS_A_WORKER = 2
 _FIRST = 1e6  # priority of what others wait for
 _WORTH_SPLITTING_S = 1.0
 _BATCH_S = 0.5

@@ -23,6 +23,7 @@ from .arrays import FloatArray, IndexArray
 _DENSE_NODES = 400  # up to here the dense solver is the faster one
 _COARSER = 4
 _ARCS_A_NODE = 72
+_TIGHT_ARCS_A_NODE = 16
 _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this to be added
 _BLOCK_DISTANCES = 2**20
 
@@ -60,12 +61,16 @@ def assign_nodes(a: FloatArray, b: FloatArray) -> IndexArray:
         found: IndexArray = linear_sum_assignment(cdist(a, b))[1]
         return found
     arcs = _candidate_arcs(a, b, _coarse_prices(a, b))
+    is_first = True
     while True:
         sim_of_real, prices = _solve(a, b, arcs)
         better = np.setdiff1d(_promising_arcs(a, b, prices), arcs, assume_unique=True)
         if not len(better):
             return sim_of_real
-        arcs = np.union1d(arcs, better)
+        if is_first:  # most arcs turned out too dear; what is left out wrongly is found again
+            arcs = _tight_arcs(a, b, arcs, sim_of_real, prices)
+            is_first = False
+        arcs = np.sort(np.concatenate([arcs, better]), kind="stable")
 
 
 def _coarse_prices(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -140,6 +145,17 @@ def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, 
     sim_of_real = np.empty(n, dtype=np.intp)
     sim_of_real[plan.row[chosen]] = plan.col[chosen]
     return sim_of_real, (log["u"], log["v"])
+
+
+def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: IndexArray, prices: Prices) -> IndexArray:
+    """Of the arcs those that cost least above the prices of their ends, and those of the assignment."""
+    n = len(a)
+    i, j = np.divmod(arcs, n)
+    slack = np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1)) - prices[0][i] - prices[1][j]
+    n_tight = min(_TIGHT_ARCS_A_NODE * n, len(arcs) - 1)
+    is_tight = slack <= np.partition(slack, n_tight)[n_tight]
+    tight: IndexArray = arcs[is_tight | (j == sim_of_real[i])]
+    return tight
 
 
 def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.spatial import cKDTree
 
 from ..schemas.settings import GraphSettings
@@ -17,6 +16,8 @@ from .arrays import Float32Array, FloatArray, IndexArray, IntArray
 
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 _LEAF_SIZE = 32
+
+Arcs = tuple[NDArray[np.integer], NDArray[np.integer]]  #: the two ends of each
 
 
 @dataclass(frozen=True)
@@ -59,17 +60,13 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     tree = cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
     neighbours, reach_m = _nearest(tree, points, k)
-    joined = _either_way(
-        sparse.csr_array((np.ones(n * k, np.int8), neighbours.ravel(), np.arange(0, n * k + 1, k)), (n, n))
-    )
+    arcs: list[Arcs] = [(np.repeat(np.arange(n), k), neighbours.ravel())]
     if settings.edges == "union":
         # Where the k-th neighbour is farther than tau, all that lie within tau are neighbours already.
         crowded = np.flatnonzero(reach_m <= settings.tau_m * (1 + _SLACK))
-        src, dst = crowded[_within(points[crowded], settings.tau_m)]
-        joined = joined + _either_way(sparse.csr_array((np.ones(len(src), np.int8), (src, dst)), (n, n)))
-    pairs = joined.tocoo()
-    upper = pairs.row < pairs.col
-    src, dst = pairs.row[upper], pairs.col[upper]
+        near, other = _within(points[crowded], settings.tau_m)
+        arcs.append((crowded[near], crowded[other]))
+    src, dst = _joined(arcs, n)
     length_m = _distance(points, src, dst)
     if settings.edges == "intersection":
         inside = length_m <= settings.tau_m
@@ -108,10 +105,15 @@ def _within(points: FloatArray, tau_m: float) -> IndexArray:
     return np.array([src[inside], dst[inside]])
 
 
-def _either_way(pairs: sparse.csr_array) -> sparse.csr_array:
-    """The symmetric pattern of directed pairs; by two transpositions, which also sort it in linear time."""
-    backward = pairs.T.tocsr()
-    return backward + backward.T.tocsr()
+def _joined(arcs: list[Arcs], n: int) -> tuple[IndexArray, IndexArray]:
+    """The pairs of nodes that an arc of any list joins in either direction, smaller index first, ascending."""
+    codes = np.concatenate([np.minimum(a, b, dtype=np.int64) for a, b in arcs])
+    codes *= n
+    codes += np.concatenate([np.maximum(a, b) for a, b in arcs])
+    codes.sort()
+    codes = codes[np.append(True, codes[1:] != codes[:-1])]
+    src = np.repeat(np.arange(n), np.diff(np.searchsorted(codes, np.arange(n + 1) * n)))
+    return src, codes - src * n
 
 
 def _distance(points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.integer]) -> FloatArray:
