@@ -18,8 +18,8 @@ from ..schemas.tables import BASELINES
 from ..stages.baselines import Baseline, compare_objects, compare_points
 from ..stages.registration import can_register
 from ..stages.summary import mean_and_std
+from .index import JobRecord
 from .jobs import chosen_nodes
-from .store import JobRecord
 from .task import Facts, Tables
 from .workbench import Workbench
 

@@ -146,8 +146,8 @@ def run(
     from ..schemas.settings import load
     from .progress import Reporter
     from .report.terminal import outcome_view
+    from .request import RunRequest
     from .run import run_dataset, stages_of
-    from .session import RunRequest
 
     repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
     in_force = load(settings, [*(assignments or []), *repeats])

@@ -15,8 +15,9 @@ import pyarrow.parquet as pq
 
 from ..schemas.columns import SIDES
 from ..schemas.errors import RunError
+from .index import JobName
 from .record import read_run
-from .store import JobName, Store
+from .store import Store
 
 Row = dict[str, Any]
 

@@ -31,6 +31,23 @@ HALF_SWEEP_GAP_DEG = 90.0
 EGO_RANGE_M = 3.0
 
 
+@dataclass(frozen=True, slots=True)
+class ScanContent:
+    """What the keys of a pair are made of, and how many points it has.
+
+    sha256, label_sha256 : content hashes of a scan file and of its labels, "" where it has none
+    """
+
+    sha256: str
+    label_sha256: str
+    n_raw: int
+
+    def key(self, label_names: Mapping[int, str]) -> str:
+        """A hash of all that the scan is read from; names count where it has labels."""
+        names = key_of(sorted(label_names.items()) if self.label_sha256 else [])
+        return key_of(key_of(self.sha256, self.label_sha256), names)
+
+
 @dataclass(frozen=True)
 class ScanFacts:
     """What was learnt of one scan file.
@@ -56,10 +73,10 @@ class ScanFacts:
     warnings: list[str] = field(default_factory=list)
     fault: str | None = None
 
-    def content_key(self, label_names: Mapping[int, str]) -> str:
-        """A hash of all that the scan is read from; names count where it has labels."""
-        names = key_of(sorted(label_names.items()) if self.label_sha256 else [])
-        return key_of(key_of(self.sha256, self.label_sha256), names)
+    @property
+    def content(self) -> ScanContent:
+        """The part that a run keeps in mind."""
+        return ScanContent(self.sha256, self.label_sha256, self.n_raw)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for the run's index."""
@@ -174,7 +191,7 @@ def hash_scan(path: Path) -> tuple[str, str]:
 
 
 def input_hashes(
-    pair: ScanPair, label_names: Mapping[int, str], facts: Mapping[str, ScanFacts] | None = None
+    pair: ScanPair, label_names: Mapping[int, str], contents: Mapping[str, ScanContent] | None = None
 ) -> dict[str, str]:
     """What a pair's numbers come from besides settings and code: each scan's hash by side, and `content` of it all.
 
@@ -182,12 +199,12 @@ def input_hashes(
 
     Parameters
     ----------
-    facts : by side, where the files were read already; else they are read now
+    contents : by side, where the files were read already; else they are read now
     """
-    if facts is None:
+    if contents is None:
         hashes = {side: hash_scan(path) for side in SIDES if (path := pair.path(side)) is not None}
     else:
-        hashes = {side: (of.sha256, of.label_sha256) for side, of in facts.items()}
+        hashes = {side: (of.sha256, of.label_sha256) for side, of in contents.items()}
     has_labels = any(label_sha256 for _, label_sha256 in hashes.values())
     content = key_of(hashes, sorted(label_names.items()) if has_labels else [], pair.T_real_sim)
     return {side: sha256 for side, (sha256, _) in hashes.items()} | {"content": content}

@@ -27,7 +27,7 @@ from ..stages.objects import describe_objects, majority_labels
 from ..stages.selection import Selection, select_nodes
 from ..stages.summary import summarise_pair
 from .costs import largest_object, object_bytes
-from .store import JobRecord
+from .index import JobRecord
 from .task import Facts, Failure, Job, ObjectScores, PairTask, Report, Tables
 from .workbench import Workbench, as_numpy
 

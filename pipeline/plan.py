@@ -12,8 +12,9 @@ from typing import Any
 
 from ..schemas.columns import SIDES
 from ..schemas.settings import Settings
+from .index import JobName, JobRecord
 from .readers.dataset import ScanPair
-from .store import JobRecord, Store, key_of
+from .store import Store, key_of
 from .task import Facts, Job, PairTask, Tables
 from .workbench import Workbench
 
@@ -84,8 +85,8 @@ def plan_pair(stages: Iterable[Stage], pair: ScanPair, inputs: Mapping[str, str]
 
 def with_whole_results(
     task: PairTask, store: Store, redo: frozenset[str] = frozenset()
-) -> tuple[PairTask, dict[str, list[JobRecord]]]:
-    """The task knowing which of its jobs are done, and the records in the index that are not wanted, by reason.
+) -> tuple[PairTask, dict[JobName, str]]:
+    """The task knowing which of its jobs are done, and the jobs in the index that are not wanted, each with the reason.
 
     Parameters
     ----------
@@ -93,17 +94,17 @@ def with_whole_results(
     store : the run
     redo : stages to be made again whatever their keys say
     """
-    whole, unwanted = [], dict[str, list[JobRecord]]()
+    whole, unwanted = [], dict[JobName, str]()
     for job in task.jobs:
         record = store.records.get((job.stage, task.pair.pair_id, job.side))
         if record is None:
             continue
         if record.key != job.key:
-            unwanted.setdefault("out of date", []).append(record)
+            unwanted[record.name] = "out of date"
         elif not store.is_whole(record):
-            unwanted.setdefault("damaged or gone", []).append(record)
+            unwanted[record.name] = "damaged or gone"
         elif job.stage in redo:
-            unwanted.setdefault("asked for by --from", []).append(record)
+            unwanted[record.name] = "asked for by --from"
         else:
             whole.append(record)
     return task.with_records(whole), unwanted

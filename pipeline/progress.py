@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from .costs import object_seconds, side_seconds
-from .store import JobRecord
+from .index import JobRecord
 
 SECONDS_BETWEEN_LINES = 5.0
 _SECONDS_OF_SILENCE = 30.0

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,8 @@ from .. import __version__
 from ..schemas.columns import OBJECT_METRICS
 from ..schemas.settings import Settings
 from ..stages.summary import summarise_dataset
+from .index import JobName, JobRecord
 from .plan import Stage, library_versions
-from .store import JobRecord
 
 RUN_JSON = "run.json"
 SETTINGS_TOML = "settings.toml"
@@ -55,7 +56,14 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 def dumps(record: Mapping[str, Any]) -> bytes:
     """A record as JSON text."""
-    return (json.dumps(record, indent=1, allow_nan=False) + "\n").encode()
+    return b"".join(json_parts(record))
+
+
+def json_parts(record: Mapping[str, Any]) -> Iterator[bytes]:
+    """The same piece by piece: the record of a run has some lines for each pair."""
+    for part in json.JSONEncoder(indent=1, allow_nan=False).iterencode(record):
+        yield part.encode()
+    yield b"\n"
 
 
 def run_header(dataset: Path, settings: Settings, stages: Iterable[Stage]) -> dict[str, Any]:
@@ -93,10 +101,10 @@ def run_record(
     ----------
     header : from `run_header`
     input_hashes : by pair, content hash by side, and `content` of all that the pair's numbers come from
-    rows : of `pairs`
+    rows : of `pairs`, with at least status and `DATASET_VALUES`
     wall_s : seconds of this command by phase
     n_workers : of this command; 0 where there was nothing to do
-    seconds : from `stage_seconds`
+    seconds : from `StageSeconds`
     findings : what the objects of all pairs say together
     n_to_do : pairs of the dataset that are neither scored nor failed
     """
@@ -119,40 +127,49 @@ def summarise_pairs(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     return summarise_dataset({name: [row[name] for row in scored] for name in DATASET_VALUES})
 
 
-def stage_seconds(records: Iterable[JobRecord]) -> dict[str, Any]:
-    """Seconds of finished jobs: `mean` over pairs by stage and step, and `pairs` by pair and stage.
+class StageSeconds:
+    """Seconds of finished jobs by stage, step and pair; a reused job keeps the seconds of the run that made it.
 
-    Both sides of a pair are counted together; a reused job keeps the seconds of the run that made it.
+    Both sides of a pair are counted together.
     """
-    steps: dict[str, dict[str, float]] = {}
-    pairs: dict[str, dict[str, float]] = {}
-    for record in records:
-        total, of_pair = steps.setdefault(record.stage, {}), pairs.setdefault(record.pair_id, {})
-        of_pair.setdefault(record.stage, 0.0)
-        for step, seconds in record.steps:
-            total[step] = total.get(step, 0.0) + seconds
-            of_pair[record.stage] += seconds
-    n_pairs = {stage: sum(stage in of_pair for of_pair in pairs.values()) for stage in steps}
-    return {
-        "mean": {stage: {step: s / n_pairs[stage] for step, s in total.items()} for stage, total in steps.items()},
-        "pairs": {pair_id: {stage: round(s, 6) for stage, s in pairs[pair_id].items()} for pair_id in sorted(pairs)},
-    }
+
+    def __init__(self) -> None:
+        self._steps: dict[str, dict[str, float]] = {}
+        self._pairs: dict[str, dict[str, float]] = {}
+
+    def count(self, records: Iterable[JobRecord]) -> Iterator[JobRecord]:
+        """The same records, each counted as it passes."""
+        for record in records:
+            total, of_pair = self._steps.setdefault(record.stage, {}), self._pairs.setdefault(record.pair_id, {})
+            of_pair.setdefault(record.stage, 0.0)
+            for step, seconds in record.steps:
+                total[step] = total.get(step, 0.0) + seconds
+                of_pair[record.stage] += seconds
+            yield record
+
+    def mean(self) -> dict[str, dict[str, float]]:
+        """By stage and step, the mean over the pairs that have the stage."""
+        n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
+        return {stage: {step: s / n_pairs[stage] for step, s in of.items()} for stage, of in self._steps.items()}
+
+    def as_dict(self) -> dict[str, Any]:
+        """`mean`, and `pairs` by pair and stage."""
+        of_pair = {pair_id: {stage: round(s, 6) for stage, s in of.items()} for pair_id, of in self._pairs.items()}
+        return {"mean": self.mean(), "pairs": dict(sorted(of_pair.items()))}
 
 
-def timing_rows(records: Iterable[JobRecord], made_now: set[tuple[str, str, str]]) -> list[dict[str, Any]]:
+def timing_rows(records: Iterable[JobRecord], made_now: Container[JobName]) -> Iterator[dict[str, Any]]:
     """Rows of `timings` from the finished jobs; those not made now are reused."""
-    return [
-        {
-            "pair_id": record.pair_id,
-            "side": record.side or None,
-            "stage": record.stage,
-            "step": step,
-            "seconds": seconds,
-            "reused": record.name not in made_now,
-        }
-        for record in records
-        for step, seconds in record.steps
-    ]
+    for record in records:
+        for step, seconds in record.steps:
+            yield {
+                "pair_id": record.pair_id,
+                "side": record.side or None,
+                "stage": record.stage,
+                "step": step,
+                "seconds": seconds,
+                "reused": record.name not in made_now,
+            }
 
 
 def what_changed(before: Mapping[str, Any], settings: Settings, stages: Iterable[Stage]) -> list[str]:

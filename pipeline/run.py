@@ -12,12 +12,14 @@ from pathlib import Path
 from ..schemas.errors import DatasetError, RunError
 from ..schemas.settings import Settings
 from . import baseline_jobs, jobs, seed_jobs
+from .index import INDEX
 from .plan import Stage
 from .progress import Reporter
 from .readers.dataset import Dataset, ScanPair, read_dataset
 from .record import read_run
-from .session import RunOutcome, RunRequest, Session
-from .store import INDEX, Store
+from .request import RunOutcome, RunRequest
+from .session import Session
+from .store import Store
 
 _CUTTERS = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
 _LOUVAINS = {"scikit-network": ("scikit-network",), "python-louvain": ("python-louvain", "networkx")}

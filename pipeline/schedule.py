@@ -69,8 +69,8 @@ class Schedule:
     Parameters
     ----------
     pool : where tasks run
-    tasks : the pairs, each with jobs to be made
-    n_raw : points of both files, by pair_id
+    tasks : the pairs, each with jobs to be made; taken one by one as they are begun
+    n_raw : points of both files, by pair_id; of just these pairs
     on_report : called with what each task has finished, as soon as it has
     on_objects : called with pair_id and numbers of nodes of objects that are scored
     on_end : called with pair_id and failure (or None) when a pair has ended
@@ -86,7 +86,8 @@ class Schedule:
         on_end: Callable[[str, Failure | None], None],
     ) -> None:
         self._pool = pool
-        self._pending = deque(tasks)
+        self._pending = iter(tasks)
+        self._n_pending = len(n_raw)
         self._n_raw = n_raw
         self._memory = pool.memory
         self._on_report = on_report
@@ -113,19 +114,20 @@ class Schedule:
                 if not pair.n_waiting:
                     self._go_on(pair)
             self._fill()
-        if left := [*self._pending, *self._active, *self._quarantine]:
-            raise RuntimeError(f"{len(left)} pairs were left over though nothing ran any more")
+        if n_left := self._n_pending + len(self._active) + len(self._quarantine):
+            raise RuntimeError(f"{n_left} pairs were left over though nothing ran any more")
 
     def _fill(self) -> None:
         if self._alone:
             self._admit()
             return
         window = (_FEW_PAIRS_A_WORKER if self._few_left() else _PAIRS_A_WORKER) * self._pool.n_workers
-        while self._pending and sum(map(self._weight, self._active.values())) < window:
-            pair = _Active(self._pending.popleft())
+        while self._n_pending and sum(map(self._weight, self._active.values())) < window:
+            self._n_pending -= 1
+            pair = _Active(next(self._pending))
             self._active[pair.task.pair.pair_id] = pair
             self._go_on(pair)
-        if not self._pending:
+        if not self._n_pending:
             self._submit_bundle()
         self._admit()
         if self._quarantine and not self._active:
@@ -197,7 +199,7 @@ class Schedule:
         return n_keep is None or sum(object_seconds(n) for _, n in n_keep) > _WORTH_SPLITTING_S
 
     def _few_left(self) -> bool:
-        return len(self._pending) + len(self._active) <= _FEW_PAIRS_A_WORKER * self._pool.n_workers
+        return self._n_pending + len(self._active) <= _FEW_PAIRS_A_WORKER * self._pool.n_workers
 
     def _submit_whole(self, pair: _Active) -> None:
         """All that is left of a pair in one piece; small pairs wait for others to go with them."""

@@ -16,7 +16,7 @@ from ..schemas.settings import Settings
 from ..schemas.tables import SEEDED_SCORES, SEEDS
 from ..stages.spread import spread
 from ..stages.summary import mean_and_std
-from .store import JobRecord
+from .index import JobRecord
 from .task import Facts, Tables
 from .workbench import Workbench
 

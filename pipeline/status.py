@@ -15,9 +15,10 @@ from ..schemas.errors import RunError
 from ..schemas.settings import parse
 from .progress import Reporter
 from .readers.dataset import read_dataset
-from .record import read_run, stage_seconds
+from .record import StageSeconds, read_run
+from .request import RunRequest
 from .run import stages_of
-from .session import RunRequest, Session
+from .session import Session
 from .store import Store
 from .task import PairTask
 
@@ -67,11 +68,13 @@ def run_status(folder: Path) -> RunStatus:
     failures = {row["pair_id"]: row["reason"] for row in session.rows() if row["status"] == "failed"}
     stages: dict[str, Counter[str]] = {stage.name: Counter() for stage in in_force}
     for pair in dataset.pairs:
-        task = session.tasks.get(pair.pair_id)
+        task = session.task(pair.pair_id)
         for stage in in_force:
             stages[stage.name][_state(store, stage.name, pair.pair_id, task, pair.pair_id in failures)] += 1
-    seconds = stage_seconds(session.current_records())
-    return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures, seconds["mean"])
+    seconds = StageSeconds()
+    for _ in seconds.count(session.current_records()):
+        pass
+    return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures, seconds.mean())
 
 
 def _state(store: Store, stage: str, pair_id: str, task: PairTask | None, failed: bool) -> str:

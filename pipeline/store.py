@@ -1,24 +1,20 @@
 """A run's folder: where each table lies, by which key it is wanted, and whether what lies there is whole.
 
 A table is written under a name that begins with a dot, flushed and renamed. What was written stands in the run's
-index, one JSON line a job: its key, and length and content hash of each file. A job's result is reused if and only
-if the index has it under the wanted key and its files agree with the index. While a run works, each process notes
-its jobs in a journal of its own, so that nothing is lost if it is killed; the one that holds the lock gathers them.
-Leaves to others: which stages there are (`run`), what a table holds (`schemas.tables`).
+index: the key of each job, and length and content hash of each file. A job's result is reused if and only if the index
+has it under the wanted key and its files agree with the index. Leaves to others: the index itself (`index`), which
+stages there are (`run`), what a table holds (`schemas.tables`).
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import os
-import platform
 import re
 import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -28,9 +24,8 @@ import pyarrow.parquet as pq
 
 from ..schemas.errors import RunError
 from ..schemas.tables import TABLES
+from .index import Index, JobName, JobRecord, StoredFile, note_job
 
-INDEX = "index.jsonl"
-_JOURNALS = ".journal"
 _LOCK = ".lock"
 _TOKEN = ".writer"
 _LONGEST_NAME_BYTES = 120
@@ -42,41 +37,6 @@ _ENCODINGS = {
     pa.float32(): "BYTE_STREAM_SPLIT",
     pa.bool_(): "PLAIN",
 }
-
-JobName = tuple[str, str, str]  #: stage, pair_id, side ("" where the stage takes both sides)
-
-
-@dataclass(frozen=True)
-class StoredFile:
-    """A file as it was written: its length and content hash, and the file system's marks of that moment."""
-
-    size: int
-    sha256: str
-    mtime_ns: int
-    ctime_ns: int
-
-
-@dataclass(frozen=True)
-class JobRecord:
-    """One line of the index: a finished job.
-
-    files : by path relative to the run
-    facts : small results that are not a table
-    steps : name and seconds of each step
-    """
-
-    stage: str
-    pair_id: str
-    side: str
-    key: str
-    files: dict[str, StoredFile]
-    facts: dict[str, Any] = field(default_factory=dict)
-    steps: tuple[tuple[str, float], ...] = ()
-
-    @property
-    def name(self) -> JobName:
-        """What the job is called in the index."""
-        return self.stage, self.pair_id, self.side
 
 
 def key_of(*parts: Any) -> str:
@@ -181,10 +141,7 @@ class TableFolder:
 
     def note_job(self, record: JobRecord) -> None:
         """Adds a finished job to this process's journal, at once."""
-        journal = self.folder / _JOURNALS / f"{self.token}-{platform.node()}-{os.getpid()}.jsonl"
-        journal.parent.mkdir(exist_ok=True)
-        with journal.open("a", encoding="ascii") as file:
-            file.write(_index_line({"job": _as_dict(record)}))
+        note_job(self.folder, self.token, record)
 
     def _check_token(self) -> None:
         try:
@@ -196,16 +153,15 @@ class TableFolder:
 
 
 class Store(TableFolder):
-    """A run's folder as the command sees it: the one holder of its lock and the one writer of its index."""
+    """A run's folder as the command sees it: the one holder of its lock and the one writer of its index.
+
+    records, inputs, failures : see `Index`
+    """
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, secrets.token_hex(8))
-        self.records: dict[JobName, JobRecord] = {}
-        self.failures: dict[str, dict[str, Any]] = {}
-        self.inputs: dict[str, dict[str, Any]] = {}
-        self._is_compact = False
-        self._loaded: list[tuple[Path, int, int]] = []
-        self._load_index()
+        self._index = Index(folder)
+        self.records, self.inputs, self.failures = self._index.jobs, self._index.inputs, self._index.failures
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -227,8 +183,8 @@ class Store(TableFolder):
                 f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
             ) from None
         try:
-            if self._loaded != self._index_files():
-                self._load_index()
+            if not self._index.is_as_loaded():
+                self._index.load()
             self.token_path.write_text(self.token)
             self.compact()  # a line torn by a crash must not run into the next one
             yield
@@ -240,20 +196,17 @@ class Store(TableFolder):
         """The file that names the run which may write here."""
         return self.folder / _TOKEN
 
-    def take(self, record: JobRecord) -> None:
-        """Knows a finished job from now on; `compact` keeps it."""
-        self.records[record.name] = record
-        self._is_compact = False
+    def take(self, record: JobRecord) -> JobName:
+        """Adds a finished job to the index, at once; returns its name."""
+        return self._index.put_job(record)
 
     def note_failure(self, pair_id: str, facts: dict[str, Any]) -> None:
         """Adds to the index why a pair failed, at once."""
-        self.failures[pair_id] = facts
-        self._append({"failure": pair_id, "facts": facts})
+        self._index.put_failure(pair_id, facts)
 
     def note_input(self, name: str, facts: dict[str, Any]) -> None:
         """Adds what was learnt of an input file, at once."""
-        self.inputs[name] = facts
-        self._append({"input": name, "facts": facts})
+        self._index.put_input(name, facts)
 
     def is_whole(self, record: JobRecord) -> bool:
         """Whether the files of a job are as they were written.
@@ -266,13 +219,11 @@ class Store(TableFolder):
         """Removes a job's files and takes it out of the index."""
         for name in record.files:
             (self.folder / name).unlink(missing_ok=True)
-        self.records.pop(record.name, None)
-        self._is_compact = False
+        self._index.drop_job(record.name)
 
     def drop_failure(self, pair_id: str) -> None:
         """Forgets why a pair failed, if it did."""
-        if self.failures.pop(pair_id, None) is not None:
-            self._is_compact = False
+        self._index.drop_failure(pair_id)
 
     def strays(self, stage_folders: Iterable[str]) -> list[Path]:
         """Files in the stage folders that are in no record: half-written ones, and those of a killed run."""
@@ -287,77 +238,7 @@ class Store(TableFolder):
 
     def compact(self) -> None:
         """Writes the index anew, each entry once, and does away with the journals; only if there is need."""
-        if self._is_compact:
-            return
-        entries: Iterator[dict[str, Any]] = itertools.chain(
-            ({"input": name, "facts": facts} for name, facts in sorted(self.inputs.items())),
-            ({"failure": pair_id, "facts": facts} for pair_id, facts in sorted(self.failures.items())),
-            ({"job": _as_dict(record)} for _, record in sorted(self.records.items())),
-        )
-        self.replace_by(self.folder / INDEX, (_index_line(entry).encode() for entry in entries))
-        for journal in (self.folder / _JOURNALS).glob("*.jsonl"):
-            journal.unlink()
-        self._is_compact = True
-
-    def _append(self, entry: dict[str, Any]) -> None:
-        with (self.folder / INDEX).open("a", encoding="ascii") as file:
-            file.write(_index_line(entry))
-        self._is_compact = False
-
-    def _index_files(self) -> list[tuple[Path, int, int]]:
-        """The index and the journals, with the file system's marks."""
-        paths = [self.folder / INDEX, *sorted((self.folder / _JOURNALS).glob("*.jsonl"))]
-        return [(path, (of := path.stat()).st_mtime_ns, of.st_size) for path in paths if path.exists()]
-
-    def _load_index(self) -> None:
-        self.records.clear()
-        self.failures.clear()
-        self.inputs.clear()
-        self._loaded = self._index_files()
-        n_lines, is_torn = 0, False
-        for path, _, _ in self._loaded:
-            with path.open("rb") as file:
-                for line in file:
-                    n_lines += 1
-                    is_torn |= not line.endswith(b"\n")
-                    self._learn(_index_entry(line.rstrip(b"\n")))
-        n_entries = len(self.records) + len(self.failures) + len(self.inputs)
-        self._is_compact = len(self._loaded) == 1 and n_lines == n_entries and not is_torn
-
-    def _learn(self, entry: dict[str, Any]) -> None:
-        if "job" in entry:
-            job = entry["job"]
-            stored = {name: StoredFile(**of) for name, of in job.pop("files").items()}
-            steps = tuple((step, seconds) for step, seconds in job.pop("steps"))
-            record = JobRecord(**job, files=stored, steps=steps)
-            self.records[record.name] = record
-        elif "failure" in entry:
-            self.failures[entry["failure"]] = entry["facts"]
-        elif "input" in entry:
-            self.inputs[entry["input"]] = entry["facts"]
-
-
-def _as_dict(record: JobRecord) -> dict[str, Any]:
-    """The same as `dataclasses.asdict`, which copies all that is inside."""
-    return vars(record) | {"files": {name: vars(of) for name, of in record.files.items()}}
-
-
-def _index_line(entry: dict[str, Any]) -> str:
-    text = json.dumps(entry)
-    return f"{_line_hash(text.encode())} {text}\n"
-
-
-def _index_entry(line: bytes) -> dict[str, Any]:
-    """The entry of an index line; {} of a torn or damaged one, so that what it spoke of is made again."""
-    found, _, text = line.partition(b" ")
-    if found != _line_hash(text).encode():
-        return {}
-    entry: dict[str, Any] = json.loads(text)
-    return entry
-
-
-def _line_hash(text: bytes) -> str:
-    return hashlib.sha256(text).hexdigest()[:16]
+        self._index.compact(self.replace_by)
 
 
 def _agrees(path: Path, stored: StoredFile) -> bool:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from ..schemas.settings import Settings
+from .index import JobRecord, StoredFile
 from .readers.dataset import ScanPair
-from .store import JobRecord, StoredFile
 
 if TYPE_CHECKING:
     from .workbench import Workbench

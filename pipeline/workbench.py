@@ -22,9 +22,10 @@ from ..schemas.settings import Settings
 from ..stages.arrays import FloatArray, IntArray
 from ..stages.graph import Edges
 from ..stages.laplacian import Subgraph, split_by_community
+from .index import JobRecord
 from .readers import read_scan
 from .readers.scan import Scan
-from .store import JobRecord, TableFolder, hash_file
+from .store import TableFolder, hash_file
 from .task import Facts, Job, ObjectScores, PairTask, Tables
 
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 SIDES = ("real", "sim")
+_ROWS_AT_ONCE = 5000
 
 #: The object metrics whose mean and standard deviation stand in `pairs`, in that order.
 OBJECT_METRICS = (
@@ -83,7 +85,11 @@ class Table:
 
     def from_rows(self, rows: Iterable[dict[str, Any]]) -> pa.Table:
         """A checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
-        table = pa.Table.from_pylist(list(rows), schema=self.schema)
+        left = iter(rows)
+        parts = [self.schema.empty_table()]
+        while part := list(islice(left, _ROWS_AT_ONCE)):  # dictionaries are large; there may be very many
+            parts.append(pa.Table.from_pylist(part, schema=self.schema))
+        table = pa.concat_tables(parts)
         return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
 
 

@@ -8,8 +8,8 @@ import pyarrow.parquet as pq
 from rich.console import Console
 
 from fidpipe.pipeline.progress import Reporter
+from fidpipe.pipeline.request import RunRequest
 from fidpipe.pipeline.run import STAGES, run_dataset
-from fidpipe.pipeline.session import RunRequest
 from fidpipe.schemas.settings import Settings
 
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))

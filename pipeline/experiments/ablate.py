@@ -25,10 +25,11 @@ from ...schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
 from ...schemas.settings import Settings, parse
 from ...stages.summary import mean_and_std
 from ..costs import object_seconds
+from ..index import JobRecord
 from ..progress import Reporter
 from ..record import run_header
 from ..run import STAGES
-from ..store import JobRecord, key_of
+from ..store import key_of
 from ..task import PairTask
 from .ablate_jobs import setting_rows
 from .sources import method_key, prepare, read_source

@@ -17,7 +17,8 @@ from ...schemas.columns import OBJECT_METRICS
 from ...schemas.experiment_tables import PERTURB_SUMMARY
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
-from ..store import JobRecord, key_of
+from ..index import JobRecord
+from ..store import key_of
 from .sweep import Sweep
 
 GLOBAL_METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))

@@ -12,13 +12,14 @@ from pathlib import Path
 from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings
 from ..costs import side_seconds
+from ..index import JobRecord
 from ..intake import ScanFacts, input_name, inspect_scan, pair_warnings, recall_scan
 from ..jobs import run_jobs
 from ..plan import library_versions, plan_pair, with_whole_results
 from ..readers import stem_of, suffix_of
 from ..readers.dataset import ScanPair, read_dataset, read_label_names
 from ..run import EXTRAS, STAGES, select_pairs
-from ..store import JobRecord, key_of
+from ..store import key_of
 from ..task import PairTask
 from .sweep import Call, Sweep
 
@@ -145,7 +146,7 @@ def _plan(
     source: Source,
     stages: Sequence[str],
 ) -> PairTask:
-    inputs = {side: of.content_key(source.label_names) for side, of in facts.items()}
+    inputs = {side: of.content.key(source.label_names) for side, of in facts.items()}
     wanted = [stage for stage in STAGES if stage.name in stages]
     task = plan_pair(wanted, pair, {"real": "", "sim": ""} | inputs, settings)
     return with_whole_results(

@@ -21,9 +21,10 @@ from ...schemas.errors import RunError
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import PAIRS
 from ..finished import FinishedRun
+from ..index import JobRecord
 from ..plan import Stage
 from ..run import STAGES
-from ..store import JobRecord, Store
+from ..store import Store
 from .quadrants import quadrant_of
 
 SHAPES = ("linear", "planar", "scattered")

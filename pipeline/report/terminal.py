@@ -11,7 +11,7 @@ from rich.text import Text
 
 from ...schemas.columns import SIDES
 from ..check import DatasetCheck
-from ..session import RunOutcome
+from ..request import RunOutcome
 from ..status import STATES, RunStatus
 from .baselines_view import baselines_view
 from .findings_view import claims_line, findings_view

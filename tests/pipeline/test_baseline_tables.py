@@ -11,10 +11,10 @@ from rich.console import Console
 import fidpipe
 from fidpipe.pipeline import schedule
 from fidpipe.pipeline.baseline_jobs import summarise_baselines
+from fidpipe.pipeline.index import JobRecord
 from fidpipe.pipeline.report.baselines_view import baselines_view
 from fidpipe.pipeline.run import STAGES
 from fidpipe.pipeline.status import run_status
-from fidpipe.pipeline.store import JobRecord
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES
 from runs import assert_same_tables, changed_files, marks, run

@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from fidpipe.pipeline import progress
+from fidpipe.pipeline.index import JobRecord
 from fidpipe.pipeline.progress import Reporter, Work
-from fidpipe.pipeline.store import JobRecord
 
 JOBS = dict.fromkeys(("ground", "graph", "communities"), (2, 0))
 

@@ -5,7 +5,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from fidpipe.pipeline.store import JobRecord, Store, file_stem, key_of
+from fidpipe.pipeline.index import JobRecord
+from fidpipe.pipeline.store import Store, file_stem, key_of
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import COMMUNITIES
 
@@ -99,7 +100,7 @@ def test_a_damaged_index_line_is_not_believed(tmp_path):
     stored(tmp_path)
     index = tmp_path / "index.jsonl"
     text = index.read_text()
-    index.write_text(text.replace('"n": 1', '"n": 2'))
+    index.write_text(text.replace('"n":1', '"n":2'))
     assert Store(tmp_path).records == {}
     index.write_text(text + text[: len(text) // 2])  # and a torn line does no harm
     assert len(Store(tmp_path).records) == 1
