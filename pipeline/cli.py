@@ -39,6 +39,7 @@ app = typer.Typer(
 def main() -> None:
     """Runs the command; the one place where known errors become exit codes."""
     from ..schemas.errors import FidpipeError
+    from . import prefork
 
     # A batch system that ends a job means what Ctrl-C means.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -58,6 +59,7 @@ def main() -> None:
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
         _complain("interrupted; run the same command again to go on")
     sys.stdout.flush()
+    prefork.stop()
     sys.exit(code)
 
 
@@ -144,22 +146,28 @@ def run(
     fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
     """
     from ..schemas.settings import load
+    from . import prefork
+
+    check_machines(workers, scheduler)
+    repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
+    in_force = load(settings, [*(assignments or []), *repeats])
+    out = out or Path("runs") / (dataset.resolve().name or "dataset")
+    if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
+        prefork.start(needed=False)  # a new run: workers will be wanted when all else is imported
+
     from .progress import Reporter
     from .report.terminal import outcome_view
     from .request import RunRequest
     from .run import run_dataset, stages_of
 
-    repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
-    in_force = load(settings, [*(assignments or []), *repeats])
     stage_names = [stage.name for stage in stages_of(in_force)]
     if from_stage is not None and from_stage not in stage_names:
         raise typer.BadParameter(
             f"{from_stage!r} is no stage; one of {', '.join(stage_names)} is wanted", param_hint="--from"
         )
-    check_machines(workers, scheduler)
     request = RunRequest(
         dataset=dataset,
-        out=out or Path("runs") / (dataset.resolve().name or "dataset"),
+        out=out,
         settings=in_force,
         workers=workers,
         scheduler=scheduler,

@@ -12,8 +12,6 @@ import itertools
 import logging
 import os
 import queue
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -22,6 +20,7 @@ from time import monotonic
 from typing import Any, Protocol
 
 from ..schemas.errors import RunError
+from . import prefork
 from .costs import most_workers
 
 _CONNECT_TIMEOUT_S = 10
@@ -32,13 +31,10 @@ _SHARE_OF_MEMORY = 0.8
 _SECONDS_BETWEEN_COUNTS = 1.0
 
 
-#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; and in workers the
-#: allocator keeps blocks of up to 32 MiB instead of giving the pages back and faulting them in again for each array.
+#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.admin.tick.limit": "1h",
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
-    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 25,
 }
 
 
@@ -177,11 +173,15 @@ class DaskPool:
         libraries: dict[str, str],
         memory: int | None = None,
     ) -> None:
+        if address is None:
+            prefork.start()  # before what is imported here: both take their time
         import dask
         import distributed
 
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
+        if prefork.is_available():
+            dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._handles: dict[str, tuple[Handle, bool]] = {}
         self._killed_worker = distributed.scheduler.KilledWorker
@@ -189,7 +189,7 @@ class DaskPool:
         self._address, self._given_memory = address, memory
         self._n_workers, self._asked = 1, -_SECONDS_BETWEEN_COUNTS
         if address is None:
-            with _ignoring_interrupts():
+            with prefork.ignoring_interrupts():
                 self._cluster = distributed.LocalCluster(
                     n_workers=n_workers,
                     threads_per_worker=1,
@@ -288,19 +288,6 @@ def start_pool(
     if address is None and n_workers == 1:
         return InProcess(memory)
     return DaskPool(n_workers, address, shared_file, libraries, memory)
-
-
-@contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
-    """Within it Ctrl-C does nothing, and processes that are started inherit that: this one deals with it alone."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def worker_fault(path: str, content: bytes, libraries: dict[str, str]) -> str:

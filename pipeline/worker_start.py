@@ -1,5 +1,19 @@
-"""What a worker process of a local cluster does first: it leaves Ctrl-C to the process that started it."""
+"""What a worker process of a local cluster begins with: all its imports, and Ctrl-C left to the one who started it."""
 
 import signal
+from typing import Any
 
-signal.signal(signal.SIGINT, signal.SIG_IGN)
+import distributed.nanny
+import distributed.worker
+import ot
+import sklearn.decomposition
+import sknetwork.clustering
+
+from . import jobs
+
+__all__ = ["distributed", "jobs", "ot", "sklearn", "sknetwork"]
+
+
+def dask_setup(worker: Any) -> None:
+    """Called by dask in each worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

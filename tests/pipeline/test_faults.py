@@ -74,7 +74,8 @@ def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path
     out = tmp_path / "run"
     words = ["run", str(real_data / "kitti_twin"), "--out", str(out), "--workers", "2"]
     terminal = pexpect.spawn(FIDPIPE, words, encoding="utf-8", timeout=60, dimensions=(40, 160))
-    terminal.expect("[(]selection 0/5")  # only objects are left
+    terminal.expect("0 of 5 pairs")
+    time.sleep(8)  # both workers are deep in numeric code
     terminal.sendintr()
     begun = time.monotonic()
     terminal.expect("interrupted; run the same command again to go on")
