@@ -12,8 +12,8 @@ from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings
 from ..schemas.tables import TABLES
-from .fanout import one_blas_thread
 from .plan import plan_pair
+from .pool import one_blas_thread
 from .readers.dataset import ScanPair
 from .readers.scan import Scan
 from .run import stages_of

@@ -1,33 +1,49 @@
-"""Where tasks run: in this process, on a local dask cluster, or on the cluster behind a scheduler's address.
+"""Tasks on several processes: on a local dask cluster, or on the cluster behind a scheduler's address.
 
-The only file that imports dask, and only when a cluster is wanted. A pool takes a function and its arguments and
-gives back what became of it, in any order. Leaves to others: which tasks there are and in which order (`schedule`).
+The only file besides `worker_start` that imports dask, and only when a cluster is wanted. Leaves to others: which tasks
+there are and in which order (`schedule`), what a pool is (`pool`).
 """
 
 from __future__ import annotations
 
 import asyncio
-import heapq
-import itertools
 import logging
 import os
 import queue
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
-from typing import Any, Protocol
+from typing import Any
 
 from ..schemas.errors import RunError
 from . import prefork
 from .costs import most_workers
+from .pool import (
+    SHARE_OF_MEMORY,
+    Handle,
+    InProcess,
+    Memory,
+    Pool,
+    WorkerDied,
+    is_handles,
+    machine_memory,
+    one_blas_thread,
+)
 
 _CONNECT_TIMEOUT_S = 10
+
+
 _FIRST_WORKER_TIMEOUT_S = 60
+
+
 _STOP_S = 2.0
+
+
 _KILL_S = 0.2
-_SHARE_OF_MEMORY = 0.8
+
+
 _SECONDS_BETWEEN_COUNTS = 1.0
 
 
@@ -36,99 +52,6 @@ _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.admin.tick.limit": "1h",
 }
-
-
-@dataclass(eq=False)
-class Handle:
-    """A task that was submitted."""
-
-    future: Any = None
-
-
-@dataclass(frozen=True)
-class WorkerDied:
-    """The outcome of a task whose worker process went away while it ran."""
-
-    detail: str
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What tasks may occupy, in bytes: all that run at once together, and one alone."""
-
-    together: int
-    alone: int
-
-
-class Pool(Protocol):
-    """Somewhere to run tasks."""
-
-    @property
-    def n_workers(self) -> int:
-        """How many tasks run at once."""
-
-    @property
-    def memory(self) -> Memory:
-        """What the tasks may occupy."""
-
-    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
-        """Starts a task; those of higher priority first. With `keep` the result stays where it is made.
-
-        A list of handles among the arguments becomes the list of their results.
-        """
-
-    def next_done(self) -> tuple[Handle, Any]:
-        """Waits for a task to end: its result (None with `keep`), or `WorkerDied`."""
-
-    def close(self, *, now: bool = False) -> None:
-        """Ends the pool; `now` does not wait for running tasks."""
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Within it numeric libraries use one thread: two processes of two threads are slower, and sums would differ."""
-    import scipy.linalg  # noqa: F401  (brings the libraries whose threads are to be limited)
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):
-        yield
-
-
-class InProcess:
-    """Runs each task in this process when its outcome is asked for."""
-
-    n_workers = 1
-
-    def __init__(self, memory: int | None = None) -> None:
-        self._memory = memory
-        self._waiting: list[tuple[float, int, Handle, Callable[[], Any], bool]] = []
-        self._count = itertools.count()
-
-    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
-        """See `Pool`."""
-        handle = Handle()
-
-        def call() -> Any:
-            return function(*([of.future for of in arg] if _is_handles(arg) else arg for arg in args))
-
-        heapq.heappush(self._waiting, (-priority, next(self._count), handle, call, keep))
-        return handle
-
-    @property
-    def memory(self) -> Memory:
-        """See `Pool`."""
-        memory = self._memory or machine_memory()
-        return Memory(memory, memory)
-
-    def next_done(self) -> tuple[Handle, Any]:
-        """See `Pool`."""
-        _, _, handle, call, keep = heapq.heappop(self._waiting)
-        with one_blas_thread():
-            handle.future = call()
-        return handle, None if keep else handle.future
-
-    def close(self, *, now: bool = False) -> None:
-        """See `Pool`."""
 
 
 @dataclass
@@ -226,11 +149,11 @@ class DaskPool:
             memory = self._given_memory or machine_memory()
             return Memory(memory, memory)
         limits = [int(of["memory_limit"]) for of in self._client.scheduler_info(n_workers=-1)["workers"].values()]
-        return Memory(int(_SHARE_OF_MEMORY * sum(limits)), int(_SHARE_OF_MEMORY * min(limits, default=0)))
+        return Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits, default=0)))
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
-        passed = [[of.future for of in arg] if _is_handles(arg) else arg for arg in args]
+        passed = [[of.future for of in arg] if is_handles(arg) else arg for arg in args]
         future = self._client.submit(_in_worker, function, *passed, pure=False, priority=priority)
         handle = Handle(future)
         self._handles[future.key] = handle, keep
@@ -307,17 +230,6 @@ def worker_fault(path: str, content: bytes, libraries: dict[str, str]) -> str:
     return f"other library versions: {', '.join(other)}; install the same ones there" if other else ""
 
 
-def machine_memory() -> int:
-    """Bytes that a run may occupy here unless told: four fifths of the memory, or of this process's limit."""
-    from distributed.system import MEMORY_LIMIT
-
-    return int(_SHARE_OF_MEMORY * MEMORY_LIMIT)
-
-
 def cpu_count() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _is_handles(arg: Any) -> bool:
-    return isinstance(arg, list) and all(isinstance(of, Handle) for of in arg)

@@ -1,11 +1,10 @@
-"""The jobs: each takes tables of a pair, calls one stage, and gives tables. And the three tasks that run them.
+"""The jobs: each takes tables of a pair, calls one stage, and gives tables.
 
-Leaves to others: which jobs there are (`run`), where tables come from and go (`workbench`), where tasks run (`fanout`).
+Leaves to others: which jobs there are (`run`), where tables come from and go (`workbench`), who calls them (`runner`).
 """
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Iterable
 
 import numpy as np
@@ -13,7 +12,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..schemas.columns import OBJECT_METRICS, SIDES
-from ..schemas.errors import FidpipeError
 from ..schemas.tables import COMMUNITIES, GRAPH, GROUND, MATCHING, METRICS, OBJECTS, SELECTION
 from ..stages.arrays import FloatArray
 from ..stages.clean import clean_scan
@@ -26,68 +24,8 @@ from ..stages.metrics import score_object
 from ..stages.objects import describe_objects, majority_labels
 from ..stages.selection import Selection, select_nodes
 from ..stages.summary import summarise_pair
-from .costs import largest_object, object_bytes
-from .index import JobRecord
-from .task import Facts, Failure, Job, ObjectScores, PairTask, Report, Tables
+from .task import Facts, Tables
 from .workbench import Workbench, as_numpy
-
-#: The stages that work on matched objects, one by one if they are large.
-OBJECT_STAGES = ("selection", "metrics")
-
-
-def run_jobs(
-    task: PairTask,
-    wanted: Iterable[tuple[str, str]],
-    bytes_for_objects: int | None = None,
-) -> Report:
-    """Makes the wanted (stage, side) jobs of a pair in order; a failure ends it, and what was finished stays.
-
-    Where an object needs more than `bytes_for_objects` it ends before the first stage that works on objects.
-    """
-    bench = Workbench(task)
-    return _reported(bench, [job for job in task.jobs if (job.stage, job.side) in set(wanted)], bytes_for_objects)
-
-
-def run_pairs(parts: list[tuple[PairTask, tuple[tuple[str, str], ...], int]]) -> list[Report]:
-    """What `run_jobs` gives for each of several pairs, in one task: the way to a worker then costs less a pair."""
-    return [run_jobs(*part) for part in parts]
-
-
-def score_objects(task: PairTask, real_ids: tuple[int, ...]) -> ObjectScores | Failure:
-    """Selection and scores of some matched objects of a pair whose matching is done; nothing is written."""
-    bench = _kept_bench(task)
-    job = bench.job("selection")
-    try:
-        selection = bench.table("selection") if job.stored else _select(bench, real_ids)
-        selection_steps = bench.take_steps()
-        job = bench.job("metrics")
-        metrics = _score(bench, real_ids, selection)
-        return ObjectScores(selection, metrics, selection_steps, bench.take_steps())
-    except Exception as error:  # one broken pair does not stop a dataset
-        return _failure(job, error)
-
-
-def gather_objects(task: PairTask, parts: list[ObjectScores | Failure]) -> Report:
-    """Writes the tables of a pair from the scores of all its objects."""
-    for part in parts:
-        if isinstance(part, Failure):
-            return Report(task.pair.pair_id, failure=part)
-    scores = [part for part in parts if isinstance(part, ObjectScores)]
-    bench = Workbench(task, scores=scores)
-    return _reported(bench, [job for job in task.jobs if job.stage in OBJECT_STAGES and not job.stored])
-
-
-def _kept_bench(task: PairTask) -> Workbench:
-    """The workbench of a pair whose objects are scored in several tasks; a process keeps the last two."""
-    keys = tuple(job.key for job in task.jobs)
-    if (task.token, keys) not in _KEPT:
-        while len(_KEPT) >= 2:
-            del _KEPT[next(iter(_KEPT))]
-        _KEPT[task.token, keys] = Workbench(task)
-    return _KEPT[task.token, keys]
-
-
-_KEPT: dict[tuple[str, tuple[str, ...]], Workbench] = {}
 
 
 def make_ground(bench: Workbench, side: str) -> tuple[Tables, Facts]:
@@ -210,7 +148,7 @@ def make_selection(bench: Workbench, side: str) -> tuple[Tables, Facts]:
         rows = pa.concat_tables([part.selection for part in bench.scores] or [SELECTION.from_rows([])])
         rows = rows.sort_by([(key, "ascending") for key in SELECTION.keys]).combine_chunks()
     else:
-        rows = _select(bench)
+        rows = select_rows(bench)
     return {"selection": rows}, {}
 
 
@@ -221,11 +159,12 @@ def make_metrics(bench: Workbench, side: str) -> tuple[Tables, Facts]:
         rows = pa.concat_tables([part.metrics for part in bench.scores] or [METRICS.from_rows([])])
         rows = rows.sort_by([(key, "ascending") for key in METRICS.keys]).combine_chunks()
     else:
-        rows = _score(bench, None, bench.table("selection"))
+        rows = score_rows(bench, None, bench.table("selection"))
     return {"metrics": rows}, {"row": _pair_row(bench, rows)}
 
 
-def _select(bench: Workbench, real_ids: Iterable[int] | None = None) -> pa.Table:
+def select_rows(bench: Workbench, real_ids: Iterable[int] | None = None) -> pa.Table:
+    """Rows of `selection`: of all matched objects, or of those with these real ids."""
     parts = [SELECTION.from_rows([])]
     for match in bench.matched(real_ids).to_pylist():
         real, sim = bench.subgraph("real", match["real_id"]), bench.subgraph("sim", match["sim_id"])
@@ -248,7 +187,8 @@ def _select(bench: Workbench, real_ids: Iterable[int] | None = None) -> pa.Table
     return pa.concat_tables(parts).combine_chunks()
 
 
-def _score(bench: Workbench, real_ids: Iterable[int] | None, selection: pa.Table) -> pa.Table:
+def score_rows(bench: Workbench, real_ids: Iterable[int] | None, selection: pa.Table) -> pa.Table:
+    """Rows of `metrics`: of all matched objects, or of those with these real ids."""
     rows = []
     for match in bench.matched(real_ids).to_pylist():
         real, sim = bench.subgraph("real", match["real_id"]), bench.subgraph("sim", match["sim_id"])
@@ -311,26 +251,3 @@ def _cut_of(facts: Facts) -> GroundResult:
         loss=facts["loss"],
         iterations=facts["iterations"],
     )
-
-
-def _reported(bench: Workbench, jobs: list[Job], bytes_for_objects: int | None = None) -> Report:
-    records: list[JobRecord] = []
-    for job in jobs:
-        if job.stage in OBJECT_STAGES and bytes_for_objects is not None:
-            _, n_keep = largest_object(bench.facts("matching")["n_keep"])
-            if object_bytes(n_keep) > bytes_for_objects:
-                break
-        try:
-            records.append(bench.finish(job, *job.make(bench, job.side)))
-        except Exception as error:  # one broken pair does not stop a dataset
-            return Report(bench.pair_id, tuple(records), _failure(job, error))
-    return Report(bench.pair_id, tuple(records))
-
-
-def _failure(job: Job, error: Exception) -> Failure:
-    if isinstance(error, FidpipeError):
-        return Failure(job.stage, job.side, str(error))
-    if isinstance(error, MemoryError):
-        return Failure(job.stage, job.side, f"out of memory ({error})")
-    trace = "".join(traceback.format_exception(error))
-    return Failure(job.stage, job.side, f"internal error: {type(error).__name__}: {error}", trace)

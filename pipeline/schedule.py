@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .costs import PROCESS_BYTES, largest_object, object_bytes, object_seconds, pair_bytes, side_seconds
-from .fanout import Handle, Pool, WorkerDied
-from .jobs import OBJECT_STAGES, gather_objects, run_jobs, run_pairs, score_objects
+from .pool import Handle, Pool, WorkerDied
+from .runner import OBJECT_STAGES, gather_objects, run_jobs, run_pairs, score_objects
 from .task import Failure, Job, ObjectScores, PairTask, Report
 
 _SIDE_STAGES = ("ground", "graph", "communities")

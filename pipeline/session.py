@@ -7,26 +7,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
 from ..schemas.columns import SIDES
 from ..schemas.settings import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
-from .fanout import InProcess, Pool, start_pool
+from .fanout import start_pool
 from .findings import run_findings
 from .index import JobName, JobRecord
-from .intake import (
-    ScanContent,
-    ScanFacts,
-    input_hashes,
-    input_name,
-    inspect_pairs,
-    pair_warnings,
-    recall_scan,
-)
+from .inspection import Inspection
+from .intake import ScanContent, input_hashes
 from .plan import Stage, library_versions, plan_pair, with_whole_results
+from .pool import InProcess, Pool
 from .progress import Reporter
 from .readers.dataset import Dataset, ScanPair
 from .record import (
@@ -51,6 +45,7 @@ from .task import Failure, PairTask, Report
 
 #: Of the record of the last run, what is needed of it.
 _KEPT_OF_BEFORE = ("settings", "libraries", "stages", "findings")
+_FEW_PAIRS = 16  # whose files are read in this process
 
 
 class Session:
@@ -95,33 +90,22 @@ class Session:
         known = {pair_id for _, pair_id, _ in self.store.records} | set(self.store.failures)
         wanted = self.selected | known
         pairs = [pair for pair in self.dataset.pairs if pair.pair_id in wanted]
-        judgements: dict[str, _Judgement] = {}
-        unknown = []
-        for pair in pairs:
-            facts = self._recall(pair)
-            if facts is None:
-                unknown.append(pair)
-            else:
-                self._judge(pair, facts, judgements)
-        chunk = max(1, min(32, len(unknown) // 8))
-        chunks = [unknown[i : i + chunk] for i in range(0, len(unknown), chunk)]
-        pool = self.pool if len(unknown) > 16 else InProcess()
-        handles = {
-            pool.submit(inspect_pairs, chunk, self.settings.input, self.dataset.label_names): chunk for chunk in chunks
-        }
-        while handles:
-            handle, found = pool.next_done()
-            for pair, facts in zip(handles.pop(handle), found, strict=True):
-                for side, of in facts.items() if note else ():
-                    self.store.note_input(input_name(pair, side), of.as_dict())
-                self._judge(pair, facts, judgements)
+        inspection = Inspection(pairs, self.settings.input, self.dataset.label_names, self.store)
+        pool = self.pool if len(inspection.unknown) > _FEW_PAIRS else InProcess()
+        inspection.read(pool, note=note)
         if pool is not self._pool:
             pool.close()
+        self.contents = inspection.contents
         for text in self.dataset.warnings:
             self.reporter.warn(text)
-        for pair in pairs:
-            if judgement := judgements.get(pair.pair_id):
-                self._tell(pair.pair_id, judgement, note)
+        for pair_id in (pair.pair_id for pair in pairs):
+            if fault := inspection.faults.get(pair_id):
+                self.failures[pair_id] = fault
+                self.reporter.fail(pair_id, fault)
+                if note:
+                    self.store.note_failure(pair_id, {"key": "input", "reason": fault})
+            for text in inspection.warnings.get(pair_id, ()):
+                self.reporter.warn(f"pair {pair_id}: {text}")
         self._end_phase("inspect")
 
     def plan(self) -> None:
@@ -295,37 +279,6 @@ class Session:
         )
         return with_whole_results(task, self.store, self._redo if pair.pair_id in self.selected else frozenset())
 
-    def _recall(self, pair: ScanPair) -> dict[str, ScanFacts] | None:
-        """What a pair's files hold, if it is known from the last run and still so."""
-        facts = {}
-        for side in SIDES:
-            if pair.path(side) is None:
-                continue
-            known = recall_scan(self.store.inputs, pair, side, self.settings.input)
-            if known is None:
-                return None
-            facts[side] = known
-        return facts
-
-    def _judge(self, pair: ScanPair, facts: dict[str, ScanFacts], judgements: dict[str, _Judgement]) -> None:
-        """Keeps what is needed of a pair's files, and what is to be said of them if anything is."""
-        faults = [of.fault for of in facts.values() if of.fault]
-        if not faults:
-            self.contents[pair.pair_id] = {side: of.content for side, of in facts.items()}
-        fault = pair.fault or "; ".join(faults)
-        warnings = pair_warnings(pair, facts)
-        if fault or warnings:
-            judgements[pair.pair_id] = _Judgement(fault, warnings)
-
-    def _tell(self, pair_id: str, judgement: _Judgement, note: bool) -> None:
-        if judgement.fault:
-            self.failures[pair_id] = judgement.fault
-            self.reporter.fail(pair_id, judgement.fault)
-        for text in judgement.warnings:
-            self.reporter.warn(f"pair {pair_id}: {text}")
-        if judgement.fault and note:
-            self.store.note_failure(pair_id, {"key": "input", "reason": judgement.fault})
-
     def _take(self, report: Report) -> None:
         self.made.update(self.store.take(record) for record in report.records)
         self.reporter.jobs_done(report.records)
@@ -354,14 +307,6 @@ class Session:
         now = perf_counter()
         self.wall_s[name] = now - self._phase_start
         self._phase_start = now
-
-
-@dataclass(frozen=True)
-class _Judgement:
-    """What is to be said of a pair's files: why they cannot be used, or "", and what is odd about them."""
-
-    fault: str
-    warnings: list[str]
 
 
 def _failed_row(pair_id: str, reason: str) -> dict[str, Any]:

@@ -9,9 +9,9 @@ import ot
 import sklearn.decomposition
 import sknetwork.clustering
 
-from . import jobs
+from . import runner
 
-__all__ = ["distributed", "jobs", "ot", "sklearn", "sknetwork"]
+__all__ = ["distributed", "ot", "runner", "sklearn", "sknetwork"]
 
 
 def dask_setup(worker: Any) -> None:

@@ -14,11 +14,11 @@ from ...schemas.settings import Settings
 from ..costs import side_seconds
 from ..index import JobRecord
 from ..intake import ScanFacts, input_name, inspect_scan, pair_warnings, recall_scan
-from ..jobs import run_jobs
 from ..plan import library_versions, plan_pair, with_whole_results
 from ..readers import stem_of, suffix_of
 from ..readers.dataset import ScanPair, read_dataset, read_label_names
 from ..run import EXTRAS, STAGES, select_pairs
+from ..runner import run_jobs
 from ..store import key_of
 from ..task import PairTask
 from .sweep import Call, Sweep

@@ -20,9 +20,10 @@ import pyarrow as pa
 
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import Settings, to_toml
-from ..fanout import Pool, WorkerDied, start_pool
+from ..fanout import start_pool
 from ..index import JobName, JobRecord
 from ..plan import library_versions
+from ..pool import Pool, WorkerDied
 from ..progress import Reporter
 from ..record import LIBRARIES, RUN_JSON, SETTINGS_TOML, dumps, read_run, run_header, what_changed
 from ..run import STAGES, check_folder

@@ -17,7 +17,7 @@ from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.laplacian import induced_laplacian
 from ...stages.spectrum import eigenvalues
-from ..fanout import one_blas_thread
+from ..pool import one_blas_thread
 from ..readers.dataset import ScanPair
 from ..task import Job, PairTask
 from ..workbench import Workbench, as_numpy

@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ...stages.claims import FAILS, HOLDS, UNKNOWN
+from ...stages.claim_rules import FAILS, HOLDS, UNKNOWN
 from .layout import number, percent, plain_table
 
 _MOST_CLASSES = 8

@@ -14,7 +14,8 @@ import pytest
 import faults
 from fidpipe.pipeline import fanout
 from fidpipe.pipeline import run as run_module
-from fidpipe.pipeline.fanout import DaskPool, WorkerDied
+from fidpipe.pipeline.fanout import DaskPool
+from fidpipe.pipeline.pool import WorkerDied
 from fidpipe.pipeline.run import STAGE_NAMES
 from runs import FIDPIPE, assert_same_tables, command, no_temporary_files, run
 from scenes import write_dataset

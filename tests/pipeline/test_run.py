@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import fidpipe
-from fidpipe.pipeline import session
+from fidpipe.pipeline import inspection
 from fidpipe.pipeline.run import STAGE_NAMES
 from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
@@ -157,7 +157,7 @@ def test_a_touched_but_unchanged_input_file_touches_nothing(again, tmp_path, dat
 def test_files_are_known_wherever_the_command_is_called(again, dataset, monkeypatch):
     run(dataset, again)
     seen = []
-    monkeypatch.setattr(session, "inspect_pairs", lambda pairs, *_: seen.extend(pairs))
+    monkeypatch.setattr(inspection, "inspect_pairs", lambda pairs, *_: seen.extend(pairs))
     monkeypatch.chdir(dataset.parent)
     assert run(Path(dataset.name), again).n_made == 0
     assert not seen

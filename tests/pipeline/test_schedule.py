@@ -7,7 +7,7 @@ import pytest
 
 from fidpipe.pipeline import costs, jobs, schedule, session
 from fidpipe.pipeline import run as run_module
-from fidpipe.pipeline.fanout import InProcess, Memory, WorkerDied
+from fidpipe.pipeline.pool import InProcess, Memory, WorkerDied
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import load
 from runs import assert_same_tables, run

@@ -3,7 +3,8 @@ import copy
 import numpy as np
 import pytest
 
-from fidpipe.stages.claims import FAILS, HOLDS, UNKNOWN, check_claims
+from fidpipe.stages.claim_rules import FAILS, HOLDS, UNKNOWN
+from fidpipe.stages.claims import check_claims
 from fidpipe.stages.findings import MatchedObjects, SideObjects, summarise_objects
 
 SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean")

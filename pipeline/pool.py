@@ -1,0 +1,121 @@
+"""Somewhere to run tasks: what every pool can do, and the one in this process.
+
+A pool takes a function and its arguments and gives back what became of it, in any order. Leaves to others: the pools
+of several processes (`fanout`), which tasks there are and in which order (`schedule`).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+SHARE_OF_MEMORY = 0.8
+
+
+@dataclass(eq=False)
+class Handle:
+    """A task that was submitted."""
+
+    future: Any = None
+
+
+@dataclass(frozen=True)
+class WorkerDied:
+    """The outcome of a task whose worker process went away while it ran."""
+
+    detail: str
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What tasks may occupy, in bytes: all that run at once together, and one alone."""
+
+    together: int
+    alone: int
+
+
+class Pool(Protocol):
+    """Somewhere to run tasks."""
+
+    @property
+    def n_workers(self) -> int:
+        """How many tasks run at once."""
+
+    @property
+    def memory(self) -> Memory:
+        """What the tasks may occupy."""
+
+    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
+        """Starts a task; those of higher priority first. With `keep` the result stays where it is made.
+
+        A list of handles among the arguments becomes the list of their results.
+        """
+
+    def next_done(self) -> tuple[Handle, Any]:
+        """Waits for a task to end: its result (None with `keep`), or `WorkerDied`."""
+
+    def close(self, *, now: bool = False) -> None:
+        """Ends the pool; `now` does not wait for running tasks."""
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Within it numeric libraries use one thread: two processes of two threads are slower, and sums would differ."""
+    import scipy.linalg  # noqa: F401  (brings the libraries whose threads are to be limited)
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+class InProcess:
+    """Runs each task in this process when its outcome is asked for."""
+
+    n_workers = 1
+
+    def __init__(self, memory: int | None = None) -> None:
+        self._memory = memory
+        self._waiting: list[tuple[float, int, Handle, Callable[[], Any], bool]] = []
+        self._count = itertools.count()
+
+    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
+        """See `Pool`."""
+        handle = Handle()
+
+        def call() -> Any:
+            return function(*([of.future for of in arg] if is_handles(arg) else arg for arg in args))
+
+        heapq.heappush(self._waiting, (-priority, next(self._count), handle, call, keep))
+        return handle
+
+    @property
+    def memory(self) -> Memory:
+        """See `Pool`."""
+        memory = self._memory or machine_memory()
+        return Memory(memory, memory)
+
+    def next_done(self) -> tuple[Handle, Any]:
+        """See `Pool`."""
+        _, _, handle, call, keep = heapq.heappop(self._waiting)
+        with one_blas_thread():
+            handle.future = call()
+        return handle, None if keep else handle.future
+
+    def close(self, *, now: bool = False) -> None:
+        """See `Pool`."""
+
+
+def machine_memory() -> int:
+    """Bytes that a run may occupy here unless told: four fifths of the memory, or of this process's limit."""
+    from distributed.system import MEMORY_LIMIT
+
+    return int(SHARE_OF_MEMORY * MEMORY_LIMIT)
+
+
+def is_handles(arg: Any) -> bool:
+    """Whether an argument of a task is a list of handles, which stands for the list of their results."""
+    return isinstance(arg, list) and all(isinstance(of, Handle) for of in arg)
