@@ -2,9 +2,8 @@
 
 Pairs are started through a bounded window. A pair is one task, and several small ones are one together; only when few
 pairs are left for the workers does a pair fall into tasks by side and, largest first, by object. A pair whose worker
-died is tried once more with nothing beside it, so that only the guilty one fails. Tasks are admitted by the memory that
-those running at once may need together; a pair with an object that cannot fit even alone fails. Leaves to others: where
-tasks run (`fanout`), what they cost (`costs`), what is kept (`session`).
+died is tried once more with nothing beside it, so that only the guilty one fails. Leaves to others: what fits
+into the memory (`admission`), where tasks run (`fanout`), what they cost (`costs`), what is kept (`session`).
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ import heapq
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
-from .costs import PROCESS_BYTES, largest_object, object_bytes, object_seconds, pair_bytes, side_seconds
+from .admission import Active, Order, Room, matched_nodes
+from .costs import largest_object, object_bytes, object_seconds, side_seconds
 from .pool import Handle, Pool, WorkerDied
 from .runner import OBJECT_STAGES, gather_objects, run_jobs, run_pairs, score_objects
-from .task import Failure, Job, ObjectScores, PairTask, Report
+from .task import Failure, Job, PairTask, Report
 
 _SIDE_STAGES = ("ground", "graph", "communities")
 _PAIRS_A_WORKER = 2
@@ -29,38 +28,6 @@ _WORTH_SPLITTING_S = 1.0
 _BATCH_S = 0.5
 _BUNDLE_S = 0.5
 _LEAST_WEIGHT = 1 / 16
-
-
-@dataclass
-class _Active:
-    """A pair that is being worked on."""
-
-    task: PairTask
-    failure: Failure | None = None
-    suspect: bool = False
-    n_waiting: int = 0
-    scored: list[Handle] = field(default_factory=list)
-
-    @property
-    def todo(self) -> list[Job]:
-        return [job for job in self.task.jobs if not job.stored]
-
-
-@dataclass(frozen=True)
-class _Order:
-    """A task that waits for memory, or runs.
-
-    pairs : whose task it is; several only of `run_pairs`
-    need : bytes that it may occupy
-    objects : for a batch of objects, their nodes; the scores stay where they are made
-    """
-
-    pairs: tuple[_Active, ...]
-    function: Callable[..., Report | list[Report] | ObjectScores | Failure]
-    arguments: tuple[Any, ...]
-    priority: float = 0.0
-    need: int = 0
-    objects: tuple[int, ...] = ()
 
 
 class Schedule:
@@ -89,16 +56,16 @@ class Schedule:
         self._pending = iter(tasks)
         self._n_pending = len(n_raw)
         self._n_raw = n_raw
-        self._memory = pool.memory
+        self._room = Room(pool, n_raw)
         self._on_report = on_report
         self._on_objects = on_objects
         self._on_end = on_end
-        self._active: dict[str, _Active] = {}
-        self._waiting: list[tuple[float, int, _Order]] = []
-        self._running: dict[Handle, _Order] = {}
+        self._active: dict[str, Active] = {}
+        self._waiting: list[tuple[float, int, Order]] = []
+        self._running: dict[Handle, Order] = {}
         self._count = itertools.count()
-        self._bundle: list[_Active] = []
-        self._quarantine: deque[_Active] = deque()
+        self._bundle: list[Active] = []
+        self._quarantine: deque[Active] = deque()
         self._alone = False
 
     def run(self) -> None:
@@ -124,7 +91,7 @@ class Schedule:
         window = (_FEW_PAIRS_A_WORKER if self._few_left() else _PAIRS_A_WORKER) * self._pool.n_workers
         while self._n_pending and sum(map(self._weight, self._active.values())) < window:
             self._n_pending -= 1
-            pair = _Active(next(self._pending))
+            pair = Active(next(self._pending))
             self._active[pair.task.pair.pair_id] = pair
             self._go_on(pair)
         if not self._n_pending:
@@ -138,7 +105,7 @@ class Schedule:
             self._submit_bundle()
             self._admit()
 
-    def _take(self, pair: _Active, outcome: Any, objects: tuple[int, ...]) -> None:
+    def _take(self, pair: Active, outcome: Any, objects: tuple[int, ...]) -> None:
         if isinstance(outcome, WorkerDied):
             if self._alone and pair.failure is None:
                 job = pair.todo[0]
@@ -154,9 +121,9 @@ class Schedule:
         else:
             self._on_objects(pair.task.pair.pair_id, objects)
 
-    def _go_on(self, pair: _Active) -> None:
+    def _go_on(self, pair: Active) -> None:
         """Submits what comes next for a pair of which nothing is running."""
-        pair.failure = pair.failure or self._too_large(pair)
+        pair.failure = pair.failure or self._room.too_large(pair)
         if pair.failure or not pair.todo:
             self._end(pair)
         elif pair.suspect and not self._alone:
@@ -164,7 +131,7 @@ class Schedule:
             del self._active[pair.task.pair.pair_id]
             self._quarantine.append(pair)
         elif pair.scored:
-            self._submit(_Order((pair,), gather_objects, (list(pair.scored),), priority=_FIRST))
+            self._submit(Order((pair,), gather_objects, (list(pair.scored),), priority=_FIRST))
             pair.scored.clear()
         elif not self._is_worth_splitting(pair):
             self._submit_whole(pair)
@@ -172,25 +139,25 @@ class Schedule:
             split = not pair.task.settings.ground.shared
             for side in ("real", "sim") if split else ("",):
                 if own := [job for job in sides if not split or job.side == side]:
-                    self._submit(_Order((pair,), run_jobs, (_names(own),), _FIRST, self._pair_bytes(pair)))
+                    self._submit(Order((pair,), run_jobs, (_names(own),), _FIRST, self._room.pair_bytes(pair)))
         elif matching := [job for job in pair.todo if job.stage == "matching"]:
-            self._submit(_Order((pair,), run_jobs, (_names(matching),), priority=_FIRST))
+            self._submit(Order((pair,), run_jobs, (_names(matching),), priority=_FIRST))
         elif any(job.stage in OBJECT_STAGES for job in pair.todo):
             self._submit_objects(pair)
         else:
-            need = self._pair_bytes(pair) + object_bytes(largest_object(_n_keep(pair.task) or [])[1])
+            need = self._room.pair_bytes(pair) + object_bytes(largest_object(matched_nodes(pair.task) or [])[1])
             for job in pair.todo:
-                self._submit(_Order((pair,), run_jobs, (_names([job]),), need=need))
+                self._submit(Order((pair,), run_jobs, (_names([job]),), need=need))
 
-    def _end(self, pair: _Active) -> None:
+    def _end(self, pair: Active) -> None:
         self._alone = False
         del self._active[pair.task.pair.pair_id]
         self._on_end(pair.task.pair.pair_id, pair.failure)
 
-    def _is_worth_splitting(self, pair: _Active) -> bool:
-        n_keep = _n_keep(pair.task)
+    def _is_worth_splitting(self, pair: Active) -> bool:
+        n_keep = matched_nodes(pair.task)
         has_objects = any(job.stage in OBJECT_STAGES for job in pair.todo)
-        if n_keep and has_objects and object_bytes(largest_object(n_keep)[1]) > self._object_share(pair):
+        if n_keep and has_objects and object_bytes(largest_object(n_keep)[1]) > self._room.object_share(pair):
             return True  # its objects are admitted one by one
         if self._alone or self._pool.n_workers == 1 or not self._few_left():
             return False
@@ -201,7 +168,7 @@ class Schedule:
     def _few_left(self) -> bool:
         return self._n_pending + len(self._active) <= _FEW_PAIRS_A_WORKER * self._pool.n_workers
 
-    def _submit_whole(self, pair: _Active) -> None:
+    def _submit_whole(self, pair: Active) -> None:
         """All that is left of a pair in one piece; small pairs wait for others to go with them."""
         self._bundle.append(pair)
         pair.n_waiting += 1
@@ -213,49 +180,47 @@ class Schedule:
         if not self._bundle:
             return
         pairs, self._bundle = tuple(self._bundle), []
-        parts = [(pair.task, _names(pair.todo), self._object_share(pair)) for pair in pairs]
-        need = max(self._pair_bytes(pair) + share for pair, (_, _, share) in zip(pairs, parts, strict=True))
-        self._queue(_Order(pairs, run_pairs, (parts,), need=need))
+        parts = [(pair.task, _names(pair.todo), self._room.object_share(pair)) for pair in pairs]
+        need = max(self._room.pair_bytes(pair) + share for pair, (_, _, share) in zip(pairs, parts, strict=True))
+        self._queue(Order(pairs, run_pairs, (parts,), need=need))
 
-    def _weight(self, pair: _Active) -> float:
+    def _weight(self, pair: Active) -> float:
         """The part of a task that a pair is worth."""
         seconds = 2 * side_seconds(self._n_raw[pair.task.pair.pair_id] // 2)
         return min(1.0, max(_LEAST_WEIGHT, seconds / _BUNDLE_S))
 
-    def _submit_objects(self, pair: _Active) -> None:
+    def _submit_objects(self, pair: Active) -> None:
         """Selection and scores of a pair's objects: large ones alone, small ones together, largest first.
 
         Pairs go one after the other, that of the largest object first: workers keep the tables of the last ones.
         """
-        sizes = sorted(_n_keep(pair.task) or [], key=lambda of: (-of[1], of[0]))
+        sizes = sorted(matched_nodes(pair.task) or [], key=lambda of: (-of[1], of[0]))
         first = 1000.0 * object_seconds(sizes[0][1]) if sizes else 0.0
         batch: list[tuple[int, int]] = []
         for i, (real_id, n) in enumerate(sizes):
             batch.append((real_id, n))
             seconds = sum(object_seconds(of) for _, of in batch)
             if seconds >= _BATCH_S or i + 1 == len(sizes):
-                need = self._pair_bytes(pair) + object_bytes(batch[0][1])
+                need = self._room.pair_bytes(pair) + object_bytes(batch[0][1])
                 ids, nodes = tuple(of for of, _ in batch), tuple(of for _, of in batch)
-                self._submit(_Order((pair,), score_objects, (ids,), first + seconds, need, nodes))
+                self._submit(Order((pair,), score_objects, (ids,), first + seconds, need, nodes))
                 batch = []
         if not sizes:
-            self._submit(_Order((pair,), gather_objects, ([],), priority=_FIRST))
+            self._submit(Order((pair,), gather_objects, ([],), priority=_FIRST))
 
-    def _submit(self, order: _Order) -> None:
+    def _submit(self, order: Order) -> None:
         """Queues a task of one pair for `_admit`."""
         order.pairs[0].n_waiting += 1
         self._queue(order)
 
-    def _queue(self, order: _Order) -> None:
+    def _queue(self, order: Order) -> None:
         heapq.heappush(self._waiting, (-order.priority, next(self._count), order))
 
     def _admit(self) -> None:
         """Hands tasks to the pool, first come first, as long as those that may run at once fit into the memory."""
-        n = self._pool.n_workers
         while self._waiting:
             order = self._waiting[0][2]
-            needs = heapq.nlargest(n, [order.need, *(of.need for of in self._running.values())])
-            if self._running and sum(needs) > self._usable:
+            if not self._room.admits(order, self._running.values()):
                 return
             heapq.heappop(self._waiting)
             keep = order.function is score_objects
@@ -265,45 +230,6 @@ class Schedule:
             if keep:
                 order.pairs[0].scored.append(handle)
 
-    @property
-    def _usable(self) -> int:
-        """Bytes for what tasks make, of all workers together."""
-        return max(0, self._memory.together - PROCESS_BYTES * self._pool.n_workers)
-
-    def _pair_bytes(self, pair: _Active) -> int:
-        return pair_bytes(self._n_raw[pair.task.pair.pair_id])
-
-    def _object_share(self, pair: _Active) -> int:
-        """Bytes that an object may need for its pair to run as one task."""
-        return max(0, self._usable // self._pool.n_workers - self._pair_bytes(pair))
-
-    def _too_large(self, pair: _Active) -> Failure | None:
-        """The failure of a pair that does not fit into the memory even when nothing runs beside it."""
-        own = self._pair_bytes(pair)
-        real_id, n = largest_object(_n_keep(pair.task) or [])
-        usable = max(0, self._memory.alone - PROCESS_BYTES)
-        if not pair.todo or own + object_bytes(n) <= usable:
-            return None
-        what = f"object {real_id} of {n} aligned nodes" if n else f"{self._n_raw[pair.task.pair.pair_id]} points"
-        lower = "a smaller graph.k makes smaller objects, " if n else ""
-        job = pair.todo[0]
-        reason = (
-            f"{what}: {_gib(own + object_bytes(n))} of memory may be needed at once, {_gib(usable)} are there for "
-            f"it (machine.memory_gib, less {_gib(PROCESS_BYTES)} for the worker process); {lower}input.include_box or "
-            "input.max_range_m fewer points"
-        )
-        return Failure(job.stage, job.side, reason)
-
 
 def _names(jobs: Iterable[Job]) -> tuple[tuple[str, str], ...]:
     return tuple((job.stage, job.side) for job in jobs)
-
-
-def _n_keep(task: PairTask) -> list[tuple[int, int]] | None:
-    """Real id and nodes of each matched object, where the matching is done."""
-    job = next(job for job in task.jobs if job.stage == "matching")
-    return [(real_id, n) for real_id, n in job.facts["n_keep"]] if job.stored else None
-
-
-def _gib(n_bytes: int) -> str:
-    return f"{n_bytes / 2**30:.2g} GiB"

@@ -1,5 +1,6 @@
 """Starting runs and comparing what they wrote."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -61,3 +62,11 @@ def marks(run_folder):
     """Modification times of the stage tables by relative path."""
     files = [path for folder in FOLDERS for path in (run_folder / folder).glob("*.parquet")]
     return {str(path.relative_to(run_folder)): path.stat().st_mtime_ns for path in files}
+
+
+def run_twice(dataset, tmp_path_factory, settings):
+    """A plain run, and a copy of it to which something was added later; the outcome of that."""
+    runs = tmp_path_factory.mktemp("runs")
+    run(dataset, runs / "plain")
+    later = shutil.copytree(runs / "plain", runs / "later")
+    return runs / "plain", later, run(dataset, later, settings)

@@ -33,7 +33,7 @@ from ..store import key_of
 from ..task import PairTask
 from .ablate_jobs import setting_rows
 from .sources import method_key, prepare, read_source
-from .sweep import Part, Sweep, sweeping
+from .sweep import Part, Sweep, SweepOutcome, sweeping
 
 VERSION = 1  # of the job; to be raised when the same request gives other numbers
 TABLE, SUMMARY = "ablate", "ablate_summary"
@@ -80,25 +80,19 @@ class AblateRequest:
     scheduler: str | None = None
 
 
-@dataclass(frozen=True)
-class AblateOutcome:
+@dataclass(frozen=True, kw_only=True)
+class AblateOutcome(SweepOutcome):
     """What has become of the experiment.
 
     base : the settings in force
     values : by parameter, all that were tried, ascending
     rows : of `ablate`, a row a pair and point
-    failures : why a job or a pair failed, by name
     """
 
-    folder: Path
     base: Point
     values: dict[str, tuple[float, ...]]
     grid: bool
     rows: pa.Table
-    failures: dict[str, str]
-    n_made: int
-    n_reused: int
-    wall_s: float
 
 
 def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:

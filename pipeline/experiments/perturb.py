@@ -28,7 +28,7 @@ from .perturb_choice import ChosenObject, choose_objects
 from .perturb_jobs import baseline_rows, global_rows, object_rows
 from .perturb_summary import summarise
 from .sources import method_key, prepare, read_source
-from .sweep import Part, Sweep, sweeping
+from .sweep import Part, Sweep, SweepOutcome, sweeping
 
 VERSION = 1  # of the alterations and of the jobs; to be raised when the same request gives other numbers
 TABLES = ("perturb_global", "perturb_objects", "perturb_baselines")
@@ -74,25 +74,19 @@ class PerturbRequest:
     scheduler: str | None = None
 
 
-@dataclass(frozen=True)
-class PerturbOutcome:
+@dataclass(frozen=True, kw_only=True)
+class PerturbOutcome(SweepOutcome):
     """What has become of the experiment.
 
     tasks : the scans that were altered
     objects : the chosen ones of all scans
     summary : rows of `perturb_summary`
-    failures : why a job or a scan failed, by name
     """
 
-    folder: Path
     tasks: tuple[PairTask, ...]
     objects: tuple[ChosenObject, ...]
     levels: tuple[Perturbation, ...]
     summary: pa.Table
-    failures: dict[str, str]
-    n_made: int
-    n_reused: int
-    wall_s: float
 
 
 def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcome:

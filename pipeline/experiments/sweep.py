@@ -32,6 +32,21 @@ from ..task import Failure, Report
 from .ticker import Ticker
 
 
+@dataclass(frozen=True, kw_only=True)
+class SweepOutcome:
+    """What has become of an experiment, whichever it is.
+
+    failures : why a job, a pair or a scan failed, by name
+    n_made, n_reused : jobs
+    """
+
+    folder: Path
+    failures: dict[str, str]
+    n_made: int
+    n_reused: int
+    wall_s: float
+
+
 @dataclass(frozen=True)
 class Part:
     """One table of an experiment: its name in the folder, its key, and what makes it.

@@ -11,6 +11,7 @@ from ...stages.arrays import FloatArray
 from ...stages.summary import mean_and_std
 from ..experiments.ablate import PARAMETERS, AblateOutcome
 from ..experiments.ablate_choice import RULE, Influence, along, choose, influences
+from .sweep_view import sweep_lines
 
 WORDS = {
     "k": "graph.k: nearest neighbours of each point",
@@ -46,13 +47,8 @@ def ablate_view(outcome: AblateOutcome) -> RenderableType:
                 "A small r_lambda can also come of a bad alignment (a large change): read it beside shift and change.\n"
             )
         )
-    parts += [Text(f"failed: {name}: {reason}", style="red") for name, reason in outcome.failures.items()]
-    parts.append(Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"))
-    parts.append(
-        Text(
-            f"results: {outcome.folder}/ablate_summary.parquet (means over pairs), ablate/ (a row a pair and choice of "
-            "settings), ablate.png"
-        )
+    parts += sweep_lines(
+        outcome, "ablate_summary.parquet (means over pairs), ablate/ (a row a pair and choice of settings), ablate.png"
     )
     return Group(*parts)
 

@@ -11,6 +11,7 @@ from ...stages.perturbations import Perturbation
 from ..experiments.perturb import PerturbOutcome
 from ..experiments.perturb_claims import Claim, Mean, Means, judge_claims
 from ..experiments.perturb_reactions import OWN_METRICS, Reaction, react, strongest_levels
+from .sweep_view import sweep_lines
 
 #: Table I of the paper: match rate, d_cent (metres) and d_lambda, each mean and standard deviation over seeds.
 TABLE_I = {
@@ -68,13 +69,8 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         claims = judge_claims(outcome.summary, outcome.levels)
         if claims:
             parts.append(_claims_table(claims))
-    parts += [Text(f"failed: {name}: {reason}", style="red") for name, reason in outcome.failures.items()]
-    parts.append(Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"))
-    parts.append(
-        Text(
-            f"results: {outcome.folder}/perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (a row a "
-            "repeat), perturb.png"
-        )
+    parts += sweep_lines(
+        outcome, "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (a row a repeat), perturb.png"
     )
     return Group(*parts)
 

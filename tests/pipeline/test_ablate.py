@@ -135,7 +135,17 @@ def made_up(tmp_path, rates, r_lambdas):
     ]
     values = {"k": (30, 60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}
     table = ABLATE.from_rows(rows)
-    return AblateOutcome(tmp_path, Point(90, 0.2, 5.0, 1.0), values, False, table, {}, 0, 0, 0.0)
+    return AblateOutcome(
+        folder=tmp_path,
+        base=Point(90, 0.2, 5.0, 1.0),
+        values=values,
+        grid=False,
+        rows=table,
+        failures={},
+        n_made=0,
+        n_reused=0,
+        wall_s=0.0,
+    )
 
 
 def test_the_value_in_force_stays_where_the_data_do_not_decide(tmp_path):

@@ -17,7 +17,7 @@ from fidpipe.pipeline.run import STAGES
 from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES
-from runs import assert_same_tables, changed_files, marks, run
+from runs import assert_same_tables, changed_files, marks, run, run_twice
 from scenes import write_dataset
 
 ALL = load(None, ["metrics.baselines=all"])
@@ -30,17 +30,19 @@ def dataset(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def plain(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "plain"
-    run(dataset, out)
-    return out
+def both(dataset, tmp_path_factory):
+    return run_twice(dataset, tmp_path_factory, ALL)
 
 
 @pytest.fixture(scope="module")
-def compared(dataset, plain, tmp_path_factory):
+def plain(both):
+    return both[0]
+
+
+@pytest.fixture(scope="module")
+def compared(both):
     """The plain run, to which the baselines were added later."""
-    out = shutil.copytree(plain, tmp_path_factory.mktemp("runs") / "compared")
-    return out, run(dataset, out, ALL)
+    return both[1:]
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import SEEDED_SCORES, SEEDS
-from runs import assert_same_tables, changed_files, command, marks, run
+from runs import assert_same_tables, changed_files, command, marks, run, run_twice
 from scenes import write_dataset
 
 THREE = load(None, ["stability.seeds=3"])
@@ -27,17 +27,19 @@ def dataset(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def plain(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "plain"
-    run(dataset, out)
-    return out
+def both(dataset, tmp_path_factory):
+    return run_twice(dataset, tmp_path_factory, THREE)
 
 
 @pytest.fixture(scope="module")
-def repeated(dataset, plain, tmp_path_factory):
+def plain(both):
+    return both[0]
+
+
+@pytest.fixture(scope="module")
+def repeated(both):
     """The plain run, to which the seeds were added later."""
-    out = shutil.copytree(plain, tmp_path_factory.mktemp("runs") / "repeated")
-    return out, run(dataset, out, THREE)
+    return both[1:]
 
 
 @pytest.fixture
