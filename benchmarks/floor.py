@@ -30,6 +30,7 @@ REPEATS = 3
 
 def main(dataset, every):
     print(machine())
+    repeats = REPEATS * every  # smaller pairs take less time, and the noise of a start would show
     with scratch() as folder:
         if every > 1:
             dataset = thinned(dataset, every, folder / "thinned")
@@ -38,7 +39,7 @@ def main(dataset, every):
         pairs = sorted(path.stem for path in (out / "metrics").glob("*.parquet"))
         floors = {pair: floor(out, pair) for pair in pairs}
         size_mb = sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6 / len(pairs)
-        again = repeated(dataset, REPEATS * len(pairs), folder / "again")
+        again = repeated(dataset, repeats * len(pairs), folder / "again")
         more = weigh("run", again, "--out", folder / "more", "--workers", 2, "--from", "ground")
         timings, timings_of_more = (pd.read_parquet(folder / name / "timings.parquet") for name in ("floor", "more"))
     total = sum(floors.values())
@@ -46,13 +47,13 @@ def main(dataset, every):
     print(f"floor {total:.1f} s; the command on two workers:")
     print(f"  CPU  {whole.cpu_s:.1f} s, {whole.cpu_s / total:.2f} times the floor")
     print(f"  wall {whole.wall_s:.1f} s, {whole.wall_s / total:.2f} times the floor")
-    pace = (more.wall_s - whole.wall_s) / ((REPEATS - 1) * len(pairs))
+    pace = (more.wall_s - whole.wall_s) / ((repeats - 1) * len(pairs))
     start_s = whole.wall_s - pace * len(pairs)
-    print(f"  start-up aside: {pace:.2f} s a pair (from {REPEATS} times as many pairs); start-up {start_s:.1f} s")
+    print(f"  start-up aside: {pace:.2f} s a pair (from {repeats} times as many pairs); start-up {start_s:.1f} s")
     print(f"run directory {size_mb:.1f} MB a pair")
     inside, files = (b - a for a, b in zip(split(timings), split(timings_of_more), strict=True))
     waiting = 2 * (more.wall_s - whole.wall_s) - inside - files
-    print(f"of {(REPEATS - 1) * len(pairs)} further pairs: stages {inside:.1f} s, tables {files:.1f} s, ", end="")
+    print(f"of {(repeats - 1) * len(pairs)} further pairs: stages {inside:.1f} s, tables {files:.1f} s, ", end="")
     print(f"scheduling and waiting {waiting:.1f} s: both together {(files + waiting) / inside:.1%} of the stages")
     print(timings.groupby(["stage", "step"]).seconds.sum().round(2).to_string())
 

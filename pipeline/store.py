@@ -96,12 +96,14 @@ class TableFolder:
             "fidpipe.schema_version": str(schema.version),
             "fidpipe.key": key,
         }
+        words = [field.name for field in schema.schema if field.type not in _ENCODINGS]
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(
             sink,
             rows.schema,
             compression="zstd",
-            use_dictionary=[field.name for field in schema.schema if field.type not in _ENCODINGS],
+            use_dictionary=words,
+            write_statistics=words,  # of numbers they cost a quarter of the time, and a file has one pair
             column_encoding={f.name: _ENCODINGS[f.type] for f in schema.schema if f.type in _ENCODINGS},
             store_schema=False,  # so that a dictionary is read as the strings it stands for
         ) as writer:

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from sknetwork.clustering import Louvain
 
 import literal
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings
@@ -53,6 +54,19 @@ def test_both_backends_reach_nearly_the_same_modularity(rng, backend):
     found = find_communities(700, edges, CommunitySettings(backend=backend)).modularity
     best = max(find_communities(700, edges, CommunitySettings(backend=of)).modularity for of in BACKENDS)
     assert found > best - 0.01
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_nodes_are_shuffled_as_scikit_network_shuffles_them(rng, seed):
+    points = rng.uniform(0, 10, (600, 3))
+    edges = build_graph(points, GraphSettings(k=12))
+    own = Louvain(
+        resolution=1, shuffle_nodes=True, tol_optimization=1e-3, tol_aggregation=1e-7, random_state=seed
+    ).fit_predict(adjacency(len(points), edges))
+    ours = find_communities(len(points), edges, CommunitySettings(seed=seed)).labels
+    assert {tuple(np.flatnonzero(ours == label)) for label in set(ours)} == {
+        tuple(np.flatnonzero(own == label)) for label in set(own)
+    }
 
 
 def test_the_seed_fixes_the_partition(rng):
