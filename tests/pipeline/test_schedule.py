@@ -5,7 +5,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline import costs, jobs, schedule, session
+from fidpipe.pipeline import admission, costs, runner, schedule, session
 from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.pool import InProcess, Memory, WorkerDied
 from fidpipe.schemas.errors import StageError
@@ -63,7 +63,7 @@ def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_p
     largest = pd.read_parquet(finished / "metrics").groupby("pair_id").n_keep.max()
     loser = largest.idxmax()
     limit = (largest.max() + largest.drop(loser).max()) / 2
-    for module in (schedule, jobs):
+    for module in (schedule, admission, runner):
         monkeypatch.setattr(module, "object_bytes", lambda n: 100 * GIB if n > limit else 0)
     outcome = run_in(TwoAtOnce(8 * GIB), monkeypatch, dataset, tmp_path / "run")
     assert list(outcome.failures) == [loser]
