@@ -147,12 +147,13 @@ def run(
     """
     from ..schemas.settings import load
     from . import prefork
+    from .fanout import cpu_count
 
     check_machines(workers, scheduler)
     repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
     in_force = load(settings, [*(assignments or []), *repeats])
     out = out or Path("runs") / (dataset.resolve().name or "dataset")
-    if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
+    if scheduler is None and (workers or cpu_count()) > 1 and dataset.is_dir() and not out.exists():
         prefork.start(needed=False)  # a new run: workers will be wanted when all else is imported
 
     from .progress import Reporter

@@ -1,7 +1,7 @@
 """Tasks on several processes: on a local dask cluster, or on the cluster behind a scheduler's address.
 
-The only file besides `worker_start` that imports dask, and only when a cluster is wanted. Leaves to others: which tasks
-there are and in which order (`schedule`), what a pool is (`pool`).
+With `worker_start` the only file that needs dask, and only when a cluster is wanted (`pool` asks it for the memory of
+the machine). Leaves to others: which tasks there are and in which order (`schedule`), what a pool is (`pool`).
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class DaskPool:
                     scheduler_kwargs={"dashboard": False},
                     memory_limit=self.memory.together,  # of each: one may need what the others leave
                     silence_logs=logging.CRITICAL,
-                    preload=["fidpipe.pipeline.worker_start"],
+                    preload=[prefork.PRELOADED],
                 )
         try:
             self._client = distributed.Client(

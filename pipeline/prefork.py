@@ -15,7 +15,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
-_PRELOADED = "fidpipe.pipeline.worker_start"
+#: What it imports.
+PRELOADED = "fidpipe.pipeline.worker_start"
 
 #: Of the forked processes: one BLAS thread, and an allocator that keeps blocks of up to 32 MiB instead of giving the
 #: pages back and faulting them in again for each array.
@@ -55,7 +56,7 @@ def start(*, needed: bool = True) -> None:
     _SERVER.is_needed |= needed
     from multiprocessing import forkserver
 
-    forkserver.set_forkserver_preload([_PRELOADED])
+    forkserver.set_forkserver_preload([PRELOADED])
     with _environment(_ENVIRONMENT), ignoring_interrupts():
         forkserver.ensure_running()
 

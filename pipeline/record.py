@@ -137,14 +137,18 @@ class StageSeconds:
         self._steps: dict[str, dict[str, float]] = {}
         self._pairs: dict[str, dict[str, float]] = {}
 
+    def add(self, record: JobRecord) -> None:
+        """Counts a finished job."""
+        total, of_pair = self._steps.setdefault(record.stage, {}), self._pairs.setdefault(record.pair_id, {})
+        of_pair.setdefault(record.stage, 0.0)
+        for step, seconds in record.steps:
+            total[step] = total.get(step, 0.0) + seconds
+            of_pair[record.stage] += seconds
+
     def count(self, records: Iterable[JobRecord]) -> Iterator[JobRecord]:
         """The same records, each counted as it passes."""
         for record in records:
-            total, of_pair = self._steps.setdefault(record.stage, {}), self._pairs.setdefault(record.pair_id, {})
-            of_pair.setdefault(record.stage, 0.0)
-            for step, seconds in record.steps:
-                total[step] = total.get(step, 0.0) + seconds
-                of_pair[record.stage] += seconds
+            self.add(record)
             yield record
 
     def mean(self) -> dict[str, dict[str, float]]:

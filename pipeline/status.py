@@ -65,15 +65,15 @@ def run_status(folder: Path) -> RunStatus:
     session = Session(request, in_force, dataset, dataset.pairs, store, Reporter(Console(quiet=True)))
     session.inspect(note=False)
     session.plan()
-    failures = {row["pair_id"]: row["reason"] for row in session.rows() if row["status"] == "failed"}
+    failures = {row["pair_id"]: row["reason"] for row in session.standing.rows() if row["status"] == "failed"}
     stages: dict[str, Counter[str]] = {stage.name: Counter() for stage in in_force}
     for pair in dataset.pairs:
-        task = session.task(pair.pair_id)
+        task = session.standing.task(pair.pair_id)
         for stage in in_force:
             stages[stage.name][_state(store, stage.name, pair.pair_id, task, pair.pair_id in failures)] += 1
     seconds = StageSeconds()
-    for _ in seconds.count(session.current_records()):
-        pass
+    for of_job in session.standing.records():
+        seconds.add(of_job)
     return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures, seconds.mean())
 
 

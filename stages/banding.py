@@ -29,6 +29,10 @@ _SWEEPS = 3
 _WORDS = np.frombuffer(b"LRUTN", dtype=np.uint8)
 _L, _R, _U, _T, _N = (_WORDS.ctypes.data + i for i in range(len(_WORDS)))
 
+#: The factors that it is called with, likewise.
+_FACTORS = np.array([0.0, 1.0, -1.0, -0.5])
+_ZERO, _ONE, _MINUS, _MINUS_HALF = (_FACTORS.ctypes.data + _FACTORS.itemsize * i for i in range(len(_FACTORS)))
+
 
 def is_available() -> bool:
     """Whether scipy's BLAS can be called on parts of a matrix here."""
@@ -119,7 +123,6 @@ class _Work:
         self.unit = np.eye(width)
         self.info = np.zeros(1, dtype=np.intc)
         self.numbers = np.arange(max(self.stride, self.most_rows) + 1, dtype=np.intc)
-        self.factors = {value: np.array(value) for value in (0.0, 1.0, -1.0, -0.5)}
         self._first: int = self.flat.ctypes.data
         self._first_number: int = self.numbers.ctypes.data
         self._bytes_a_number = self.numbers.itemsize
@@ -149,7 +152,6 @@ def _eliminate(work: _Work, block: _Block) -> None:
     """
     call, number, stride, width, most = work.call, work.number, work.stride, work.width, work.most_rows
     row, column, n_rows, n_columns, n_below = block
-    minus, none, one, minus_half = (work.factors[value].ctypes.data for value in (-1.0, 0.0, 1.0, -0.5))
     x, y, v, t, m = (of.ctypes.data for of in (work.x, work.y, work.v, work.t, work.m))
     rows, k, ld, b, w = (number(of) for of in (n_rows, n_columns, stride, most, width))
     dgemm, dtrmm = call["dgemm"], call["dtrmm"]
@@ -167,25 +169,25 @@ def _eliminate(work: _Work, block: _Block) -> None:
     n_beside = row - column - n_columns
     if n_beside > 0:
         columns, beside = number(n_beside), work.at(row, column + n_columns)
-        dgemm(_T, _N, k, columns, rows, one, v, b, beside, ld, none, y, w)
-        dtrmm(_L, _U, _T, _N, k, columns, one, t, w, y, w)
-        dgemm(_N, _N, rows, columns, k, minus, v, b, y, w, one, beside, ld)
+        dgemm(_T, _N, k, columns, rows, _ONE, v, b, beside, ld, _ZERO, y, w)
+        dtrmm(_L, _U, _T, _N, k, columns, _ONE, t, w, y, w)
+        dgemm(_N, _N, rows, columns, k, _MINUS, v, b, y, w, _ONE, beside, ld)
 
     # From both sides, on the diagonal block: A - V X^T - X V^T with W = A V T, X = W - V T^T V^T W / 2
     diagonal = work.at(row, row)
-    call["dsymm"](_L, _L, rows, k, one, diagonal, ld, v, b, none, x, b)
-    dtrmm(_R, _U, _N, _N, rows, k, one, t, w, x, b)
-    dgemm(_T, _N, k, k, rows, one, v, b, x, b, none, m, w)
-    dtrmm(_L, _U, _T, _N, k, k, one, t, w, m, w)
-    dgemm(_N, _N, rows, k, k, minus_half, v, b, m, w, one, x, b)
-    call["dsyr2k"](_L, _N, rows, k, minus, v, b, x, b, one, diagonal, ld)
+    call["dsymm"](_L, _L, rows, k, _ONE, diagonal, ld, v, b, _ZERO, x, b)
+    dtrmm(_R, _U, _N, _N, rows, k, _ONE, t, w, x, b)
+    dgemm(_T, _N, k, k, rows, _ONE, v, b, x, b, _ZERO, m, w)
+    dtrmm(_L, _U, _T, _N, k, k, _ONE, t, w, m, w)
+    dgemm(_N, _N, rows, k, k, _MINUS_HALF, v, b, m, w, _ONE, x, b)
+    call["dsyr2k"](_L, _N, rows, k, _MINUS, v, b, x, b, _ONE, diagonal, ld)
 
     # From the right, on the rows below: C - (C V) T V^T; this makes the bulge
     if n_below > 0:
         others, below = number(n_below), work.at(row + n_rows, row)
-        dgemm(_N, _N, others, k, rows, one, below, ld, v, b, none, x, b)
-        dtrmm(_R, _U, _N, _N, others, k, one, t, w, x, b)
-        dgemm(_N, _T, others, rows, k, minus, x, b, v, b, one, below, ld)
+        dgemm(_N, _N, others, k, rows, _ONE, below, ld, v, b, _ZERO, x, b)
+        dtrmm(_R, _U, _N, _N, others, k, _ONE, t, w, x, b)
+        dgemm(_N, _T, others, rows, k, _MINUS, x, b, v, b, _ONE, below, ld)
 
 
 def _numbered(symmetric: sparse.csr_matrix) -> tuple[sparse.coo_matrix, IndexArray]:

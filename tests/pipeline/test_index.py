@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -68,7 +70,17 @@ def test_journals_are_read_and_gathered(index, tmp_path):
     assert contents(Index(tmp_path)) == contents(index)
 
 
-def test_an_index_that_may_only_be_read_is_read(index, tmp_path):
+def test_an_index_that_may_only_be_read_is_read(index, tmp_path, monkeypatch):
     index.put_job(record("a", n=1))
-    (tmp_path / INDEX).chmod(0o444)
-    assert Index(tmp_path).jobs["graph", "a", "real"].facts == {"n": 1}
+    whole_open = Path.open
+
+    def read_only(path, mode="r", *args, **options):
+        if mode not in ("r", "rb"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return whole_open(path, mode, *args, **options)
+
+    monkeypatch.setattr(Path, "open", read_only)
+    other = Index(tmp_path)
+    assert other.jobs["graph", "a", "real"].facts == {"n": 1}
+    with pytest.raises(OSError, match="not writable|write"):
+        other.put_failure("a", {"reason": "why"})
