@@ -23,7 +23,7 @@ from scipy.linalg import eigvalsh
 from scipy.spatial import cKDTree
 
 from fidpipe.stages.graph import Edges
-from fidpipe.stages.laplacian import induced_laplacian, split_by_community
+from fidpipe.stages.linalg.laplacian import induced_laplacian, split_by_community
 
 REPEATS = 3
 

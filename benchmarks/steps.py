@@ -23,10 +23,11 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from fidpipe.schemas.settings import CommunitySettings
-from fidpipe.stages import communities, spectrum
-from fidpipe.stages.alignment import align_nodes
+from fidpipe.stages import communities
 from fidpipe.stages.graph import Edges
-from fidpipe.stages.laplacian import induced_laplacian, split_by_community
+from fidpipe.stages.linalg import spectrum
+from fidpipe.stages.linalg.assignment import align_nodes
+from fidpipe.stages.linalg.laplacian import induced_laplacian, split_by_community
 
 SEEDS = (0, 1, 2)
 

@@ -12,12 +12,12 @@ from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings
 from ..schemas.tables import TABLES
-from .plan import plan_pair
-from .pool import one_blas_thread
-from .readers.dataset import ScanPair
-from .readers.scan import Scan
+from .datasets.pairs import ScanPair
+from .datasets.readers.scan import Scan
+from .engine.plan import plan_pair
+from .engine.pool import one_blas_thread
+from .engine.workbench import Workbench
 from .run import stages_of
-from .workbench import Workbench
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,15 +11,17 @@ from pathlib import Path
 
 from ..schemas.errors import DatasetError, RunError
 from ..schemas.settings import Settings
-from . import baseline_jobs, jobs, seed_jobs
-from .index import INDEX
-from .plan import Stage
-from .progress import Reporter
-from .readers.dataset import Dataset, ScanPair, read_dataset
-from .record import read_run
-from .request import RunOutcome, RunRequest
-from .session import Session
-from .store import Store
+from .datasets.pairs import Dataset, ScanPair, read_dataset
+from .engine.plan import Stage
+from .engine.progress import Reporter
+from .engine.request import RunOutcome, RunRequest
+from .engine.session import Session
+from .jobs import baselines as baseline_jobs
+from .jobs import core as jobs
+from .jobs import seeds as seed_jobs
+from .storage.ledger import INDEX
+from .storage.record import read_run
+from .storage.store import Store
 
 _CUTTERS = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
 _LOUVAINS = {"scikit-network": ("scikit-network",), "python-louvain": ("python-louvain", "networkx")}

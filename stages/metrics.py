@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .arrays import FloatArray, Watch, unwatched
-from .laplacian import Subgraph, induced_laplacian
+from .linalg.laplacian import Subgraph, induced_laplacian
+from .linalg.spectrum import eigenvalues, spectral_norm
 from .selection import Selection
-from .spectrum import eigenvalues, spectral_norm
 
 MIN_NODES = 3
 IDENTICAL_CHANGE = 1e-5

@@ -11,9 +11,9 @@ import numpy as np
 from scipy import sparse
 
 from ..schemas.settings import SelectionSettings
-from .alignment import align_nodes
 from .arrays import FloatArray, IndexArray, Watch, unwatched
-from .laplacian import Subgraph, normalised_laplacian
+from .linalg.assignment import align_nodes
+from .linalg.laplacian import Subgraph, normalised_laplacian
 
 INFLUENCE_DECIMALS = 9
 

@@ -24,7 +24,7 @@ def die_at_second_call(make):
 
 def poisoned_graph(bench, side):
     """The graph job, which kills its worker for one pair."""
-    from fidpipe.pipeline.jobs import make_graph
+    from fidpipe.pipeline.jobs.core import make_graph
 
     if bench.pair_id == POISON:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -33,7 +33,7 @@ def poisoned_graph(bench, side):
 
 def buggy_matching(bench, side):
     """The matching job, with a bug for one pair."""
-    from fidpipe.pipeline.jobs import make_matching
+    from fidpipe.pipeline.jobs.core import make_matching
 
     if bench.pair_id == POISON:
         raise ZeroDivisionError("a bug")
@@ -48,8 +48,9 @@ def with_stage(name, make):
 
 
 def main(how, stage, dataset, out):
-    from fidpipe.pipeline import cli, run
-    from fidpipe.pipeline.store import TableFolder
+    from fidpipe.pipeline import run
+    from fidpipe.pipeline.cli import main as cli
+    from fidpipe.pipeline.storage.store import TableFolder
 
     if how == "kill":
         make = next(of.make for of in run.STAGES if of.name == stage)

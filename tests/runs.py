@@ -8,8 +8,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 from rich.console import Console
 
-from fidpipe.pipeline.progress import Reporter
-from fidpipe.pipeline.request import RunRequest
+from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.engine.request import RunRequest
 from fidpipe.pipeline.run import STAGES, run_dataset
 from fidpipe.schemas.settings import Settings
 

@@ -14,7 +14,7 @@ from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.communities import adjacency, find_communities
 from ...stages.graph import Edges, build_graph
-from ...stages.laplacian import Subgraph, split_by_community
+from ...stages.linalg.laplacian import Subgraph, split_by_community
 from ...stages.metrics import Scores, score_object
 from ...stages.objects import describe_objects
 from ...stages.selection import select_nodes

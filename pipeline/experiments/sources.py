@@ -11,16 +11,16 @@ from pathlib import Path
 
 from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings
-from ..costs import side_seconds
-from ..index import JobRecord
-from ..intake import ScanFacts, input_name, inspect_scan, pair_warnings, recall_scan
-from ..plan import library_versions, plan_pair, with_whole_results
-from ..readers import stem_of, suffix_of
-from ..readers.dataset import ScanPair, read_dataset, read_label_names
+from ..datasets.pairs import ScanPair, read_dataset, read_label_names
+from ..datasets.readers import stem_of, suffix_of
+from ..datasets.scan_checks import ScanFacts, input_name, inspect_scan, pair_warnings, recall_scan
+from ..engine.costs import side_seconds
+from ..engine.plan import library_versions, plan_pair, with_whole_results
+from ..engine.runner import run_jobs
+from ..engine.task import PairTask
 from ..run import EXTRAS, STAGES, select_pairs
-from ..runner import run_jobs
-from ..store import key_of
-from ..task import PairTask
+from ..storage.ledger import JobRecord
+from ..storage.store import key_of
 from .sweep import Call, Sweep
 
 

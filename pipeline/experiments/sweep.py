@@ -20,15 +20,15 @@ import pyarrow as pa
 
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import Settings, to_toml
-from ..fanout import start_pool
-from ..index import JobName, JobRecord
-from ..plan import library_versions
-from ..pool import Pool, WorkerDied
-from ..progress import Reporter
-from ..record import LIBRARIES, RUN_JSON, SETTINGS_TOML, dumps, read_run, run_header, what_changed
+from ..engine.cluster import start_pool
+from ..engine.plan import library_versions
+from ..engine.pool import Pool, WorkerDied
+from ..engine.progress import Reporter
+from ..engine.task import Failure, Report
 from ..run import STAGES, check_folder
-from ..store import Store, TableFolder
-from ..task import Failure, Report
+from ..storage.ledger import JobName, JobRecord
+from ..storage.record import LIBRARIES, RUN_JSON, SETTINGS_TOML, dumps, read_run, run_header, what_changed
+from ..storage.store import Store, TableFolder
 from .ticker import Ticker
 
 

@@ -8,7 +8,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ..progress import SECONDS_BETWEEN_LINES, words_of_time_left
+from ..engine.progress import SECONDS_BETWEEN_LINES, words_of_time_left
 
 _SURE_SHARE = 0.05  # before that a guess of the time left is worth nothing
 

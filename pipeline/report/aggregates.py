@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from ...stages.arrays import FloatArray
-from ...stages.findings import BAND_EDGES_M
+from ...stages.statistics.findings import BAND_EDGES_M
 from .results import RunResults
 
 #: The two scores that are drawn side by side: column, its name in words, and its upper bound.

@@ -15,12 +15,12 @@ import pyarrow.compute as pc
 
 from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.laplacian import induced_laplacian
-from ...stages.spectrum import eigenvalues
-from ..pool import one_blas_thread
-from ..readers.dataset import ScanPair
-from ..task import Job, PairTask
-from ..workbench import Workbench, as_numpy
+from ...stages.linalg.laplacian import induced_laplacian
+from ...stages.linalg.spectrum import eigenvalues
+from ..datasets.pairs import ScanPair
+from ..engine.pool import one_blas_thread
+from ..engine.task import Job, PairTask
+from ..engine.workbench import Workbench, as_numpy
 from .results import RunResults, stage_of
 
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.

@@ -20,11 +20,11 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import PAIRS
-from ..finished import FinishedRun
-from ..index import JobRecord
-from ..plan import Stage
+from ..engine.plan import Stage
+from ..results.finished import FinishedRun
 from ..run import STAGES
-from ..store import Store
+from ..storage.ledger import JobRecord
+from ..storage.store import Store
 from .quadrants import quadrant_of
 
 SHAPES = ("linear", "planar", "scattered")

@@ -9,13 +9,13 @@ import pyarrow.compute as pc
 import pytest
 from rich.console import Console
 
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.experiments import partition
-from fidpipe.pipeline.experiments.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
-from fidpipe.pipeline.experiments.ablate_choice import choose, influences
-from fidpipe.pipeline.progress import Reporter
-from fidpipe.pipeline.readers import read_scan
-from fidpipe.pipeline.report.ablate_figure import draw_ablation
+from fidpipe.pipeline.experiments.ablate.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
+from fidpipe.pipeline.experiments.ablate.choice import choose, influences
+from fidpipe.pipeline.report.figures.ablate import draw_ablation
 from fidpipe.schemas.columns import OBJECT_METRICS
 from fidpipe.schemas.errors import DatasetError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE

@@ -9,12 +9,12 @@ import pytest
 from rich.console import Console
 
 import fidpipe
-from fidpipe.pipeline import schedule
-from fidpipe.pipeline.baseline_jobs import summarise_baselines
-from fidpipe.pipeline.index import JobRecord
-from fidpipe.pipeline.report.baselines_view import baselines_view
+from fidpipe.pipeline.engine import schedule
+from fidpipe.pipeline.jobs.baselines import summarise_baselines
+from fidpipe.pipeline.report.terminal.baselines import baselines_view
+from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.run import STAGES
-from fidpipe.pipeline.status import run_status
+from fidpipe.pipeline.storage.ledger import JobRecord
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES
 from runs import assert_same_tables, changed_files, marks, run, run_twice

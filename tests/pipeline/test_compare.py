@@ -7,9 +7,9 @@ from html.parser import HTMLParser
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.compare import compare_runs
-from fidpipe.pipeline.report.compare_page import compare_page
-from fidpipe.pipeline.report.compare_view import remarks
+from fidpipe.pipeline.report.page.compare import compare_page
+from fidpipe.pipeline.report.terminal.compare import remarks
+from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from runs import command, run

@@ -12,10 +12,10 @@ import pexpect
 import pytest
 
 import faults
-from fidpipe.pipeline import fanout
 from fidpipe.pipeline import run as run_module
-from fidpipe.pipeline.fanout import DaskPool
-from fidpipe.pipeline.pool import WorkerDied
+from fidpipe.pipeline.engine import cluster as fanout
+from fidpipe.pipeline.engine.cluster import DaskPool
+from fidpipe.pipeline.engine.pool import WorkerDied
 from fidpipe.pipeline.run import STAGE_NAMES
 from runs import FIDPIPE, assert_same_tables, command, no_temporary_files, run
 from scenes import write_dataset
@@ -104,8 +104,8 @@ def test_two_workers_give_the_tables_of_one(dataset, finished, tmp_path):
 
 
 def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_path, monkeypatch):
-    monkeypatch.setattr("fidpipe.pipeline.schedule._WORTH_SPLITTING_S", 0.0)
-    monkeypatch.setattr("fidpipe.pipeline.schedule._BATCH_S", 0.0)
+    monkeypatch.setattr("fidpipe.pipeline.engine.schedule._WORTH_SPLITTING_S", 0.0)
+    monkeypatch.setattr("fidpipe.pipeline.engine.schedule._BATCH_S", 0.0)
     outcome = run(dataset, tmp_path / "run", workers=2)
     assert outcome.n_made == 36
     assert_same_tables(tmp_path / "run", finished)

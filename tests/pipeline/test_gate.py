@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli import app
-from fidpipe.pipeline.finished import FinishedRun
-from fidpipe.pipeline.gate import Criterion, judge_run, parse_word, read_criteria
-from fidpipe.pipeline.measures import Measures
-from fidpipe.pipeline.report.gate_view import junit_xml
+from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.report.terminal.gate import junit_xml
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.gate import Criterion, judge_run, parse_word, read_criteria
+from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.errors import SettingsError
 from runs import command, run
 from scenes import write_dataset

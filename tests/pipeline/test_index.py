@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.index import INDEX, Index, JobRecord, StoredFile, note_job
+from fidpipe.pipeline.storage.ledger import INDEX, Index, JobRecord, StoredFile, note_job
 
 
 def record(pair_id, **facts):

@@ -11,19 +11,20 @@ import pytest
 from rich.console import Console
 from scipy.spatial import cKDTree
 
-from fidpipe.pipeline.experiments import perturb_choice, perturb_jobs
-from fidpipe.pipeline.experiments.perturb import PerturbRequest, parse_levels, perturb_source
-from fidpipe.pipeline.experiments.perturb_claims import judge_claims
-from fidpipe.pipeline.experiments.perturb_reactions import react
+from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.experiments.perturb import choice as perturb_choice
+from fidpipe.pipeline.experiments.perturb import jobs as perturb_jobs
+from fidpipe.pipeline.experiments.perturb.claims import judge_claims
+from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, parse_levels, perturb_source
+from fidpipe.pipeline.experiments.perturb.reactions import react
 from fidpipe.pipeline.experiments.sweep import Part, sweeping
-from fidpipe.pipeline.progress import Reporter
-from fidpipe.pipeline.report.perturb_figure import draw_perturbations
-from fidpipe.pipeline.status import run_status
+from fidpipe.pipeline.report.figures.perturb import draw_perturbations
+from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.experiment_tables import PERTURB_SUMMARY
 from fidpipe.schemas.settings import load
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.perturbations import Perturbation, perturb
+from fidpipe.stages.sensing.perturbations import Perturbation, perturb
 from runs import command
 from scenes import street, write_bin, write_dataset
 
@@ -133,7 +134,7 @@ def test_an_interrupted_experiment_goes_on_where_it_was(done, scan, tmp_path, mo
             raise KeyboardInterrupt
         return perturb_jobs.global_rows(*args)
 
-    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.global_rows", work)
+    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.perturb.global_rows", work)
     with pytest.raises(KeyboardInterrupt):
         perturbed(scan, tmp_path / "run")
     monkeypatch.undo()
@@ -155,7 +156,7 @@ def test_a_job_that_fails_is_listed_and_the_others_are_there(scan, tmp_path, mon
             raise MemoryError("much")
         return perturb_jobs.global_rows(*args)
 
-    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.global_rows", work)
+    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.perturb.global_rows", work)
     outcome = perturbed(scan, tmp_path / "run", repeats=1, global_repeats=1)
     assert outcome.failures == {"street, noise-0.01": "out of memory (much)"}
     assert json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures

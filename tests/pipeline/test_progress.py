@@ -7,9 +7,9 @@ import time
 import pytest
 from rich.console import Console
 
-from fidpipe.pipeline import progress
-from fidpipe.pipeline.index import JobRecord
-from fidpipe.pipeline.progress import Reporter, Work
+from fidpipe.pipeline.engine import progress
+from fidpipe.pipeline.engine.progress import Reporter, Work
+from fidpipe.pipeline.storage.ledger import JobRecord
 
 JOBS = dict.fromkeys(("ground", "graph", "communities"), (2, 0))
 

@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.readers import read_scan, stem_of, suffix_of
+from fidpipe.pipeline.datasets.readers import read_scan, stem_of, suffix_of
 from fidpipe.schemas.errors import ScanError
 from scenes import write_bin
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.readers import read_scan
 from fidpipe.schemas.settings import GroundSettings, InputSettings, Settings, load
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground

@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 from fidpipe.pipeline.report.clouds import PairTables
-from fidpipe.pipeline.report.page import MOST_VIEWS, render, some_of, write_report
-from fidpipe.pipeline.report.page_data import page_data
-from fidpipe.pipeline.report.pair_view import thinned
+from fidpipe.pipeline.report.page.data import page_data
+from fidpipe.pipeline.report.page.page import MOST_VIEWS, render, some_of, write_report
+from fidpipe.pipeline.report.page.pair import thinned
 from fidpipe.pipeline.report.results import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.schemas.errors import RunError
@@ -96,7 +96,7 @@ def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own
     notes = copied_run / "report" / "notes.txt"
     notes.write_text("mine")
     (copied_run / "figures" / "mine.png").write_bytes(b"")
-    monkeypatch.setattr("fidpipe.pipeline.report.figures.draw_objects", lambda results, folder: [])
+    monkeypatch.setattr("fidpipe.pipeline.report.figures.run.draw_objects", lambda results, folder: [])
     write_report(copied_run)
     assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
     assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
-from fidpipe.pipeline.report.page import write_report
+from fidpipe.pipeline.report.page.page import write_report
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 pytestmark = pytest.mark.slow

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import fidpipe
-from fidpipe.pipeline import inspection
+from fidpipe.pipeline.engine import inspection
+from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.run import STAGE_NAMES
-from fidpipe.pipeline.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline import findings as findings_of_run
-from fidpipe.pipeline.status import run_status
+from fidpipe.pipeline.results import findings as findings_of_run
+from fidpipe.pipeline.results.status import run_status
 from runs import command, run
 from scenes import write_dataset
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline import admission, costs, runner, schedule, session
 from fidpipe.pipeline import run as run_module
-from fidpipe.pipeline.pool import InProcess, Memory, WorkerDied
+from fidpipe.pipeline.engine import costs, runner, schedule, session
+from fidpipe.pipeline.engine import memory as admission
+from fidpipe.pipeline.engine.pool import InProcess, Memory, WorkerDied
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import load
 from runs import assert_same_tables, run
@@ -92,7 +93,7 @@ def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path, monke
             needs = sorted((order.need for order in self._running.values()), reverse=True)
             at_once.append((len(needs), sum(needs[:2])))
 
-    monkeypatch.setattr("fidpipe.pipeline.session.Schedule", Watched)
+    monkeypatch.setattr("fidpipe.pipeline.engine.session.Schedule", Watched)
     monkeypatch.setattr(schedule, "_LEAST_WEIGHT", 1.0)  # a task a pair
     monkeypatch.setattr(costs, "_BYTES_A_NODE", 2**22)
     memory = 3 * GIB

@@ -9,9 +9,9 @@ import pytest
 from rich.console import Console
 
 import fidpipe
-from fidpipe.pipeline import schedule
-from fidpipe.pipeline.report.seeds_view import seeds_view
-from fidpipe.pipeline.status import run_status
+from fidpipe.pipeline.engine import schedule
+from fidpipe.pipeline.report.terminal.seeds import seeds_view
+from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import SEEDED_SCORES, SEEDS

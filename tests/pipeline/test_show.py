@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli import app
-from fidpipe.pipeline.finished import FinishedRun
-from fidpipe.pipeline.show import object_facts, pair_facts
+from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.show import object_facts, pair_facts
 from fidpipe.schemas.errors import RunError
 from runs import command, run
 from scenes import drifted, street, write_bin

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fidpipe.pipeline.experiments import synth
-from fidpipe.pipeline.experiments.scans import make_pair
-from fidpipe.pipeline.experiments.scene import KINDS
-from fidpipe.pipeline.experiments.synth import SynthRequest, make_dataset, make_files
-from fidpipe.pipeline.readers import read_scan
-from fidpipe.pipeline.readers.dataset import read_dataset
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.experiments.synth import synth
+from fidpipe.pipeline.experiments.synth.scans import make_pair
+from fidpipe.pipeline.experiments.synth.scene import KINDS
+from fidpipe.pipeline.experiments.synth.synth import SynthRequest, make_dataset, make_files
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
-from fidpipe.stages.raycast import SENSORS
+from fidpipe.stages.sensing.ray_casting import SENSORS
 
 N_POINTS = 400  # of a small scan
 CLASSES = ("wall", "car", "tree", "vegetation")

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-import fidpipe.stages.registration
+import fidpipe.stages.baselines.icp
 from fidpipe.schemas.settings import BASELINE_NAMES, GraphSettings, MetricsSettings, SelectionSettings
 from fidpipe.stages.baselines import compare_objects, compare_points
+from fidpipe.stages.baselines.histogram import histogram_distance
+from fidpipe.stages.baselines.icp import register
 from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.laplacian import Subgraph
-from fidpipe.stages.pairwise import histogram_distance
-from fidpipe.stages.registration import register
+from fidpipe.stages.linalg.laplacian import Subgraph
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid
 
@@ -139,7 +139,7 @@ def test_objects_too_large_for_their_spectrum_are_left_out(car):
 
 
 def test_without_the_library_icp_is_null_with_its_reason(car, monkeypatch):
-    monkeypatch.setattr(fidpipe.stages.registration, "find_spec", lambda name: None)
+    monkeypatch.setattr(fidpipe.stages.baselines.icp, "find_spec", lambda name: None)
     found = compare_points(car, car, MetricsSettings(baselines=("icp",)))
     assert [(of.value, of.reason) for of in found] == [(None, 'small_gicp is not installed; pip install ".[icp]"')] * 2
 

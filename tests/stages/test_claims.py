@@ -3,9 +3,9 @@ import copy
 import numpy as np
 import pytest
 
-from fidpipe.stages.claim_rules import FAILS, HOLDS, UNKNOWN
-from fidpipe.stages.claims import check_claims
-from fidpipe.stages.findings import MatchedObjects, SideObjects, summarise_objects
+from fidpipe.stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
+from fidpipe.stages.statistics.claims import check_claims
+from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
 
 SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean")
 

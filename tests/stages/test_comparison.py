@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.stages.comparison import judge, kinds_of_change, paired_difference
+from fidpipe.stages.statistics.comparison import judge, kinds_of_change, paired_difference
 
 
 def test_a_difference_common_to_all_pairs_is_found_however_much_they_vary(rng):

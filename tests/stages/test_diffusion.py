@@ -4,8 +4,8 @@ import scipy.linalg
 from scipy import sparse
 
 import literal
-from fidpipe.stages.diffusion import diffusion_change, heat_trace_distance
-from fidpipe.stages.laplacian import normalised_laplacian
+from fidpipe.stages.baselines.diffusion import diffusion_change, heat_trace_distance
+from fidpipe.stages.linalg.laplacian import normalised_laplacian
 
 TIMES = np.geomspace(0.01, 100, 50)
 

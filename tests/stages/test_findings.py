@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.stages.findings import (
+from fidpipe.stages.statistics.findings import (
     MatchedObjects,
     SideObjects,
     density_ratio,

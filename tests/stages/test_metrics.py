@@ -5,7 +5,7 @@ import literal
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
 from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.laplacian import Subgraph
+from fidpipe.stages.linalg.laplacian import Subgraph
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import select_nodes
 from scenes import box, moved, rigid

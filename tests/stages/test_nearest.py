@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist, directed_hausdorff
 
-from fidpipe.stages.nearest import chamfer, density_aware_chamfer, f_score, hausdorff
+from fidpipe.stages.baselines.nearest import chamfer, density_aware_chamfer, f_score, hausdorff
 
 REAL = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
 SIM = np.array([[0.0, 0, 1], [1, 0, 3]])

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from fidpipe.stages.perturbations import KINDS, Perturbation, perturb
+from fidpipe.stages.sensing.perturbations import KINDS, Perturbation, perturb
 
 
 def seeded(seed=3):

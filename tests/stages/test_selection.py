@@ -6,10 +6,10 @@ from scipy.spatial.distance import cdist
 
 import literal
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
-from fidpipe.stages.alignment import align_nodes
 from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.laplacian import Subgraph, normalised_laplacian, split_by_community
+from fidpipe.stages.linalg.assignment import align_nodes
+from fidpipe.stages.linalg.laplacian import Subgraph, normalised_laplacian, split_by_community
 from fidpipe.stages.selection import heat_row_sums, select_nodes
 
 
@@ -104,7 +104,7 @@ def test_a_large_alignment_of_many_ties_is_as_short_as_the_hungarian_one():
 
 
 def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng, monkeypatch):
-    monkeypatch.setattr("fidpipe.stages.alignment._ARCS_A_NODE", 2)
+    monkeypatch.setattr("fidpipe.stages.linalg.assignment._ARCS_A_NODE", 2)
     real, sim = rng.normal(0, 1, (600, 3)), rng.normal(0, 1.3, (600, 3))
     np.testing.assert_array_equal(align_nodes(real, sim), hungarian(real, sim))
 

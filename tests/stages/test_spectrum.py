@@ -3,11 +3,12 @@ import pytest
 from scipy import sparse
 
 from fidpipe.schemas.settings import GraphSettings
-from fidpipe.stages import banding, spectrum
 from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.laplacian import normalised_laplacian
-from fidpipe.stages.spectrum import eigenvalues, spectral_norm
+from fidpipe.stages.linalg import band_reduction as banding
+from fidpipe.stages.linalg import spectrum
+from fidpipe.stages.linalg.laplacian import normalised_laplacian
+from fidpipe.stages.linalg.spectrum import eigenvalues, spectral_norm
 
 
 def laplacian(points, k=8):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.stages.spread import spread
+from fidpipe.stages.statistics.spread import spread
 
 
 def test_a_score_without_noise_tells_any_difference():

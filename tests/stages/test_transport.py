@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.stats import wasserstein_distance
 
-from fidpipe.stages.transport import aligned_distance, earth_movers, sliced_wasserstein
+from fidpipe.stages.baselines.transport import aligned_distance, earth_movers, sliced_wasserstein
 
 
 def test_earth_movers_by_hand():

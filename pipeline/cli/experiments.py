@@ -1,0 +1,174 @@
+"""The commands of the paper's experiments: perturb and ablate. Parses, calls, prints, as `cli` does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import EXIT_PAIRS_FAILED, Assignments, DatasetFolder, Scheduler, SettingsFile, Workers, check_machines
+from .output import print_view
+
+
+def perturb(
+    source: Annotated[Path, typer.Argument(help="A scan file, or a dataset's folder.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the results. Default: runs/NAME-perturb.")
+    ] = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sweep",
+            metavar="KIND[=AMOUNTS]",
+            help="What to sweep instead of everything: noise, dropout, rigid, hallucination, density; repeatable.",
+        ),
+    ] = None,
+    objects: Annotated[
+        str | None,
+        typer.Option(
+            "--objects",
+            metavar="3,7,12",
+            help="Objects to alter, by number or label. Default: a vegetation, a car, a tree and a wall where labels "
+            "exist, else a linear, a planar and a scattered object.",
+        ),
+    ] = None,
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            "--metrics", metavar="chamfer,emd", help='Sweep these baselines on the objects too; "all" for all.'
+        ),
+    ] = None,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="How often each level is tried on an object.")] = 20,
+    global_repeats: Annotated[
+        int, typer.Option("--global-repeats", min=0, help="The same for the whole scan; 0 leaves it out.")
+    ] = 5,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other random numbers.")] = 0,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    pairs: Annotated[
+        str | None,
+        typer.Option("--pairs", metavar="PATTERN", help="Of a dataset all matching pairs, not the first one alone."),
+    ] = None,
+) -> None:
+    """Alter a real scan in known ways and see how the scores answer: the paper's Table I and its figure.
+
+    Noise, dropout, rigid motion, spurious clusters (hallucination) and local
+    density, on all object points of the scan and on single objects. Of a dataset
+    the real side of the first pair is taken. Run again, it goes on where it stopped.
+
+    Examples
+    --------
+    fidpipe perturb scan.bin                     results go to runs/scan-perturb
+
+    fidpipe perturb dataset/ --pairs '000*' --workers 8
+
+    fidpipe perturb scan.bin --sweep noise --sweep dropout=0.1,0.3,0.5 --objects 3,7,12
+
+    fidpipe perturb scan.bin --sweep rigid=0:1,0.1:5        metres:degrees
+
+    fidpipe perturb scan.bin --metrics all --global-repeats 0    which metric reacts to what
+    """
+    from ...schemas.settings import load
+    from ..engine.progress import Reporter
+    from ..experiments.perturb.perturb import LEVELS, PerturbRequest, parse_levels, perturb_source
+    from ..report.figures.perturb import draw_perturbations
+    from ..report.terminal.perturb import perturb_view
+
+    check_machines(workers, scheduler)
+    baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
+    request = PerturbRequest(
+        source=source,
+        out=out or _experiment_folder(source, "perturb"),
+        settings=load(settings, [*(assignments or []), *baselines]),
+        levels=parse_levels(sweep) if sweep else LEVELS,
+        repeats=repeats,
+        global_repeats=global_repeats,
+        seed=seed,
+        objects=tuple(objects.split(",")) if objects else None,
+        pattern=pairs,
+        workers=workers,
+        scheduler=scheduler,
+    )
+    outcome = perturb_source(request, Reporter())
+    draw_perturbations(outcome)
+    print_view(perturb_view(outcome))
+    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+def ablate(
+    dataset: DatasetFolder,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder of the results. Default: runs/NAME-ablate.")] = None,
+    k: Annotated[
+        str | None, typer.Option("--k", metavar="30,60,90", help="Values of graph.k. Default: 30,60,90,120,150.")
+    ] = None,
+    tau: Annotated[
+        str | None, typer.Option("--tau", metavar="0.1,0.2", help="Of graph.tau_m, metres. Default: 0.1,0.2,0.3,0.5.")
+    ] = None,
+    delta: Annotated[
+        str | None, typer.Option("--delta", metavar="3,5", help="Of matching.delta_m, metres. Default: 1,3,5,7,10.")
+    ] = None,
+    t: Annotated[
+        str | None, typer.Option("--t", metavar="0.5,1,2", help="Of selection.t. Default: 0.1,0.5,1,2,5.")
+    ] = None,
+    grid: Annotated[bool, typer.Option("--grid", help="All combinations instead of one setting at a time.")] = False,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    pairs: Annotated[
+        str | None, typer.Option("--pairs", metavar="PATTERN", help="Only pairs whose name matches, such as '000*'.")
+    ] = None,
+) -> None:
+    """See how match rate and r_lambda depend on k, tau, delta and t, and which setting the data prefer, if any.
+
+    One setting is moved at a time, around those in force (--settings, --set), on all
+    pairs. Graphs are made once for each k and tau. Run again, it goes on where it
+    stopped. --k with a single value leaves k alone.
+
+    Examples
+    --------
+    fidpipe ablate dataset/                          results go to runs/dataset-ablate
+
+    fidpipe ablate dataset/ --k 90 --tau 0.2 --t 1 --delta 1,2,3,4,5,6,8,10
+
+    fidpipe ablate dataset/ --grid --k 60,90,120 --tau 0.1,0.2,0.3 --delta 5 --t 1
+    """
+    from ...schemas.settings import load
+    from ..engine.progress import Reporter
+    from ..experiments.ablate.ablate import AblateRequest, ablate_dataset
+    from ..report.figures.ablate import draw_ablation
+    from ..report.terminal.ablate import ablate_view
+
+    check_machines(workers, scheduler)
+    asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}
+    request = AblateRequest(
+        dataset=dataset,
+        out=out or _experiment_folder(dataset, "ablate"),
+        settings=load(settings, assignments or []),
+        values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
+        grid=grid,
+        pattern=pairs,
+        workers=workers,
+        scheduler=scheduler,
+    )
+    outcome = ablate_dataset(request, Reporter())
+    draw_ablation(outcome)
+    print_view(ablate_view(outcome))
+    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} found, numbers with commas are wanted", param_hint=option) from None
+
+
+def _experiment_folder(source: Path, experiment: str) -> Path:
+    from ..datasets.readers import stem_of
+
+    path = source.resolve()
+    return Path("runs") / f"{stem_of(path) if source.is_file() else path.name}-{experiment}"

@@ -1,0 +1,151 @@
+"""The commands that read finished runs: show, gate, compare. Parses, calls, prints, as `cli` does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import EXIT_GATE_FAILED
+from .output import print_json, print_view
+
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)]
+
+
+def show(
+    run: RunFolder,
+    pair: Annotated[str | None, typer.Argument(help="Name of a pair.", show_default=False)] = None,
+    object_: Annotated[
+        str | None,
+        typer.Argument(metavar="[OBJECT]", help="Object of the pair: 7 of the real side, sim:7 of the simulated one."),
+    ] = None,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="The paper's claims beside what is found here, a line each.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")] = False,
+) -> None:
+    """Show a finished run, one of its pairs, or one object; computes nothing.
+
+    Examples
+    --------
+    fidpipe show runs/dataset                  the summary that the run ended with
+
+    fidpipe show runs/dataset --paper          which of the paper's claims hold here
+
+    fidpipe show runs/dataset 0007             the objects of a pair, worst first
+
+    fidpipe show runs/dataset 0007 12          real object 12 and its simulated partner; sim:3 for a simulated one
+
+    fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
+    """
+    from ..report.terminal.findings import claims_view
+    from ..report.terminal.run import summary_view
+    from ..report.terminal.show import object_view, pair_view
+    from ..results.finished import FinishedRun
+    from ..results.show import object_facts, pair_facts, run_facts
+
+    if paper and pair is not None:
+        raise typer.BadParameter("--paper is about the whole run; leave out the pair")
+    finished = FinishedRun(run)
+    if paper:
+        claims = finished.record["findings"].get("claims", [])
+        print_json(claims) if as_json else print_view(claims_view(claims))
+    elif pair is None:
+        print_json(run_facts(finished)) if as_json else print_view(summary_view(run, finished.rows, finished.record))
+    elif object_ is None:
+        found = pair_facts(finished, pair)
+        print_json(found) if as_json else print_view(pair_view(found))
+    else:
+        found = object_facts(finished, pair, object_)
+        print_json(found) if as_json else print_view(object_view(found))
+
+
+def gate(
+    run: RunFolder,
+    at_most: Annotated[
+        list[str] | None,
+        typer.Option("--max", metavar="MEASURE=NUMBER", help="The measure may be at most this; repeatable."),
+    ] = None,
+    at_least: Annotated[
+        list[str] | None,
+        typer.Option("--min", metavar="MEASURE=NUMBER", help="The measure must be at least this; repeatable."),
+    ] = None,
+    criteria: Annotated[
+        Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
+    ] = None,
+    json_: Annotated[
+        Path | None, typer.Option("--json", help="The same as JSON.", show_default="RUN/gate.json")
+    ] = None,
+) -> None:
+    """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
+
+    A criterion on something that could not be computed fails. So do, unless other bounds are given for pairs.failed,
+    pairs.to_do and pairs.changed, a run with failed pairs, one that is not finished, and one whose scans have changed.
+
+    Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
+    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; a wrong name lists all.
+
+    Examples
+    --------
+    fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
+
+    fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
+
+    fidpipe gate runs/dataset --criteria acceptance.toml
+    """
+    from ..report.terminal.gate import gate_view, junit_xml
+    from ..results.gate import judge_run, parse_word, read_criteria
+    from ..storage.files import write_whole
+    from ..storage.record import dumps
+
+    wanted = read_criteria(criteria) if criteria else []
+    wanted += [parse_word(word, "max") for word in at_most or []]
+    wanted += [parse_word(word, "min") for word in at_least or []]
+    if not wanted:
+        raise typer.BadParameter("no criterion is given; --max, --min or --criteria is wanted")
+    result = judge_run(run, wanted)
+    write_whole(junit or run / "gate.xml", junit_xml(result))
+    write_whole(json_ or run / "gate.json", dumps(result.as_dict()))
+    print_view(gate_view(result))
+    raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
+
+
+def compare(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN_A RUN_B [RUN_C]...", help="Folders of runs; the first is the base.", show_default=False
+        ),
+    ],
+    html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")] = False,
+    allow_different_settings: Annotated[
+        bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
+    ] = False,
+) -> None:
+    """Compare simulator versions on the same real scans: which scores, and which objects, got better or worse.
+
+    Differences are paired, with 95 % bootstrap intervals over pairs. Real objects are followed from run to run: those
+    that vanished from the simulation, appeared in it, got better or worse.
+
+    Examples
+    --------
+    fidpipe compare runs/build41 runs/build42
+
+    fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
+    """
+    from ..report.page.compare import compare_page
+    from ..report.terminal.compare import compare_view
+    from ..results.compare import compare_runs
+    from ..storage.files import write_whole
+
+    if len(runs) < 2:
+        raise typer.BadParameter("one run is given, two or more are wanted")
+    found = compare_runs(runs, allow_different_settings=allow_different_settings)
+    if html:
+        write_whole(html, compare_page(found).encode())
+    print_json([of.as_dict() for of in found]) if as_json else print_view(compare_view(found))

@@ -1,0 +1,1 @@
+"""What a dataset holds: scan files, pairs, and what is wrong with them."""

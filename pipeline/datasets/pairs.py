@@ -1,0 +1,199 @@
+"""A dataset's layout: which files form a pair. Opens the manifest and the label names, no scan.
+
+Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the columns pair_id,
+real, sim and perhaps timestamp_s and T_real_sim (12 numbers separated by spaces, [R | t] row by row).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...schemas.columns import SIDES
+from ...schemas.errors import DatasetError
+from .readers import stem_of, suffix_of
+
+MANIFEST = "pairs.csv"
+LABEL_NAMES = "labels.toml"
+_ROTATION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, order=True)
+class ScanPair:
+    """One pair to be evaluated; `fault` says why it cannot be, a path is None where the partner is missing."""
+
+    pair_id: str
+    real: Path | None
+    sim: Path | None
+    timestamp_s: float | None = None
+    T_real_sim: tuple[float, ...] | None = None
+    fault: str | None = None
+
+    def path(self, side: str) -> Path | None:
+        """The scan file of a side."""
+        return self.real if side == "real" else self.sim
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A folder of scan pairs, sorted by pair_id."""
+
+    folder: Path
+    pairs: tuple[ScanPair, ...]
+    label_names: dict[int, str]
+    warnings: tuple[str, ...] = ()
+
+
+def read_dataset(folder: Path) -> Dataset:
+    """The pairs of a dataset folder.
+
+    Raises
+    ------
+    DatasetError
+        There is no such folder, no pair in it, the manifest or `labels.toml` is wrong, or two files have one stem.
+    """
+    if not folder.is_dir():
+        raise DatasetError(f"dataset {folder}: no such folder")
+    manifest = folder / MANIFEST
+    warnings: list[str] = []
+    pairs = _from_manifest(manifest) if manifest.exists() else _from_folders(folder, warnings)
+    if not pairs:
+        raise DatasetError(
+            f"dataset {folder}: no scan pairs found; {MANIFEST} is empty"
+            if manifest.exists()
+            else f"dataset {folder}: no scan pairs found; files are wanted in real/ and sim/, or a {MANIFEST}"
+        )
+    return Dataset(
+        folder, tuple(sorted(pairs, key=lambda pair: pair.pair_id)), read_label_names(folder), tuple(warnings)
+    )
+
+
+def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
+    by_side: dict[str, dict[str, Path]] = {}
+    for side in SIDES:
+        if not (folder / side).is_dir():
+            raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found; one of the two is wanted")
+        by_side[side] = _scans_by_stem(folder / side, warnings)
+    pairs = []
+    for stem in by_side["real"].keys() | by_side["sim"].keys():
+        real, sim = by_side["real"].get(stem), by_side["sim"].get(stem)
+        fault = None
+        if real is None:
+            fault = f"{sim}: no partner; a scan named {stem} is wanted in {folder / 'real'}"
+        elif sim is None:
+            fault = f"{real}: no partner; a scan named {stem} is wanted in {folder / 'sim'}"
+        pairs.append(ScanPair(stem, real, sim, fault=fault))
+    return pairs
+
+
+def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
+    scans: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.is_dir() or path.suffix in (".label", ".toml"):
+            continue
+        if suffix_of(path) is None:
+            warnings.append(f"{path}: not a known scan format, ignored")
+            continue
+        stem = stem_of(path)
+        if stem in scans:
+            raise DatasetError(
+                f"{folder}: {scans[stem].name} and {path.name} have the same stem {stem}; one of them is wanted"
+            )
+        scans[stem] = path
+    return scans
+
+
+def _from_manifest(manifest: Path) -> list[ScanPair]:
+    import pandas as pd
+
+    try:
+        rows = pd.read_csv(manifest, dtype=str, keep_default_na=False, skipinitialspace=True)
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
+    missing = [name for name in ("pair_id", "real", "sim") if name not in rows.columns]
+    if missing:
+        raise DatasetError(
+            f"{manifest}: columns {', '.join(map(str, rows.columns))} found; {', '.join(missing)} wanted as well"
+        )
+    pairs = []
+    seen: dict[str, int] = {}
+    for line, row in enumerate(rows.to_dict("records"), start=2):
+        where = f"{manifest}, line {line}"
+        pair_id = row["pair_id"].strip()
+        if not pair_id:
+            raise DatasetError(f"{where}: pair_id is empty, a name is wanted")
+        if pair_id in seen:
+            raise DatasetError(
+                f"{where}: pair_id {pair_id} stands in line {seen[pair_id]} already; each may stand once"
+            )
+        seen[pair_id] = line
+        paths = {}
+        fault = None
+        for side in SIDES:
+            name = row[side].strip()
+            path = manifest.parent / name
+            paths[side] = path if name and path.is_file() else None
+            if paths[side] is None and fault is None:
+                fault = (
+                    f"{where}: {path} is no file; the {side} scan is wanted"
+                    if name
+                    else f"{where}: no {side} scan is named"
+                )
+        pairs.append(
+            ScanPair(
+                pair_id,
+                paths["real"],
+                paths["sim"],
+                timestamp_s=_number(where, "timestamp_s", row.get("timestamp_s", "")),
+                T_real_sim=_transform(where, row.get("T_real_sim", "")),
+                fault=fault,
+            )
+        )
+    return pairs
+
+
+def _number(where: str, name: str, text: str) -> float | None:
+    if not text.strip():
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise DatasetError(f"{where}: {name} is {text!r}, a number is wanted")
+    return value
+
+
+def _transform(where: str, text: str) -> tuple[float, ...] | None:
+    words = text.split()
+    if not words:
+        return None
+    if len(words) != 12:
+        raise DatasetError(f"{where}: T_real_sim has {len(words)} numbers, 12 are wanted ([R | t] row by row)")
+    values = [_number(where, "T_real_sim", word) for word in words]
+    rotation = np.array(values, dtype=np.float64).reshape(3, 4)[:, :3]
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if off > _ROTATION_TOLERANCE:
+        raise DatasetError(
+            f"{where}: T_real_sim is no rigid motion (R R^T is off the identity by {off:.2g}, "
+            f"at most {_ROTATION_TOLERANCE:g} is taken for rounding)"
+        )
+    if np.linalg.det(rotation) < 0:
+        raise DatasetError(
+            f"{where}: T_real_sim is a mirror image; set input.sim_flip_y = true for a left-handed simulator"
+        )
+    return tuple(float(value) for value in values if value is not None)
+
+
+def read_label_names(folder: Path) -> dict[int, str]:
+    """Class names by number from `labels.toml` in a folder; {} where there is none."""
+    path = folder / LABEL_NAMES
+    if not path.exists():
+        return {}
+    try:
+        return {int(number): str(name) for number, name in tomllib.loads(path.read_text(encoding="utf-8")).items()}
+    except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
+        raise DatasetError(f'{path}: lines such as 4 = "tree" are wanted ({error})') from error

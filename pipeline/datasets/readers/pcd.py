@@ -1,0 +1,26 @@
+"""Point Cloud Library `.pcd`: ascii, binary, binary_compressed; read by pypcd4."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ....schemas.errors import ScanError
+from .scan import Scan, scan_from_columns
+
+
+def read(path: Path) -> Scan:
+    """The scan in a `.pcd` file."""
+    from pypcd4 import PointCloud
+
+    try:
+        cloud = PointCloud.from_path(path)
+    except OSError:
+        raise
+    except Exception as error:  # pypcd4 has no error class of its own
+        raise ScanError(f"{path}: not a whole PCD file ({error})") from error
+    rows = cloud.pc_data
+    if len(rows) != cloud.metadata.points:
+        raise ScanError(
+            f"{path}: {len(rows)} points found, the header says {cloud.metadata.points}; the file is truncated"
+        )
+    return scan_from_columns(path, {name: rows[name] for name in cloud.fields})

@@ -1,0 +1,84 @@
+"""What every reader returns, and how named columns and label files become it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....schemas.errors import ScanError
+from ....stages.arrays import FloatArray
+
+_INTENSITY = ("intensity", "scalar_intensity")
+_LABEL = ("label", "scalar_label")
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One scan as it lies in its file.
+
+    points : (n, 3) float64, metres, the scan's own frame
+    intensity : (n,) float64, or None
+    labels : (n,) str, or None
+    """
+
+    points: FloatArray
+    intensity: FloatArray | None = None
+    labels: NDArray[np.str_] | None = None
+
+
+def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
+    """A scan from named columns: x, y, z, and intensity and label where they are; upper or lower case."""
+    by_name = {name.lower(): np.asarray(column) for name, column in columns.items()}
+    missing = [name for name in ("x", "y", "z") if name not in by_name]
+    if missing:
+        raise ScanError(f"{path}: columns {', '.join(columns)} found; {', '.join(missing)} wanted as well")
+    intensity = next((by_name[name] for name in _INTENSITY if name in by_name), None)
+    labels = next((by_name[name] for name in _LABEL if name in by_name), None)
+    return Scan(
+        points=np.column_stack([_numbers(path, name, by_name[name]) for name in ("x", "y", "z")]),
+        intensity=None if intensity is None else _numbers(path, "intensity", intensity),
+        labels=None if labels is None else _label_text(labels),
+    )
+
+
+def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str]) -> Scan:
+    """The scan with the labels of the `.label` file beside it, if there is one: uint32, low 16 bits the class."""
+    label_path = label_path_of(path, stem)
+    if not label_path.exists():
+        return scan
+    n_bytes = label_path.stat().st_size
+    if n_bytes != 4 * len(scan.points):
+        raise ScanError(
+            f"{label_path}: {n_bytes} bytes found, {4 * len(scan.points)} wanted (one uint32 for each of the "
+            f"{len(scan.points)} points of {path.name})"
+        )
+    classes, of_point = np.unique(np.fromfile(label_path, dtype="<u4") & 0xFFFF, return_inverse=True)
+    return replace(scan, labels=np.array([names.get(int(number), str(number)) for number in classes])[of_point])
+
+
+def label_path_of(path: Path, stem: str) -> Path:
+    """Where the labels of a scan file lie, if it has any."""
+    return path.with_name(stem + ".label")
+
+
+def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
+    try:
+        return column.astype(np.float64)
+    except (TypeError, ValueError):
+        for row, value in enumerate(column.tolist()):
+            try:
+                float(value)
+            except (TypeError, ValueError):
+                raise ScanError(f"{path}: row {row + 1}, column {name}: {value!r} found, a number wanted") from None
+        raise
+
+
+def _label_text(column: NDArray[Any]) -> NDArray[np.str_]:
+    if column.dtype.kind == "f" and np.array_equal(column, np.round(column)):
+        column = column.astype(np.int64)
+    return column.astype(np.str_)

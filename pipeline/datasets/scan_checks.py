@@ -1,0 +1,255 @@
+"""What a dataset's files hold and what is wrong with them, before anything heavy starts.
+
+Each file is read once, hashed and cleaned; what was learnt is kept by the run, so that an unchanged file is not read
+again. Leaves to others: which files form a pair (`readers.dataset`), what is done with them (`run`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...schemas.columns import SIDES
+from ...schemas.errors import FidpipeError
+from ...schemas.settings import InputSettings
+from ...stages.arrays import FloatArray
+from ...stages.clean import clean_scan
+from ..storage.store import hash_file, key_of
+from .pairs import ScanPair
+from .readers import read_scan, stem_of
+from .readers.scan import label_path_of
+
+FAR_COORDINATE_M = 1000.0
+SMALLEST_EXTENT_M = 1.0
+STEEP_SPREAD = 0.5
+STEEP_SPREAD_M = 20.0
+HALF_SWEEP_GAP_DEG = 90.0
+EGO_RANGE_M = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class ScanContent:
+    """What the keys of a pair are made of, and how many points it has.
+
+    sha256, label_sha256 : content hashes of a scan file and of its labels, "" where it has none
+    """
+
+    sha256: str
+    label_sha256: str
+    n_raw: int
+
+    def key(self, label_names: Mapping[int, str]) -> str:
+        """A hash of all that the scan is read from; names count where it has labels."""
+        names = key_of(sorted(label_names.items()) if self.label_sha256 else [])
+        return key_of(key_of(self.sha256, self.label_sha256), names)
+
+
+@dataclass(frozen=True)
+class ScanFacts:
+    """What was learnt of one scan file.
+
+    marks : length and times of the file and its labels when it was read; the facts hold while these do
+    sha256, label_sha256 : content hashes
+    dropped : points dropped by cleaning, by reason
+    low, high : corners of the axis-aligned box of the clean points, metres
+    azimuth_gap_deg : widest sector around the sensor without a point
+    fault : why the file cannot be used, or None
+    """
+
+    marks: list[list[int]]
+    settings_key: str
+    sha256: str = ""
+    label_sha256: str = ""
+    n_raw: int = 0
+    n_clean: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    low: list[float] = field(default_factory=list)
+    high: list[float] = field(default_factory=list)
+    azimuth_gap_deg: float = 0.0
+    warnings: list[str] = field(default_factory=list)
+    fault: str | None = None
+
+    @property
+    def content(self) -> ScanContent:
+        """The part that a run keeps in mind."""
+        return ScanContent(self.sha256, self.label_sha256, self.n_raw)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for the run's index."""
+        return asdict(self)
+
+
+def inspect_pairs(
+    pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]
+) -> list[dict[str, ScanFacts]]:
+    """What the files of some pairs hold, by side; a missing file is not in it."""
+    facts = []
+    for pair in pairs:
+        sides: dict[str, ScanFacts] = {}
+        for side in ("real", "sim"):
+            path = pair.path(side)
+            if path is not None:
+                sides[side] = inspect_scan(path, side, pair.T_real_sim, settings, label_names)
+        facts.append(sides)
+    return facts
+
+
+def inspect_scan(
+    path: Path, side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings, label_names: dict[int, str]
+) -> ScanFacts:
+    """What one scan file holds; a fault of the file is a fact, not an error."""
+    marks, key = file_marks(path), settings_key(side, T_real_sim, settings)
+    try:
+        scan = read_scan(path, settings.columns, label_names)
+        sha256, label_sha256 = hash_scan(path)
+    except (FidpipeError, OSError) as error:
+        return ScanFacts(marks, key, fault=str(error))
+    is_sim = side == "sim"
+    T = np.array(T_real_sim).reshape(3, 4) if is_sim and T_real_sim else None
+    clean = clean_scan(scan.points, settings, flip_y=is_sim and settings.sim_flip_y, T_real_sim=T)
+    own = scan.points[np.isfinite(scan.points).all(axis=1) & scan.points.any(axis=1)]
+    return ScanFacts(
+        marks=marks,
+        settings_key=key,
+        sha256=sha256,
+        label_sha256=label_sha256,
+        n_raw=len(scan.points),
+        n_clean=len(clean.points),
+        dropped=clean.dropped,
+        low=clean.points.min(axis=0).tolist() if len(clean.points) else [],
+        high=clean.points.max(axis=0).tolist() if len(clean.points) else [],
+        azimuth_gap_deg=widest_azimuth_gap_deg(own),
+        warnings=[f"{path}: {text}" for text in implausible(own)],
+        fault=None if len(clean.points) else _nothing_left(path, clean.dropped),
+    )
+
+
+def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts]) -> list[str]:
+    """What is odd about a pair that can be evaluated all the same."""
+    warnings = [text for side in facts.values() for text in side.warnings]
+    if len(facts) == 2 and not any(of.fault for of in facts.values()):
+        gaps = {side: of.azimuth_gap_deg for side, of in facts.items()}
+        wide = max(gaps, key=lambda side: gaps[side])
+        narrow = "sim" if wide == "real" else "real"
+        if gaps[wide] > HALF_SWEEP_GAP_DEG >= gaps[narrow]:
+            warnings.append(
+                f"{pair.path(wide)}: no point in a sector of {gaps[wide]:.0f} degrees, {gaps[narrow]:.0f} on the "
+                f"{narrow} side; is it a half sweep (rotation frequency and tick rate of the simulator differ)?"
+            )
+    return warnings
+
+
+def implausible(points: FloatArray) -> list[str]:
+    """What is odd about the values of a scan, in words.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, the scan's own frame, finite and not zero
+    """
+    if not len(points):
+        return []
+    odd = []
+    low, high = np.percentile(points, [1, 99], axis=0)
+    spread = high - low
+    if np.abs([low, high]).max() > FAR_COORDINATE_M:
+        odd.append(
+            f"coordinates reach {np.abs([low, high]).max():.0f} m; "
+            "a scan has its sensor at (0, 0, 0): are they projected?"
+        )
+    elif spread.max() < SMALLEST_EXTENT_M:
+        odd.append(f"all points lie within {spread.max():.2g} m; metres are wanted")
+    elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
+        odd.append(
+            f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
+            "are the columns right (input.columns)?"
+        )
+    near = float(np.mean(np.linalg.norm(points, axis=1) < EGO_RANGE_M))
+    if near > 0.5:
+        odd.append(
+            f"{near:.0%} of the points lie within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
+            "input.min_range_m and input.exclude_box drop them"
+        )
+    return odd
+
+
+def widest_azimuth_gap_deg(points: FloatArray) -> float:
+    """The widest sector around +Z in which no point lies, in degrees."""
+    if not len(points):
+        return 360.0
+    azimuth = np.sort(np.degrees(np.arctan2(points[:, 1], points[:, 0])))
+    return float(np.diff(azimuth, append=azimuth[0] + 360.0).max())
+
+
+def hash_scan(path: Path) -> tuple[str, str]:
+    """Content hashes of a scan file and of its labels, "" where it has none."""
+    label_path = label_path_of(path, stem_of(path))
+    return hash_file(path), hash_file(label_path) if label_path.exists() else ""
+
+
+def input_hashes(
+    pair: ScanPair, label_names: Mapping[int, str], contents: Mapping[str, ScanContent] | None = None
+) -> dict[str, str]:
+    """What a pair's numbers come from besides settings and code: each scan's hash by side, and `content` of it all.
+
+    `content` hashes scans, their labels, the names of these, and T_real_sim.
+
+    Parameters
+    ----------
+    contents : by side, where the files were read already; else they are read now
+    """
+    if contents is None:
+        hashes = {side: hash_scan(path) for side in SIDES if (path := pair.path(side)) is not None}
+    else:
+        hashes = {side: (of.sha256, of.label_sha256) for side, of in contents.items()}
+    has_labels = any(label_sha256 for _, label_sha256 in hashes.values())
+    content = key_of(hashes, sorted(label_names.items()) if has_labels else [], pair.T_real_sim)
+    return {side: sha256 for side, (sha256, _) in hashes.items()} | {"content": content}
+
+
+def input_name(pair: ScanPair, side: str) -> str:
+    """What a file is called in an index: by its absolute path, so that it is known wherever the command is called."""
+    path = pair.path(side)
+    return f"{pair.pair_id} {side} {path and path.absolute()}"
+
+
+def recall_scan(
+    known: Mapping[str, Mapping[str, Any]], pair: ScanPair, side: str, settings: InputSettings
+) -> ScanFacts | None:
+    """What was learnt of a scan file before, if it still holds.
+
+    Parameters
+    ----------
+    known : facts of files by `input_name`, as a run's index has them
+    """
+    path, facts = pair.path(side), known.get(input_name(pair, side))
+    if path is None or facts is None:
+        return None
+    found = ScanFacts(**facts)
+    holds = found.marks == file_marks(path) and found.settings_key == settings_key(side, pair.T_real_sim, settings)
+    return found if holds else None
+
+
+def file_marks(path: Path) -> list[list[int]]:
+    """Length and times of a scan file and of its labels: while they stay, so does the content."""
+    marks = []
+    for of in (path, label_path_of(path, stem_of(path))):
+        try:
+            status = of.stat()
+        except FileNotFoundError:
+            continue
+        marks.append([status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino])
+    return marks
+
+
+def settings_key(side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings) -> str:
+    """A hash of what `inspect_scan` depends on besides the file."""
+    return key_of(side, T_real_sim, settings.model_dump(mode="json"))
+
+
+def _nothing_left(path: Path, dropped: dict[str, int]) -> str:
+    why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items() if n)
+    return f"{path}: no point is left after cleaning ({why})"

@@ -1,0 +1,1 @@
+"""How keyed tasks run: keys, order, memory, pools, workers, progress."""

@@ -1,0 +1,1 @@
+"""How the scores depend on the settings."""

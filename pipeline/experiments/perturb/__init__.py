@@ -1,0 +1,1 @@
+"""How the scores answer to known alterations."""

@@ -1,0 +1,193 @@
+"""Decides which objects of a scan stand for its kinds: by label, by the user's word, or by shape.
+
+Leaves to others: what is done with them (`perturb_jobs`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ....schemas.errors import DatasetError
+from ....stages.arrays import FloatArray, IntArray
+from ...engine.task import PairTask
+from ...engine.workbench import Workbench, as_numpy
+
+#: The classes of the paper, section "Controlled Perturbation Analysis".
+CLASSES = ("vegetation", "car", "tree", "wall")
+SHAPES = ("linearity", "planarity", "scattering")
+SHAPE_NAMES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered"}
+PURE_SHARE = 0.75
+#: An object of at most k + 1 points is a complete graph, whatever is done to it; a typical one has twice as many.
+LEAST_POINTS_OVER_K = 2
+
+
+@dataclass(frozen=True)
+class ChosenObject:
+    """An object that is altered.
+
+    name : its class, or "object 7"
+    n_points, range_m : its size and distance
+    why : how it was chosen, in words
+    """
+
+    pair_id: str
+    community_id: int
+    name: str
+    n_points: int
+    range_m: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The chosen objects of a scan, and what a user should know about the choice."""
+
+    objects: tuple[ChosenObject, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Described:
+    """The objects of a scan: size, distance, label with its share of the points, and shape, by community id."""
+
+    pair_id: str
+    n_points: IntArray
+    range_m: FloatArray
+    labels: list[str | None]
+    label_share: FloatArray
+    shape: FloatArray
+
+    def chosen(self, community_id: int, name: str, why: str) -> ChosenObject:
+        size, range_m = int(self.n_points[community_id]), float(self.range_m[community_id])
+        return ChosenObject(self.pair_id, community_id, name, size, range_m, why)
+
+
+def choose_objects(task: PairTask, wanted: Sequence[str] | None) -> Choice:
+    """One object for each word that is wanted; by default for each class of the paper, or else for each shape class.
+
+    A number is a community id. A label stands for the typical object of the class: of the communities of which at
+    least three quarters are of that label and that have at least 2 k points, the one of median size (of an even
+    number the lower); where there is none, the largest whose most frequent label it is. Without labels the same is
+    done for the linear, planar and scattered objects (the largest of the three shape features tells which); where
+    there is none of a kind, the one that comes nearest of those that stand for no other. No object is chosen twice:
+    a word or a shape that leaves nothing new is left out, with a note.
+
+    Parameters
+    ----------
+    task : a scan whose communities are done
+    wanted : community ids and labels, or None
+
+    Raises
+    ------
+    DatasetError
+        There is no such community, or no object with such a label.
+    """
+    found = _describe(task)
+    least = LEAST_POINTS_OVER_K * task.settings.graph.k
+    if wanted is not None:
+        return _by_words(found, wanted, least)
+    objects = [of for name in CLASSES if (of := _by_label(found, name, least)) is not None]
+    if objects:
+        absent = [name for name in CLASSES if name not in {of.name for of in objects}]
+        notes = (f"scan {found.pair_id} has no object labelled {' or '.join(absent)}",) if absent else ()
+        return Choice(tuple(objects), notes)
+    why = "has no labels" if not any(found.labels) else f"has no object labelled {', '.join(CLASSES)}"
+    return _by_shapes(found, least, f"scan {found.pair_id} {why}: one typical object for each shape instead")
+
+
+def _describe(task: PairTask) -> _Described:
+    bench = Workbench(task)
+    objects = bench.table("objects", "real")
+    labels = objects.column("label").to_pylist()
+    ground = bench.table("ground", "real")
+    of_point = ground.filter(pc.invert(ground.column("is_ground"))).column("label")
+    community = as_numpy(bench.table("communities", "real"), "community_id")
+    n_points = as_numpy(objects, "n_points")
+    own = pc.equal(of_point, pa.array([labels[i] for i in community.tolist()], pa.string()))
+    n_own = np.bincount(community[pc.fill_null(own, False).to_numpy(zero_copy_only=False)], minlength=len(n_points))
+    return _Described(
+        pair_id=task.pair.pair_id,
+        n_points=n_points,
+        range_m=as_numpy(objects, "range_m"),
+        labels=labels,
+        label_share=n_own / n_points,
+        shape=np.column_stack([as_numpy(objects, name) for name in SHAPES]),
+    )
+
+
+def _by_words(found: _Described, words: Sequence[str], least: int) -> Choice:
+    chosen: dict[int, ChosenObject] = {}
+    notes = []
+    for word in words:
+        of = _by_word(found, word, least)
+        first = chosen.setdefault(of.community_id, of)
+        if first is not of:
+            notes.append(
+                f"--objects {word}: in scan {found.pair_id} that is object {of.community_id}, "
+                f"which is chosen as {first.name} already; left out"
+            )
+    return Choice(tuple(chosen.values()), tuple(notes))
+
+
+def _by_word(found: _Described, word: str, least: int) -> ChosenObject:
+    if word.isdigit():
+        if int(word) >= len(found.n_points):
+            raise DatasetError(
+                f"--objects {word}: scan {found.pair_id} has no such object; ids are 0 to {len(found.n_points) - 1}"
+            )
+        return found.chosen(int(word), f"object {word}", "as asked for")
+    chosen = _by_label(found, word, least)
+    if chosen is None:
+        known = ", ".join(sorted({label for label in found.labels if label})) or "none: it has no labels"
+        raise DatasetError(f"--objects {word}: scan {found.pair_id} has no object labelled so; its labels are {known}")
+    return chosen
+
+
+def _by_label(found: _Described, name: str, least: int) -> ChosenObject | None:
+    of_class = np.array([label == name for label in found.labels])
+    if not of_class.any():
+        return None
+    typical = np.flatnonzero(of_class & (found.label_share >= PURE_SHARE) & (found.n_points >= least))
+    if len(typical):
+        why = f"median size of {len(typical)} with {least} points and {PURE_SHARE:.0%} of the label or more"
+        return found.chosen(_median_sized(found, typical), name, why)
+    largest = int(np.flatnonzero(of_class)[np.argmax(found.n_points[of_class])])
+    why = f"the largest; none has {least} points and {PURE_SHARE:.0%} of the label"
+    return found.chosen(largest, name, why)
+
+
+def _by_shapes(found: _Described, least: int, note: str) -> Choice:
+    """An object for each shape; first those that are of a shape, then the nearest of the others."""
+    is_large = found.n_points >= least
+    is_free = is_large.copy() if is_large.any() else np.ones(len(found.n_points), dtype=bool)
+    chosen: dict[str, ChosenObject] = {}
+    for column, shape in enumerate(SHAPES):
+        name = SHAPE_NAMES[shape]
+        typical = np.flatnonzero((np.argmax(found.shape, axis=1) == column) & is_large)
+        if len(typical):
+            why = f"median size of {len(typical)} {name} objects"
+            chosen[name] = found.chosen(_median_sized(found, typical), name, why)
+            is_free[chosen[name].community_id] = False
+    for column, shape in enumerate(SHAPES):
+        name = SHAPE_NAMES[shape]
+        if name not in chosen and is_free.any():
+            nearest = int(np.argmax(np.where(is_free, found.shape[:, column], -np.inf)))
+            value = found.shape[nearest, column]
+            rest = "" if is_free.sum() == (is_large.sum() or len(is_large)) else " of the others"
+            why = f"none is mostly {name}; this one has the largest {shape}{rest}, {value:.2f}"
+            chosen[name] = found.chosen(nearest, name, why)
+            is_free[nearest] = False
+    names = [SHAPE_NAMES[shape] for shape in SHAPES]
+    absent = [name for name in names if name not in chosen]
+    notes = [f"scan {found.pair_id} has no further object that could stand for {' or '.join(absent)}"] if absent else []
+    return Choice(tuple(chosen[name] for name in names if name in chosen), (note, *notes))
+
+
+def _median_sized(found: _Described, candidates: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> int:
+    by_size = candidates[np.lexsort((candidates, found.n_points[candidates]))]
+    return int(by_size[(len(by_size) - 1) // 2])

@@ -1,0 +1,186 @@
+"""The jobs of `fidpipe perturb`: one way and amount of altering, all its repeats, on a whole scan or on one object.
+
+Leaves to others: how points are altered (`stages.perturbations`), which jobs there are (`perturb`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ....schemas.columns import OBJECT_METRICS
+from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
+from ....stages.arrays import FloatArray, IntArray
+from ....stages.baselines import compare_objects
+from ....stages.ground import MIN_OBJECT_POINTS
+from ....stages.matching import match_communities
+from ....stages.metrics import MIN_NODES, Scores
+from ....stages.selection import select_nodes
+from ....stages.sensing.perturbations import Perturbation, perturb
+from ....stages.summary import summarise_pair
+from ...engine.task import PairTask
+from ...engine.workbench import Workbench, as_numpy
+from ..partition import PartitionedScan, graph_of, partition, score
+
+_COUNTS = ("n_matched", "n_identical", "n_too_small", "match_rate")
+
+
+def global_rows(task: PairTask, perturbation: Perturbation, seeds: Sequence[int]) -> pa.Table:
+    """A row a repeat of `perturb_global`: all object points altered, everything from the graph on run again.
+
+    Parameters
+    ----------
+    task : a scan whose communities are done
+    perturbation : kind and amount
+    seeds : of the repeats
+    """
+    scan = _scan_of(task)
+    rows = []
+    for repeat, seed in enumerate(seeds):
+        points = perturb(scan.points, perturbation, np.random.default_rng(seed))
+        row: dict[str, Any] = vars(perturbation) | {
+            "pair_id": task.pair.pair_id,
+            "repeat": repeat,
+            "seed": seed,
+            "n_points": len(scan.points),
+            "n_points_altered": len(points),
+            "n_communities": len(scan.centroids),
+        }
+        if len(points) < MIN_OBJECT_POINTS:
+            row["reason"] = f"{len(points)} points are left, at least {MIN_OBJECT_POINTS} are needed"
+        else:
+            row |= _compare(scan, partition(points, task.settings), task)
+        rows.append(row)
+    return PERTURB_GLOBAL.from_rows(rows)
+
+
+def object_rows(
+    task: PairTask, community_id: int, name: str, perturbation: Perturbation, seeds: Sequence[int]
+) -> pa.Table:
+    """A row a repeat of `perturb_objects`: one object altered, both graphs built from its points alone.
+
+    Parameters
+    ----------
+    task : a scan whose communities are done
+    community_id, name : the object
+    perturbation : kind and amount
+    seeds : of the repeats
+    """
+    scan = _scan_of(task)
+    points = scan.points[scan.labels == community_id]
+    before = graph_of(points, task.settings)
+    rows = []
+    for repeat, seed in enumerate(seeds):
+        altered = perturb(points, perturbation, np.random.default_rng(seed))
+        if len(altered):
+            scores = vars(score(before, graph_of(altered, task.settings), task.settings))
+            distance_m = float(np.linalg.norm(altered.mean(axis=0) - points.mean(axis=0)))
+        else:
+            reason = f"no point is left, at least {MIN_NODES} are needed for a spectrum"
+            scores, distance_m = {"status": "too_small", "reason": reason}, None
+        rows.append(
+            vars(perturbation)
+            | {
+                "pair_id": task.pair.pair_id,
+                "community_id": community_id,
+                "object": name,
+                "repeat": repeat,
+                "seed": seed,
+                "n_points": len(points),
+                "n_points_altered": len(altered),
+                "centroid_distance_m": distance_m,
+            }
+            | scores
+        )
+    return PERTURB_OBJECTS.from_rows(rows)
+
+
+def baseline_rows(
+    task: PairTask, community_id: int, name: str, perturbation: Perturbation, seeds: Sequence[int]
+) -> pa.Table:
+    """A row a repeat and baseline of `perturb_baselines`; the altered objects are those of `object_rows`.
+
+    Parameters
+    ----------
+    task : a scan whose communities are done, with `metrics.baselines` in its settings
+    community_id, name : the object
+    perturbation : kind and amount
+    seeds : of the repeats
+    """
+    scan, settings = _scan_of(task), task.settings
+    points = scan.points[scan.labels == community_id]
+    before = graph_of(points, settings)
+    rows = []
+    for repeat, seed in enumerate(seeds):
+        altered = perturb(points, perturbation, np.random.default_rng(seed))
+        if not len(altered):
+            continue  # perturb_objects says why
+        after = graph_of(altered, settings)
+        chosen = select_nodes(before, after, settings.selection)
+        of_repeat = vars(perturbation) | {
+            "pair_id": task.pair.pair_id,
+            "community_id": community_id,
+            "object": name,
+            "repeat": repeat,
+            "seed": seed,
+        }
+        found = compare_objects(before, after, chosen, settings.selection.t, settings.metrics)
+        rows += [
+            of_repeat | {"baseline": of.name, "unit": of.unit, "value": of.value, "reason": of.reason} for of in found
+        ]
+    return PERTURB_BASELINES.from_rows(rows)
+
+
+def object_points(task: PairTask) -> tuple[FloatArray, IntArray]:
+    """Object points of the real side of a scan, and the community of each."""
+    bench = Workbench(task)
+    _, points = bench.object_points("real")
+    return points, as_numpy(bench.table("communities", "real"), "community_id")
+
+
+def _scan_of(task: PairTask) -> PartitionedScan:
+    """The unaltered scan with its partition; a process keeps the last one."""
+    key = task.jobs[-1].key
+    if key not in _KEPT:
+        _KEPT.clear()
+        bench = Workbench(task)
+        point_ids, points = bench.object_points("real")
+        objects = bench.table("objects", "real")
+        _KEPT[key] = PartitionedScan(
+            points=points,
+            edges=bench.edges("real", point_ids),
+            labels=as_numpy(bench.table("communities", "real"), "community_id"),
+            centroids=np.column_stack([as_numpy(objects, name) for name in ("cx", "cy", "cz")]),
+        )
+    return _KEPT[key]
+
+
+_KEPT: dict[str, PartitionedScan] = {}
+
+
+def _compare(scan: PartitionedScan, altered: PartitionedScan, task: PairTask) -> dict[str, Any]:
+    """Counts, match rate and means over matched objects, the unaltered scan taken as the real side."""
+    matching = match_communities(scan.centroids, altered.centroids, task.settings.matching)
+    before, after = scan.objects(matching.real_ids.tolist()), altered.objects(matching.sim_ids.tolist())
+    scores = [
+        score(before[a], after[b], task.settings)
+        for a, b in zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), strict=True)
+    ]
+    values = {name: _column(scores, name) for name in OBJECT_METRICS if name != "centroid_distance_m"}
+    values["centroid_distance_m"] = matching.distance_m
+    summary = summarise_pair(
+        values,
+        [of.status for of in scores],
+        np.linalg.norm(scan.centroids[matching.real_ids], axis=1),
+        np.linalg.norm(scan.centroids[matching.missing], axis=1),
+        np.linalg.norm(altered.centroids[matching.hallucinated], axis=1),
+    )
+    means = [f"{metric}_mean" for metric in OBJECT_METRICS]
+    return {name: summary[name] for name in (*_COUNTS, *means)} | {"n_communities_altered": len(altered.centroids)}
+
+
+def _column(scores: list[Scores], name: str) -> FloatArray:
+    return np.array([np.nan if getattr(of, name) is None else getattr(of, name) for of in scores], dtype=np.float64)

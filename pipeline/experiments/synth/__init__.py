@@ -1,0 +1,1 @@
+"""Synthetic streets and their flawed twins."""

@@ -1,0 +1,191 @@
+"""A street as triangle meshes around a sensor: which things stand where.
+
+Decides the layout: a road that may bend and be crossed, kerbs and pavements, plots with houses, gardens and what grows
+there, parked cars, street trees, lamps and signs. Everything is drawn from one random generator. Leaves to others: the
+course of the street (`street`), what a thing looks like (`shapes`, `plants`), what a sensor sees of it
+(`stages.raycast`), how a twin falsifies it (`twin`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....stages.arrays import FloatArray
+from .meshes import NOTHING, Mesh, grid, join, wall
+from .plants import bush, hedge, tree
+from .shapes import car, house, pole
+from .street import Street, draw_street
+
+#: Class names by number, as in `.label` files.
+KINDS = ("ground", "wall", "car", "tree", "vegetation", "pole")
+
+_REACH_M = 95.0  # how far the street is built up to both sides
+_GROUND_REACH_M = 130.0
+
+
+@dataclass(frozen=True)
+class Thing:
+    """One object of a scene.
+
+    kind : one of `KINDS`
+    solid : what is opaque: walls, bodywork, wood
+    leaves : loose triangles, empty for most
+    """
+
+    kind: str
+    solid: Mesh
+    leaves: Mesh = NOTHING
+
+    def mesh(self) -> Mesh:
+        """All of it."""
+        return join([self.solid, self.leaves])
+
+    def range_m(self) -> float:
+        """Distance of its middle from the sensor."""
+        return float(np.linalg.norm(np.concatenate([self.solid.vertices, self.leaves.vertices]).mean(axis=0)))
+
+
+def build_scene(rng: np.random.Generator, leaf_scale: float = 1.0) -> tuple[Thing, ...]:
+    """The things of one street, the ground first, in the frame of a sensor that stands in its right lane.
+
+    Parameters
+    ----------
+    rng : all that the scene depends on
+    leaf_scale : larger and fewer leaves, where the scan will be too coarse to tell; all else stays as it is
+    """
+    street = draw_street(rng, leaf_scale)
+    things = [Thing("ground", _ground(street))]
+    for side in (1, -1):
+        things += _kerbside(street, side, rng)
+        edge = -_REACH_M
+        while edge < _REACH_M:
+            width = street.plot_m * rng.uniform(0.8, 1.25)
+            if not street.is_crossed([edge, edge + width / 2, edge + width], 2.0).any():
+                things += _plot(street, side, edge, width, rng)
+            edge += width
+    things += _side_street(street, rng)
+    return tuple(things)
+
+
+def _ground(street: Street) -> Mesh:
+    kerbs = [street.half_road_m - 0.01, street.half_road_m + 0.01]
+    n = np.array(
+        [0.0, street.half_road_m / 2, *kerbs, street.half_road_m + street.pavement_m, 12.0, 18.0, 28.0, 45.0, 65.0]
+    )
+    s = np.arange(-_GROUND_REACH_M, _GROUND_REACH_M + 1, 2.5)
+    if street.crossing_m is not None:
+        jumps = street.crossing_m + street.half_road_m * np.array([-1.001, -0.999, 0.999, 1.001])
+        s = np.sort(np.concatenate([s, jumps]))
+    return grid(street.place(s[:, None], np.concatenate([-n[:0:-1], n])), 0.22)
+
+
+def _kerbside(street: Street, side: int, rng: np.random.Generator) -> Iterator[Thing]:
+    """Parked cars at the kerb, street trees, lamps and signs on the pavement."""
+    lamps, trees = rng.uniform(24.0, 36.0), rng.uniform(9.0, 24.0)
+    for s in np.arange(-_REACH_M + rng.uniform(0, 6.0), _REACH_M, 6.2):
+        parked = rng.uniform() < street.parking[0 if side > 0 else 1]
+        in_own_way = abs(s) < 7.0 and side < 0
+        if parked and not in_own_way and not street.is_crossed(s, 5.0):
+            yield _car(street, s, side * (street.half_road_m - 1.0), street.bend_per_m * s + np.pi * (side > 0), rng)
+    for s in np.arange(-_REACH_M + rng.uniform(0, trees), _REACH_M, trees):
+        if rng.uniform() < street.planting and not street.is_crossed(s, 2.0):
+            yield _tree(street, s, side * (street.half_road_m + 0.7), rng.uniform(5.0, 9.0), rng)
+    for s in np.arange(-_REACH_M + rng.uniform(0, lamps), _REACH_M, lamps) + 1.5:
+        if not street.is_crossed(s, 1.0):
+            arm = -side * 1.4 * np.array([-np.sin(street.bend_per_m * s), np.cos(street.bend_per_m * s), 0.1])
+            foot = street.place(s, side * (street.half_road_m + 0.4))
+            yield Thing("pole", pole(foot, rng.uniform(5.0, 7.5), 0.08, arm, 0.0))
+    for s in rng.uniform(-50.0, 50.0, rng.integers(1, 4)):
+        foot = street.place(s, side * (street.half_road_m + 0.5))
+        yield Thing("pole", pole(foot, rng.uniform(2.3, 3.0), 0.04, None, rng.uniform(0.5, 0.8)))
+
+
+def _plot(street: Street, side: int, start: float, width: float, rng: np.random.Generator) -> Iterator[Thing]:
+    """A house with its garden, or a small park."""
+    boundary = street.half_road_m + street.pavement_m
+    front = boundary + street.setback_m * rng.uniform(0.8, 1.2)
+    depth = rng.uniform(7.0, 10.0)
+    if rng.uniform() > street.building:
+        for _ in range(rng.integers(2, 5)):
+            yield _tree(
+                street, start + width * rng.uniform(), side * (boundary + rng.uniform(2, 18)), rng.uniform(5, 11), rng
+            )
+        for _ in range(rng.integers(1, 4)):
+            yield _bush(street, start + width * rng.uniform(), side * (boundary + rng.uniform(1, 12)), rng)
+        return
+    length = min(width - 2.5, rng.uniform(8.0, 14.0))
+    corner_s = start + (width - length) * rng.uniform(0.3, 0.7)
+    size = (length, depth, float(rng.choice([2.9, 3.3, 5.6])))
+    corner = street.place(corner_s if side > 0 else corner_s + length, side * front)
+    yield Thing("wall", house(corner, side * street.along(corner_s + length / 2), size, rng.uniform(0.3, 0.7)))
+    drive = 3.4 if rng.uniform() < 0.6 else 1.2
+    style = rng.uniform()
+    line_s = np.linspace(start + drive, start + width - 0.3, max(3, int(width - drive)))
+    line = street.place(line_s, side * (boundary + 0.4))
+    if style < 0.3 * street.planting:
+        foliage = hedge(line, rng.uniform(0.7, 1.1), rng.uniform(0.8, 1.7), _leaf_m(street, line), rng.spawn(1)[0])
+        yield Thing("vegetation", NOTHING, foliage)
+    elif style < 0.5:
+        yield Thing("wall", wall(line, 0.25, rng.uniform(0.5, 1.3), rng.uniform(0.3, 0.6)))
+    if drive > 2 and rng.uniform() < 0.5:
+        s, n = start + drive / 2, side * (boundary + 2.8)
+        yield _car(street, s, n, street.bend_per_m * s + np.pi / 2 * rng.choice([-1, 1]), rng)
+    for _ in range(rng.poisson(1.2 * street.planting)):
+        yield _bush(
+            street, rng.uniform(start + drive, start + width), side * rng.uniform(boundary + 1.2, front - 0.6), rng
+        )
+    if rng.uniform() < 0.5 * street.planting and street.setback_m > 4.5:
+        yield _tree(street, start + width * rng.uniform(0.5, 0.95), side * (boundary + 2.2), rng.uniform(3.5, 6), rng)
+    for _ in range(rng.poisson(1.0)):
+        n = side * (front + depth + rng.uniform(3.0, 14.0))
+        yield _tree(street, start + width * rng.uniform(), n, rng.uniform(6.0, 12.0), rng)
+
+
+def _side_street(street: Street, rng: np.random.Generator) -> Iterator[Thing]:
+    """What is seen down a side street: hedges or walls at its sides, cars, something at its ends."""
+    if street.crossing_m is None:
+        return
+    first = street.half_road_m + street.pavement_m + 1.0
+    for side in (1, -1):
+        for edge in (-1, 1):
+            s = street.crossing_m + edge * (street.half_road_m + 1.6)
+            line = street.place(np.full(9, s), side * np.linspace(first, first + rng.uniform(8, 20), 9))
+            if rng.uniform() < 0.5:
+                yield Thing(
+                    "vegetation",
+                    NOTHING,
+                    hedge(line, 0.9, rng.uniform(1.2, 2.0), _leaf_m(street, line), rng.spawn(1)[0]),
+                )
+            else:
+                yield Thing("wall", wall(line, 0.25, rng.uniform(0.9, 1.9), 0.45))
+        s = street.crossing_m + rng.uniform(-2.0, 2.0)
+        heading = street.bend_per_m * s + np.pi / 2
+        yield _car(street, s, side * rng.uniform(first + 4, 30.0), heading, rng)
+        length = rng.uniform(9.0, 14.0)
+        corner = street.place(street.crossing_m - side * length / 2, side * rng.uniform(40.0, 58.0))
+        yield Thing("wall", house(corner, side * street.along(street.crossing_m), (length, 9.0, 5.6), 0.5))
+
+
+def _car(street: Street, s: float, n: float, heading_rad: float, rng: np.random.Generator) -> Thing:
+    style = int(rng.choice(4, p=[0.3, 0.35, 0.27, 0.08]))
+    askew = heading_rad + rng.normal(0.0, 0.02)
+    return Thing("car", car(street.place(s, n), askew, style, float(rng.choice([0.06, 0.25, 0.45, 0.7])), rng))
+
+
+def _tree(street: Street, s: float, n: float, height_m: float, rng: np.random.Generator) -> Thing:
+    foot = street.place(s, n)
+    return Thing("tree", *tree(foot, height_m, _leaf_m(street, foot), rng.spawn(1)[0]))
+
+
+def _bush(street: Street, s: float, n: float, rng: np.random.Generator) -> Thing:
+    foot = street.place(s, n)
+    return Thing("vegetation", NOTHING, bush(foot, rng.uniform(0.5, 1.2), _leaf_m(street, foot), rng.spawn(1)[0]))
+
+
+def _leaf_m(street: Street, place: FloatArray) -> float:
+    """Radius of a leaf: small where it is near, larger where none can be told from the next."""
+    range_m = float(np.linalg.norm(place.reshape(-1, 3).mean(axis=0)))
+    return street.leaf_scale * min(max(0.006 * range_m, 0.12), 0.35)

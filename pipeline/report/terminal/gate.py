@@ -1,0 +1,70 @@
+"""A judged run in the terminal, and as JUnit XML for CI.
+
+The XML is written with the standard library: it is three elements deep, and what a library would add is a dependency.
+"""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from ...results.gate import GateResult, Judged
+from .layout import plain_table
+
+#: What XML 1.0 cannot hold, not even escaped.
+_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def gate_view(result: GateResult) -> RenderableType:
+    """Each criterion with value, bound and verdict; then what failed and why it is wanted."""
+    table = plain_table(f"Gate of {result.run}", "criterion", "measure", "value", "bound", "verdict", words=2)
+    for of in result.judged:
+        met = Text("pass", style="green") if of.passed else Text("FAIL", style="red")
+        table.add_row(Text(of.criterion.name), Text(of.criterion.measure), _value(of), _bound(of), met)
+    failed = [of for of in result.judged if not of.passed]
+    lines = [Text(f"note: {note}", style="yellow") for note in result.notes]
+    lines += [Text(f"failed: {_told(of)}", style="red") for of in failed]
+    verdict = f"{len(failed)} of {len(result.judged)} criteria failed" if failed else "all criteria are met"
+    return Group(table, *lines, Text(verdict, style="red" if failed else "green"))
+
+
+def junit_xml(result: GateResult) -> bytes:
+    """A JUnit test suite: a test case a criterion."""
+    n_failed = sum(not of.passed for of in result.judged)
+    counts = {"tests": str(len(result.judged)), "failures": str(n_failed), "errors": "0"}
+    root = ElementTree.Element("testsuites", counts)
+    suite = ElementTree.SubElement(root, "testsuite", {"name": _clean(f"fidpipe gate {result.run}")} | counts)
+    for of in result.judged:
+        case = ElementTree.SubElement(
+            suite, "testcase", {"classname": "fidpipe.gate", "name": _clean(of.criterion.name), "time": "0"}
+        )
+        told = _clean(_told(of))
+        if of.passed:
+            ElementTree.SubElement(case, "system-out").text = told
+        else:
+            kind = "bound" if of.value is not None else "not computed"
+            ElementTree.SubElement(case, "failure", {"message": told, "type": kind}).text = told
+    ElementTree.indent(root)
+    content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return content + b"\n"
+
+
+def _told(of: Judged) -> str:
+    found = of.why if of.value is None else f"{of.criterion.measure} is {_value(of)}, wanted {_bound(of)}"
+    about = f"{of.criterion.name}: {found}"
+    return f"{about} ({of.criterion.reason})" if of.criterion.reason else about
+
+
+def _value(of: Judged) -> str:
+    return "-" if of.value is None else f"{of.value:.6g}"
+
+
+def _bound(of: Judged) -> str:
+    return f"{'<=' if of.criterion.bound == 'max' else '>='} {of.criterion.limit:g}"
+
+
+def _clean(text: str) -> str:
+    return _NOT_XML.sub("\ufffd", text)

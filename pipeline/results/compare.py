@@ -1,0 +1,290 @@
+"""Compares finished runs of the same real scans: simulator versions, the first one being the base of the others.
+
+Pairs are the same if they have the same name and the same real scan, by content. Objects are followed through the real
+side, whose communities are the same where scan and settings are; that too is checked by content. Leaves to others: the
+statistics (`stages.comparison`), showing (`report.compare_view`, `report.compare_page`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...schemas.errors import RunError
+from ...stages.arrays import FloatArray
+from ...stages.statistics.comparison import KINDS, Difference, judge, kinds_of_change, paired_difference
+from ...stages.statistics.spread import spread
+from ..run import STAGES
+from .finished import FinishedRun, PairObjects
+
+#: What is compared: column of `pairs`, its name, and whether more is better.
+SCORES = (
+    ("match_rate", "match rate", True),
+    ("n_missing", "missing objects", False),
+    ("n_hallucinated", "hallucinated objects", False),
+    ("cdc_mean", "CDC", False),
+    ("r_lambda_mean", "r_lambda", False),
+    ("r_gap_mean", "r_gap", False),
+    ("centroid_distance_m_mean", "offset (m)", False),
+    ("alignment_rms_m_mean", "alignment (m)", False),
+)
+#: The same over those objects alone that both runs have matched.
+SHARED_SCORES = (("cdc", "CDC (objects in both)"), ("r_lambda", "r_lambda (objects in both)"))
+_PLACE = ("n_points", "cx", "cy", "cz")
+
+
+@dataclass(frozen=True)
+class ScoreChange:
+    """A score of the dataset before and after.
+
+    of_pairs : by pair, after less before; None where a value is null
+    verdict : better, worse, same or undecided
+    seed_noise : by so much the two means differ at most in 95 % of the cases through Louvain seeds alone; where both
+        runs have `seeds`. Too large rather than too small, for the runs share the real side's communities
+    """
+
+    name: str
+    higher_is_better: bool
+    difference: Difference
+    verdict: str
+    of_pairs: dict[str, float | None]
+    seed_noise: float | None = None
+
+    @property
+    def beyond_seeds(self) -> bool | None:
+        """Whether the difference is more than seeds make; None where that is not known."""
+        if self.seed_noise is None or self.difference.difference is None:
+            return None
+        return abs(self.difference.difference) > self.seed_noise
+
+
+@dataclass(frozen=True)
+class ObjectChange:
+    """A real object before and after; scores are None where it is missing or a score is null."""
+
+    pair_id: str
+    real_id: int
+    label: str | None
+    range_m: float
+    n_points: int
+    kind: str
+    cdc_before: float | None
+    cdc_after: float | None
+    r_lambda_before: float | None
+    r_lambda_after: float | None
+
+    @property
+    def change(self) -> float:
+        """The largest rise of a score, or fall where none rose; for sorting."""
+        steps = [
+            after - before
+            for before, after in ((self.cdc_before, self.cdc_after), (self.r_lambda_before, self.r_lambda_after))
+            if before is not None and after is not None
+        ]
+        return max(steps, key=abs, default=0.0)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One run against the base.
+
+    pairs : names of the pairs that are compared
+    left_out : by pair, why it is not compared
+    unfollowed : pairs whose real communities differ, so that their objects cannot be followed
+    settings : settings that differ, in words
+    notes : what else differs
+    """
+
+    base: Path
+    other: Path
+    pairs: tuple[str, ...]
+    left_out: dict[str, str]
+    unfollowed: tuple[str, ...]
+    settings: tuple[str, ...]
+    notes: tuple[str, ...]
+    scores: tuple[ScoreChange, ...]
+    objects: tuple[ObjectChange, ...]
+
+    @property
+    def kinds(self) -> dict[str, int]:
+        """How many real objects have become what."""
+        count = Counter(of.kind for of in self.objects)
+        return {kind: count[kind] for kind in KINDS}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for programs."""
+        return asdict(self) | {"base": str(self.base), "other": str(self.other), "kinds": self.kinds}
+
+
+def compare_runs(folders: Sequence[Path], *, allow_different_settings: bool = False) -> list[Comparison]:
+    """Each run but the first against the first.
+
+    Raises
+    ------
+    RunError
+        A folder is no finished run, settings that change scores differ and that is not allowed, or no pair is common.
+    """
+    base, *others = [FinishedRun(folder) for folder in folders]
+    found = []
+    for other in others:
+        differing = _settings_changes(base, other)
+        if differing and not allow_different_settings:
+            raise RunError(
+                f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(differing)}), so that a "
+                "difference need not be the simulator's; evaluate both alike, or give --allow-different-settings"
+            )
+        found.append(_compare(base, other, differing))
+    return found
+
+
+def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Comparison:
+    left_out = _not_comparable(base, other)
+    names = tuple(row["pair_id"] for row in base.scored if row["pair_id"] not in left_out)
+    if not names:
+        why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
+        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'none is scored'})")
+    objects: list[ObjectChange] = []
+    shared: dict[str, dict[str, tuple[float, float]]] = {score: {} for score, _ in SHARED_SCORES}
+    unfollowed = []
+    for name in names:
+        before, after = base.objects(name), other.objects(name)
+        if not _same_real_side(before, after):
+            unfollowed.append(name)
+            continue
+        changes = _follow(name, before, after)
+        objects += changes
+        for score, _ in SHARED_SCORES:
+            values = [(getattr(of, f"{score}_before"), getattr(of, f"{score}_after")) for of in changes]
+            known = [(a, b) for a, b in values if a is not None and b is not None]
+            if known:
+                shared[score][name] = (float(np.mean([a for a, _ in known])), float(np.mean([b for _, b in known])))
+    scores = [_score_change(base, other, names, *of) for of in SCORES]
+    for score, heading in SHARED_SCORES:
+        scores.append(_change(heading, False, {name: shared[score].get(name, (None, None)) for name in names}))
+    return Comparison(
+        base=base.folder,
+        other=other.folder,
+        pairs=names,
+        left_out=left_out,
+        unfollowed=tuple(unfollowed),
+        settings=tuple(differing),
+        notes=tuple(_notes(base, other)),
+        scores=tuple(scores),
+        objects=tuple(objects),
+    )
+
+
+def _settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
+    """Settings of the stages that every run has and that differ, in words."""
+    groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
+    changes = []
+    for group in groups:
+        a, b = (run.record["settings"].get(group, {}) for run in (base, other))
+        changes += [
+            f"{group}.{name} is {a.get(name)} and {b.get(name)}"
+            for name in dict.fromkeys((*a, *b))
+            if a.get(name) != b.get(name)
+        ]
+    return changes
+
+
+def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
+    """What else differs and can change a number: stage code and libraries."""
+    notes = []
+    for what, name in (("stages", "code of stage"), ("libraries", "library")):
+        a, b = base.record[what], other.record[what]
+        notes += [f"{name} {key}: {a.get(key)} and {b.get(key)}" for key in {**a, **b} if a.get(key) != b.get(key)]
+    return notes
+
+
+def _not_comparable(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
+    """Pairs that cannot be compared, and why."""
+    rows = [{row["pair_id"]: row for row in run.rows} for run in (base, other)]
+    why = {}
+    for name in sorted(rows[0].keys() | rows[1].keys()):
+        for run, of in zip((base, other), rows, strict=True):
+            if name not in of:
+                why[name] = f"not in {run.folder}"
+            elif of[name]["status"] != "scored":
+                why[name] = f"failed in {run.folder}"
+        if name not in why:
+            a, b = (run.record["inputs"].get(name, {}).get("real") for run in (base, other))
+            if a is None or a != b:
+                why[name] = "the real scans differ"
+    return why
+
+
+def _same_real_side(before: PairObjects, after: PairObjects) -> bool:
+    """Whether the real communities are the same, by number of points and centroids."""
+    a, b = ([tuple(of[name] for name in _PLACE) for of in found.sides["real"]] for found in (before, after))
+    return a == b
+
+
+def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[ObjectChange]:
+    real = before.sides["real"]
+    scores = [{of["real_id"]: of for of in found.matched} for found in (before, after)]
+    is_matched = [np.array([i in of for i in range(len(real))], dtype=np.bool_) for of in scores]
+
+    def column(run: int, name: str) -> FloatArray:
+        return _floats([scores[run].get(i, {}).get(name) for i in range(len(real))])
+
+    kinds = kinds_of_change(
+        is_matched[0],
+        is_matched[1],
+        (column(0, "cdc"), column(1, "cdc")),
+        (column(0, "r_lambda"), column(1, "r_lambda")),
+    )
+    return [
+        ObjectChange(
+            pair_id=pair_id,
+            real_id=i,
+            label=of["label"],
+            range_m=of["range_m"],
+            n_points=of["n_points"],
+            kind=str(kinds[i]),
+            cdc_before=scores[0].get(i, {}).get("cdc"),
+            cdc_after=scores[1].get(i, {}).get("cdc"),
+            r_lambda_before=scores[0].get(i, {}).get("r_lambda"),
+            r_lambda_after=scores[1].get(i, {}).get("r_lambda"),
+        )
+        for i, of in enumerate(real)
+    ]
+
+
+def _score_change(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str, heading: str, higher_is_better: bool
+) -> ScoreChange:
+    values = {name: (base.row(name)[column], other.row(name)[column]) for name in names}
+    a, b = (_seed_noise(run, names, column) for run in (base, other))
+    noise = None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
+    return _change(heading, higher_is_better, values, noise)
+
+
+def _change(
+    heading: str,
+    higher_is_better: bool,
+    values: dict[str, tuple[float | None, float | None]],
+    seed_noise: float | None = None,
+) -> ScoreChange:
+    difference = paired_difference(*(_floats([of[run] for of in values.values()]) for run in (0, 1)))
+    of_pairs = {name: None if a is None or b is None else b - a for name, (a, b) in values.items()}
+    return ScoreChange(heading, higher_is_better, difference, judge(difference, higher_is_better), of_pairs, seed_noise)
+
+
+def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
+    """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
+    records = [run.store.records.get(("seeds", name, "")) for name in names]
+    repeats = [record.facts["scores"][column] for record in records if record is not None]
+    n_seeds = {len(of_pair) for of_pair in repeats}
+    if len(repeats) < len(names) or len(n_seeds) != 1:
+        return None
+    return spread(np.array([_floats(of_pair) for of_pair in repeats])).least_dataset
+
+
+def _floats(values: Sequence[float | None]) -> FloatArray:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -1,0 +1,189 @@
+"""Acceptance criteria on a finished run: each has a measure, a bound and a verdict.
+
+Three criteria are there unless the user gives another max for them: no pair failed, none is still to do, and none has
+scans, labels or T_real_sim other than those that were evaluated. A criterion on something that could not be computed
+fails. Leaves to others: what the measures are (`measures`), how results are shown and written (`report.gate_view`).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ...schemas.errors import SettingsError
+from .finished import FinishedRun
+from .measures import Measures
+
+Bound = Literal["max", "min"]
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """What is wanted: `measure` at most (max) or at least (min) `limit`, both inclusive.
+
+    name : what people call it
+    reason : why it is wanted; may be empty
+    """
+
+    name: str
+    measure: str
+    bound: Bound
+    limit: float
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A criterion with what was found; `why` says why there is no value."""
+
+    criterion: Criterion
+    value: float | None
+    passed: bool
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class GateResult:
+    """All criteria of a run, judged; `notes` says what could not be looked at."""
+
+    run: Path
+    dataset: str
+    judged: tuple[Judged, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every criterion is met."""
+        return all(of.passed for of in self.judged)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for `gate.json`."""
+        return {
+            "run": str(self.run),
+            "dataset": self.dataset,
+            "passed": self.passed,
+            "notes": list(self.notes),
+            "criteria": [
+                {
+                    "name": of.criterion.name,
+                    "measure": of.criterion.measure,
+                    "bound": of.criterion.bound,
+                    "limit": of.criterion.limit,
+                    "reason": of.criterion.reason,
+                    "value": of.value,
+                    "passed": of.passed,
+                    "why": of.why,
+                }
+                for of in self.judged
+            ],
+        }
+
+
+def judge_run(folder: Path, criteria: Iterable[Criterion]) -> GateResult:
+    """Judges a finished run.
+
+    Raises
+    ------
+    RunError
+        The folder is no finished run, or a table is damaged.
+    SettingsError
+        A criterion names an unknown measure.
+    """
+    run = FinishedRun(folder)
+    measures = Measures(run)
+    wanted = list(criteria)
+    given = {(criterion.measure, criterion.bound) for criterion in wanted}
+    own = [
+        Criterion("every pair is scored", "pairs.failed", "max", 0, "a gate is about the whole dataset"),
+        Criterion("no pair is left to do", "pairs.to_do", "max", 0, "a gate is about the whole dataset"),
+    ]
+    notes = []
+    if measures.dataset_is_gone:
+        notes.append(
+            f"the dataset {run.record['dataset']} is not here: not checked whether it has changed since the run"
+        )
+    else:
+        own.append(
+            Criterion("scans and labels are those that were evaluated", "pairs.changed", "max", 0, "else run it again")
+        )
+    judged = []
+    for criterion in [*(of for of in own if (of.measure, of.bound) not in given), *wanted]:
+        found = measures.of(criterion.measure)
+        met = found.value is not None and (
+            found.value <= criterion.limit if criterion.bound == "max" else found.value >= criterion.limit
+        )
+        judged.append(Judged(criterion, found.value, met, found.why and f"could not be computed: {found.why}"))
+    return GateResult(folder, run.record["dataset"], tuple(judged), tuple(notes))
+
+
+def parse_word(word: str, bound: Bound) -> Criterion:
+    """A criterion from a word such as `r_lambda.mean=0.4`.
+
+    Examples
+    --------
+    >>> parse_word("r_lambda.mean=0.4", "max").name
+    'r_lambda.mean <= 0.4'
+    """
+    measure, _, text = (part.strip() for part in word.rpartition("="))
+    try:
+        limit = float(text)
+    except ValueError:
+        limit = math.nan
+    if not measure or not math.isfinite(limit):
+        raise SettingsError(f"--{bound} {word!r}: MEASURE=NUMBER is wanted, such as r_lambda.mean=0.4")
+    return Criterion(f"{measure} {'<=' if bound == 'max' else '>='} {text}", measure, bound, limit)
+
+
+def read_criteria(path: Path) -> list[Criterion]:
+    """The criteria of a TOML file: tables `[[criterion]]` with name, measure, max or min or both, and reason.
+
+    Raises
+    ------
+    SettingsError
+        The file cannot be read, holds none, or a field is missing, unknown or of the wrong kind.
+    """
+    try:
+        found = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"criteria file {path}: cannot be read ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"criteria file {path}: not valid TOML ({error})") from error
+    except ValidationError as error:
+        fault = error.errors()[0]
+        where = ".".join(str(part) for part in fault["loc"])
+        raise SettingsError(
+            f"criteria file {path}: {where}: {fault['msg']}; tables [[criterion]] are wanted, each with "
+            'name = "...", measure = "r_lambda.mean", max = 0.4 (or min), reason = "..."'
+        ) from error
+    criteria = []
+    for i, entry in enumerate(found.criterion):
+        limits: tuple[tuple[Bound, float | None], ...] = (("max", entry.max), ("min", entry.min))
+        bounds = [(bound, limit) for bound, limit in limits if limit is not None]
+        if not bounds:
+            raise SettingsError(
+                f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; max or min is wanted"
+            )
+        criteria += [Criterion(entry.name, entry.measure, bound, limit, entry.reason) for bound, limit in bounds]
+    return criteria
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: Annotated[str, Field(min_length=1)]
+    measure: str
+    reason: Annotated[str, Field(min_length=1)]
+    max: float | None = None
+    min: float | None = None
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    criterion: Annotated[list[_Entry], Field(min_length=1)]

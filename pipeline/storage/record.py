@@ -1,0 +1,209 @@
+"""The record of a run: what it was made with, from and on, and how long each step took.
+
+Leaves to others: the results themselves (`store`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ... import __version__
+from ...schemas.columns import OBJECT_METRICS
+from ...schemas.settings import Settings
+from ...stages.summary import summarise_dataset
+from ..engine.plan import Stage, library_versions
+from .ledger import JobName, JobRecord
+
+RUN_JSON = "run.json"
+SETTINGS_TOML = "settings.toml"
+
+#: Everything whose version can change a number or a file.
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "scikit-learn",
+    "scikit-network",
+    "python-louvain",
+    "networkx",
+    "POT",
+    "pyarrow",
+    "pandas",
+    "dask",
+    "distributed",
+    "trimesh",
+    "pypcd4",
+)
+
+#: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
+DATASET_VALUES = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
+
+
+def read_run(folder: Path) -> dict[str, Any]:
+    """The record of a run; {} where there is none yet."""
+    try:
+        record: dict[str, Any] = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return {}
+    return record
+
+
+def dumps(record: Mapping[str, Any]) -> bytes:
+    """A record as JSON text."""
+    return b"".join(json_parts(record))
+
+
+def json_parts(record: Mapping[str, Any]) -> Iterator[bytes]:
+    """The same piece by piece: the record of a run has some lines for each pair."""
+    for part in json.JSONEncoder(indent=1, allow_nan=False).iterencode(record):
+        yield part.encode()
+    yield b"\n"
+
+
+def run_header(dataset: Path, settings: Settings, stages: Iterable[Stage]) -> dict[str, Any]:
+    """What `run.json` holds from the start of a run: what it is made from and with."""
+    return {
+        "fidpipe": __version__,
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "dataset": str(dataset.resolve()),
+        "settings": settings.model_dump(mode="json"),
+        "seed": settings.communities.seed,
+        "stages": {stage.name: stage.version for stage in stages},
+        "libraries": library_versions(LIBRARIES),
+        "machine": {
+            "python": platform.python_version(),
+            "system": platform.platform(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+        },
+    }
+
+
+def run_record(
+    header: Mapping[str, Any],
+    input_hashes: Mapping[str, Mapping[str, str]],
+    rows: list[dict[str, Any]],
+    wall_s: Mapping[str, float],
+    n_workers: int,
+    seconds: Mapping[str, Any],
+    findings: Mapping[str, Any],
+    n_to_do: int,
+) -> dict[str, Any]:
+    """What `run.json` holds at the end of a run.
+
+    Parameters
+    ----------
+    header : from `run_header`
+    input_hashes : by pair, content hash by side, and `content` of all that the pair's numbers come from
+    rows : of `pairs`, with at least status and `DATASET_VALUES`
+    wall_s : seconds of this command by phase
+    n_workers : of this command; 0 where there was nothing to do
+    seconds : from `StageSeconds`
+    findings : what the objects of all pairs say together
+    n_to_do : pairs of the dataset that are neither scored nor failed
+    """
+    scored = [row for row in rows if row["status"] == "scored"]
+    return {
+        **header,
+        "workers": n_workers,
+        "wall_s": dict(wall_s),
+        "pairs": {"scored": len(scored), "failed": len(rows) - len(scored), "to_do": n_to_do},
+        "summary": summarise_pairs(rows),
+        "findings": dict(findings),
+        "seconds": dict(seconds),
+        "inputs": {pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
+    }
+
+
+def summarise_pairs(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Mean and standard deviation over the scored pairs of each score."""
+    scored = [row for row in rows if row["status"] == "scored"]
+    return summarise_dataset({name: [row[name] for row in scored] for name in DATASET_VALUES})
+
+
+class StageSeconds:
+    """Seconds of finished jobs by stage, step and pair; a reused job keeps the seconds of the run that made it.
+
+    Both sides of a pair are counted together.
+    """
+
+    def __init__(self) -> None:
+        self._steps: dict[str, dict[str, float]] = {}
+        self._pairs: dict[str, dict[str, float]] = {}
+
+    def add(self, record: JobRecord) -> None:
+        """Counts a finished job."""
+        total, of_pair = self._steps.setdefault(record.stage, {}), self._pairs.setdefault(record.pair_id, {})
+        of_pair.setdefault(record.stage, 0.0)
+        for step, seconds in record.steps:
+            total[step] = total.get(step, 0.0) + seconds
+            of_pair[record.stage] += seconds
+
+    def count(self, records: Iterable[JobRecord]) -> Iterator[JobRecord]:
+        """The same records, each counted as it passes."""
+        for record in records:
+            self.add(record)
+            yield record
+
+    def mean(self) -> dict[str, dict[str, float]]:
+        """By stage and step, the mean over the pairs that have the stage."""
+        n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
+        return {stage: {step: s / n_pairs[stage] for step, s in of.items()} for stage, of in self._steps.items()}
+
+    def as_dict(self) -> dict[str, Any]:
+        """`mean`, and `pairs` by pair and stage."""
+        of_pair = {pair_id: {stage: round(s, 6) for stage, s in of.items()} for pair_id, of in self._pairs.items()}
+        return {"mean": self.mean(), "pairs": dict(sorted(of_pair.items()))}
+
+
+def timing_rows(records: Iterable[JobRecord], made_now: Container[JobName]) -> Iterator[dict[str, Any]]:
+    """Rows of `timings` from the finished jobs; those not made now are reused."""
+    for record in records:
+        for step, seconds in record.steps:
+            yield {
+                "pair_id": record.pair_id,
+                "side": record.side or None,
+                "stage": record.stage,
+                "step": step,
+                "seconds": seconds,
+                "reused": record.name not in made_now,
+            }
+
+
+def what_changed(before: Mapping[str, Any], settings: Settings, stages: Iterable[Stage]) -> list[str]:
+    """In words, what is other than in the record of the last run: settings, library versions, stage code."""
+    if not before:
+        return []
+    changes = []
+    now = settings.model_dump(mode="json")
+    for group, values in now.items():
+        old = before["settings"].get(group, {})
+        changes += [
+            f"{group}.{name} was {old.get(name)}, is {value}"
+            for name, value in values.items()
+            if old.get(name) != value
+        ]
+    for name, found in library_versions(before["libraries"]).items():
+        if found != before["libraries"][name]:
+            changes.append(f"{name} was {before['libraries'][name]}, is {found}")
+    for stage in stages:
+        if before["stages"].get(stage.name, stage.version) != stage.version:
+            changes.append(f"code of stage {stage.name} is new")
+    return changes
+
+
+def _processor() -> str:
+    """The processor's name."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor()

@@ -1,0 +1,1 @@
+"""Linear algebra of graphs: Laplacians, spectra, assignment."""

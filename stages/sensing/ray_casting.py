@@ -1,0 +1,240 @@
+"""Sensor models and ray casting: where a sensor's beams go, what they meet first, and what is measured of it.
+
+A static scene, a sensor that does not move during its revolution, one return a pulse. Leaves to others: what stands
+in the scene, how a simulator falsifies it, and what is written to a file (`pipeline.experiments`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...schemas.errors import FidpipeError
+from ..arrays import FloatArray, IndexArray
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """A spinning LiDAR.
+
+    elevation_deg, azimuth_offset_deg : by laser; the offset is added to the azimuth of the firing
+    azimuth_step_deg : between two firings
+    min_range_m, max_range_m : returns outside are not reported
+    range_noise_m : standard deviation along the ray
+    range_quantum_m : ranges are multiples of it
+    lost_share : share of the pulses that are lost whatever they meet
+    signal_range_m : range at which a white surface that faces the sensor still answers 63 % of the pulses
+    """
+
+    name: str
+    elevation_deg: tuple[float, ...]
+    azimuth_offset_deg: tuple[float, ...]
+    azimuth_step_deg: float
+    min_range_m: float
+    max_range_m: float
+    range_noise_m: float
+    range_quantum_m: float
+    lost_share: float
+    signal_range_m: float
+
+    @property
+    def n_beams(self) -> int:
+        """Number of lasers."""
+        return len(self.elevation_deg)
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The rays of one revolution, firing by firing, in each firing laser by laser.
+
+    azimuth_rad : (n,) float64, from x (forward) towards y (left)
+    elevation_rad : (n,) float64
+    """
+
+    azimuth_rad: FloatArray
+    elevation_rad: FloatArray
+
+    def directions(self) -> FloatArray:
+        """(n, 3) float64, unit vectors."""
+        level = np.cos(self.elevation_rad)
+        return np.column_stack(
+            [level * np.cos(self.azimuth_rad), level * np.sin(self.azimuth_rad), np.sin(self.elevation_rad)]
+        )
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet first; rays that meet nothing have no row.
+
+    ray_ids, face_ids : (m,) intp, the ray and the triangle; ray_ids ascend
+    range_m : (m,) float64, from the sensor
+    cos_incidence : (m,) float64, 1 where the surface faces the sensor, 0 where the ray grazes it
+    """
+
+    ray_ids: IndexArray
+    face_ids: IndexArray
+    range_m: FloatArray
+    cos_incidence: FloatArray
+
+
+# fmt: off
+#: VLP-32C: elevation and azimuth offset in degrees, by laser id, as both public drivers have them (velodyne, nebula).
+_VLP32C_DEG = (
+    (-25.000, -1.4), (-1.000, +4.2), (-1.667, -1.4), (-15.639, +1.4),
+    (-11.310, -1.4), (+0.000, +1.4), (-0.667, -4.2), (-8.843, +1.4),
+    (-7.254, -1.4), (+0.333, +4.2), (-0.333, -1.4), (-6.148, +1.4),
+    (-5.333, -4.2), (+1.333, +1.4), (+0.667, -4.2), (-4.000, +1.4),
+    (-4.667, -1.4), (+1.667, +4.2), (+1.000, -1.4), (-3.667, +4.2),
+    (-3.333, -4.2), (+3.333, +1.4), (+2.333, -1.4), (-2.667, +1.4),
+    (-3.000, -1.4), (+7.000, +1.4), (+4.667, -1.4), (-2.333, +4.2),
+    (-2.000, -4.2), (+15.000, +1.4), (+10.333, -1.4), (-1.333, +1.4),
+)
+# fmt: on
+_DEG_PER_S = 600 / 60 * 360.0
+
+#: Sensors by name. VLP-32C: firing cycle 55.296 us at 600 rpm. HDL-64E: nominal angles, as each unit has its own
+#: calibration; 2083 firings a revolution.
+SENSORS = {
+    "vlp32c": SensorModel(
+        name="vlp32c",
+        elevation_deg=tuple(elevation for elevation, _ in _VLP32C_DEG),
+        azimuth_offset_deg=tuple(offset for _, offset in _VLP32C_DEG),
+        azimuth_step_deg=55.296e-6 * _DEG_PER_S,
+        min_range_m=1.0,
+        max_range_m=200.0,
+        range_noise_m=0.03,
+        range_quantum_m=0.004,
+        lost_share=0.03,
+        signal_range_m=65.0,
+    ),
+    "hdl64": SensorModel(
+        name="hdl64",
+        elevation_deg=(*np.linspace(2.0, -8.333, 32).tolist(), *np.linspace(-8.833, -24.333, 32).tolist()),
+        azimuth_offset_deg=(0.0,) * 64,
+        azimuth_step_deg=48e-6 * _DEG_PER_S,
+        min_range_m=0.9,
+        max_range_m=120.0,
+        range_noise_m=0.02,
+        range_quantum_m=0.002,
+        lost_share=0.03,
+        signal_range_m=60.0,
+    ),
+}
+
+
+def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> Beams:
+    """The beams of one revolution, which turns clockwise seen from above.
+
+    Firing c has the azimuth start - c step; laser i looks at that plus its azimuth offset, at its elevation. There
+    are as many firings as fit into 360 degrees.
+
+    Parameters
+    ----------
+    sensor : elevations and offsets, by laser
+    start_deg : azimuth of the first firing
+    step_deg : by default the sensor's own
+
+    Examples
+    --------
+    >>> beams = fire(SENSORS["vlp32c"])
+    >>> len(beams.azimuth_rad) // 32, round(float(np.degrees(beams.elevation_rad[3])), 3)
+    (1808, -15.639)
+    """
+    step_deg = sensor.azimuth_step_deg if step_deg is None else step_deg
+    firing_deg = start_deg - step_deg * np.arange(max(1, int(360.0 / step_deg)))
+    azimuth_deg = firing_deg[:, None] + np.array(sensor.azimuth_offset_deg)
+    elevation_deg = np.broadcast_to(sensor.elevation_deg, azimuth_deg.shape)
+    return Beams(np.radians(azimuth_deg.ravel()), np.radians(elevation_deg.ravel()))
+
+
+def need_ray_caster() -> None:
+    """Nothing, if rays can be cast here.
+
+    Raises
+    ------
+    FidpipeError
+        The library that casts them (embree) is not installed.
+    """
+    try:
+        import embreex  # noqa: F401
+    except ImportError as error:
+        raise FidpipeError(
+            'casting rays needs embreex, which is not installed; install it with: pip install "fidpipe[synth]"'
+        ) from error
+
+
+class RayTarget:
+    """A surface that rays from the origin can be cast at, as often as is wanted.
+
+    Parameters
+    ----------
+    vertices : (v, 3) float64, metres, sensor frame
+    faces : (f, 3) intp, rows of `vertices`
+
+    Raises
+    ------
+    FidpipeError
+        embreex is not installed.
+
+    Examples
+    --------
+    >>> wall = RayTarget(np.array([[10.0, -5, -5], [10, 5, -5], [10, 0, 5]]), np.array([[0, 1, 2]]))
+    >>> wall.first_hits(np.array([[1.0, 0, 0], [-1, 0, 0]])).range_m.round(6).tolist()
+    [10.0]
+    """
+
+    def __init__(self, vertices: FloatArray, faces: IndexArray) -> None:
+        need_ray_caster()
+        from trimesh import Trimesh
+
+        self._mesh = Trimesh(vertices, faces, process=False)
+
+    def first_hits(self, directions: FloatArray) -> Hits:
+        """What each ray meets first, front or back of a triangle alike.
+
+        Parameters
+        ----------
+        directions : (n, 3) float64, unit vectors
+        """
+        if not len(directions) or not len(self._mesh.faces):
+            return Hits(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0), np.empty(0))
+        places, ray_ids, face_ids = self._mesh.ray.intersects_location(
+            np.zeros_like(directions), directions, multiple_hits=False
+        )
+        range_m = np.sqrt((places**2).sum(axis=1))
+        cos_incidence = np.abs((self._mesh.face_normals[face_ids] * directions[ray_ids]).sum(axis=1))
+        return Hits(ray_ids.astype(np.intp), face_ids.astype(np.intp), range_m, cos_incidence)
+
+
+def return_probability(
+    sensor: SensorModel, range_m: FloatArray, cos_incidence: FloatArray, reflectivity: FloatArray
+) -> FloatArray:
+    """The probability that a pulse that meets a surface is answered: it falls with the range, never rises.
+
+    P = (1 - lost_share) (1 - exp(-s)), s = reflectivity sqrt(cos_incidence) (signal_range_m / range_m)^2: the signal of
+    a surface that fills the beam (LiDAR equation) against a threshold that fluctuates exponentially. The root stands
+    for roughness: a road answers a grazing beam more than Lambert's law has it.
+
+    Parameters
+    ----------
+    range_m, cos_incidence, reflectivity : (n,) float64
+    """
+    signal = (
+        reflectivity * np.sqrt(cos_incidence) * (sensor.signal_range_m / np.maximum(range_m, sensor.min_range_m)) ** 2
+    )
+    probability: FloatArray = (1.0 - sensor.lost_share) * -np.expm1(-signal)
+    return probability
+
+
+def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Ranges as the sensor reports them: with Gaussian noise along the ray, then rounded to the quantum.
+
+    Parameters
+    ----------
+    range_m : (n,) float64, true
+    rng : source of the noise
+    """
+    noisy = range_m + rng.normal(0.0, sensor.range_noise_m, len(range_m))
+    reported: FloatArray = np.round(noisy / sensor.range_quantum_m) * sensor.range_quantum_m
+    return reported

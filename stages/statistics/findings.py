@@ -1,0 +1,262 @@
+"""What the objects of all pairs say together: the numbers of the paper's section "Real experiments".
+
+Counts and distributions pool the objects of all pairs. Leaves to others: means over pairs (`summary`), what the paper
+claims (`claims`), where the arrays come from (`pipeline.findings`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..summary import Number, mean_and_std
+
+#: Edges of the range bands, metres; the last band has no end.
+BAND_EDGES_M = (0.0, 10.0, 20.0, 30.0, 50.0)
+#: Scans of the paper's box plots, and how far apart in time they must be.
+N_SCANS, SCAN_GAP_S = 4, 60.0
+#: Width of the bins whose tallest one tells a sharp peak from a broad one.
+PEAK_BIN = 0.05
+#: The paper: n_sim is from under a quarter to over four times n_real.
+SPARSE_RATIO, DENSE_RATIO = 0.25, 4.0
+_QUANTILES = {"min": 0.0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95, "max": 1.0}
+
+
+@dataclass(frozen=True)
+class SideObjects:
+    """The objects of one side of all pairs.
+
+    pair : (n,) index of the pair
+    range_m : (n,) distance of the centroid from the sensor
+    label : (n,) class, "" where there is none
+    is_matched : (n,) whether the other side has it too
+    """
+
+    pair: IntArray
+    range_m: FloatArray
+    label: NDArray[np.str_]
+    is_matched: BoolArray
+
+
+@dataclass(frozen=True)
+class MatchedObjects:
+    """The matched objects of all pairs.
+
+    pair : (m,) index of the pair
+    range_m, label : (m,) of the real object
+    n_real, n_sim : (m,) points
+    cdc, r_lambda, r_gap : (m,) scores, NaN where null
+    """
+
+    pair: IntArray
+    range_m: FloatArray
+    label: NDArray[np.str_]
+    n_real: IntArray
+    n_sim: IntArray
+    cdc: FloatArray
+    r_lambda: FloatArray
+    r_gap: FloatArray
+
+
+def summarise_objects(
+    real: SideObjects, sim: SideObjects, matched: MatchedObjects, timestamps_s: Sequence[float | None]
+) -> dict[str, Any]:
+    """Distributions, ranges, classes, density ratios, correlation, and the four scans; plain numbers, None for null.
+
+    Parameters
+    ----------
+    real, sim : the objects of each side
+    matched : those that both sides have
+    timestamps_s : by pair, when the scan was taken; None where unknown
+    """
+    return {
+        "n_pairs": len(timestamps_s),
+        "n_matched": len(matched.pair),
+        "distributions": {name: distribution(getattr(matched, name)) for name in ("cdc", "r_lambda", "r_gap")},
+        "rank_correlation": rank_correlation(matched.cdc, matched.r_lambda),
+        "density_ratio": density_ratio(matched.n_real, matched.n_sim),
+        "range_m": {
+            "median_matched": distribution(real.range_m[real.is_matched])["median"],
+            "median_unmatched": distribution(
+                np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
+            )["median"],
+            "bands": by_range(real, sim),
+            "halves": by_range(real, sim, (0.0, _median(np.concatenate([real.range_m, sim.range_m])))),
+        },
+        "classes": by_class(real, sim, matched),
+        "within_pairs": within_pairs(matched, len(timestamps_s)),
+        "scans": compare_scans(matched, timestamps_s),
+    }
+
+
+def distribution(values: FloatArray) -> dict[str, Number]:
+    """Number, quantiles, mean, standard deviation (n - 1), coefficient of variation and tallest bin of some values.
+
+    The coefficient of variation is standard deviation / mean: a score that varies more relative to its mean tells
+    objects apart better (the paper, "Real experiments"). `peak_density` is the share of values in the fullest bin of
+    width 0.05, over that width: high for a sharp peak, low for a broad one. NaN is left out; None where too few stay.
+
+    Examples
+    --------
+    >>> distribution(np.array([1.0, np.nan, 3.0]))["median"]
+    2.0
+    """
+    known = values[~np.isnan(values)]
+    mean, std = mean_and_std(known)
+    found: dict[str, Number] = {"n": len(known)}
+    found |= {name: float(np.quantile(known, q)) if len(known) else None for name, q in _QUANTILES.items()}
+    found |= {"mean": mean, "std": std, "cv": std / mean if mean and std is not None else None}
+    bins = np.unique(np.floor(known / PEAK_BIN), return_counts=True)[1]
+    found["peak_density"] = float(bins.max() / len(known) / PEAK_BIN) if len(known) else None
+    return found
+
+
+def rank_correlation(a: FloatArray, b: FloatArray) -> dict[str, Number]:
+    """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores."""
+    from scipy import stats
+
+    both = ~(np.isnan(a) | np.isnan(b))
+    a, b = a[both], b[both]
+    if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return {"n": len(a), "spearman": None, "kendall": None}
+    return {
+        "n": len(a),
+        "spearman": float(stats.spearmanr(a, b).statistic),
+        "kendall": float(stats.kendalltau(a, b).statistic),
+    }
+
+
+def density_ratio(n_real: IntArray, n_sim: IntArray) -> dict[str, Number]:
+    """Quantiles of n_sim / n_real, and the shares below a quarter and above four."""
+    ratio = n_sim / n_real
+    found = {name: value for name, value in distribution(ratio).items() if name in {"n", *_QUANTILES}}
+    found["share_below_quarter"] = float(np.mean(ratio < SPARSE_RATIO)) if len(ratio) else None
+    found["share_above_four"] = float(np.mean(ratio > DENSE_RATIO)) if len(ratio) else None
+    return found
+
+
+def by_range(
+    real: SideObjects, sim: SideObjects, edges_m: Sequence[float | None] = BAND_EDGES_M
+) -> list[dict[str, Number]]:
+    """Missing and hallucinated objects by distance from the sensor, each of its own side."""
+    bands: list[dict[str, Number]] = []
+    known = [edge for edge in edges_m if edge is not None]
+    for low, high in zip(known, [*known[1:], None], strict=True):
+        inside = [(of.range_m >= low) & (of.range_m < (np.inf if high is None else high)) for of in (real, sim)]
+        bands.append({"from_m": low, "to_m": high} | _unmatched(real, sim, *inside))
+    return bands
+
+
+def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> list[dict[str, Any]]:
+    """Missing, hallucinated and scores by class, the class with most objects first; [] without labels.
+
+    A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
+    objects. `cdc_excess` is cdc less r_lambda; `r_lambda_near` and `r_lambda_far` are of the matched objects nearer
+    than the median range of the class, and of the others.
+    """
+    labels, counts = np.unique(np.concatenate([real.label, sim.label]), return_counts=True)
+    rows = []
+    for label in labels[np.argsort(-counts, kind="stable")].tolist():
+        if not label:
+            continue
+        own = matched.label == label
+        row: dict[str, Any] = {"label": label} | _unmatched(real, sim, real.label == label, sim.label == label)
+        row["n_matched"] = int(np.count_nonzero(own))
+        cdc, r_lambda = matched.cdc[own], matched.r_lambda[own]
+        middle = _median(matched.range_m[own])
+        is_near = matched.range_m[own] < (np.inf if middle is None else middle)
+        for name, values in (
+            ("cdc", cdc),
+            ("r_lambda", r_lambda),
+            ("r_gap", matched.r_gap[own]),
+            ("cdc_excess", cdc - r_lambda),
+            ("r_lambda_near", r_lambda[is_near]),
+            ("r_lambda_far", r_lambda[~is_near]),
+        ):
+            row[f"{name}_mean"], row[f"{name}_std"] = mean_and_std(values)
+            row[f"{name}_n"] = int(np.count_nonzero(~np.isnan(values)))
+        row["spearman"] = rank_correlation(cdc, r_lambda)["spearman"]
+        rows.append(row)
+    return rows
+
+
+def within_pairs(matched: MatchedObjects, n_pairs: int) -> dict[str, Number]:
+    """In how many pairs r_lambda varies more than CDC over the objects of the pair (standard deviation)."""
+    spread = [_std_by_pair(getattr(matched, score), matched.pair, n_pairs) for score in ("cdc", "r_lambda")]
+    both = ~(np.isnan(spread[0]) | np.isnan(spread[1]))
+    wider = spread[1][both] > spread[0][both]
+    return {"n_pairs": int(np.count_nonzero(both)), "n_r_lambda_wider": int(np.count_nonzero(wider))}
+
+
+def compare_scans(matched: MatchedObjects, timestamps_s: Sequence[float | None]) -> dict[str, Any]:
+    """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
+
+    Where fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are taken instead, and
+    `apart` is false.
+    """
+    chosen = scans_apart(timestamps_s)
+    apart = len(chosen) > 1
+    if not apart:
+        chosen = _evenly(range(len(timestamps_s)))
+    return {
+        "apart": apart,
+        "scans": [
+            {
+                "pair": i,
+                "timestamp_s": timestamps_s[i],
+                "cdc": distribution(matched.cdc[matched.pair == i]),
+                "r_lambda": distribution(matched.r_lambda[matched.pair == i]),
+            }
+            for i in chosen
+        ],
+    }
+
+
+def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
+    """At most four scans, evenly spread over a longest chain of scans each more than a minute after the one before.
+
+    Examples
+    --------
+    >>> scans_apart([0.0, 30.0, 61.0, None, 500.0])
+    [0, 2, 4]
+    """
+    known = sorted((time, i) for i, time in enumerate(timestamps_s) if time is not None)
+    chain: list[tuple[float, int]] = []
+    for time, i in known:
+        if not chain or time - chain[-1][0] > SCAN_GAP_S:
+            chain.append((time, i))
+    return _evenly([i for _, i in chain])
+
+
+def _evenly(items: Sequence[int]) -> list[int]:
+    if len(items) <= N_SCANS:
+        return list(items)
+    return [items[i] for i in np.linspace(0, len(items) - 1, N_SCANS).round().astype(int).tolist()]
+
+
+def _unmatched(real: SideObjects, sim: SideObjects, of_real: BoolArray, of_sim: BoolArray) -> dict[str, Number]:
+    counts: dict[str, Number] = {}
+    for side, what, of, inside in (("real", "missing", real, of_real), ("sim", "hallucinated", sim, of_sim)):
+        n, n_unmatched = int(np.count_nonzero(inside)), int(np.count_nonzero(inside & ~of.is_matched))
+        counts |= {f"n_{side}": n, f"n_{what}": n_unmatched, f"{what}_share": n_unmatched / n if n else None}
+    return counts
+
+
+def _std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
+    """Standard deviation (n - 1) of the values of each pair, NaN where there are fewer than two."""
+    known = ~np.isnan(values)
+    values, pair = values[known], pair[known]
+    n = np.bincount(pair, minlength=n_pairs)
+    mean = np.bincount(pair, values, n_pairs) / np.maximum(n, 1)
+    squares = np.bincount(pair, (values - mean[pair]) ** 2, n_pairs)
+    found: FloatArray = np.where(n > 1, np.sqrt(squares / np.maximum(n - 1, 1)), np.nan)
+    return found
+
+
+def _median(values: FloatArray) -> float | None:
+    return float(np.median(values)) if len(values) else None
