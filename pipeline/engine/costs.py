@@ -1,4 +1,4 @@
-"""What tasks cost, roughly: seconds, to order them and to guess the time left; bytes, to admit them.
+"""The cost model of tasks, rough: seconds, to order them and to guess the time left; bytes, to admit them.
 
 Fitted to runs over 32- and 64-beam scans (`benchmarks/growth.py`). No result depends on these numbers, but that a pair
 whose object cannot fit into the memory fails.
@@ -7,64 +7,45 @@ whose object cannot fit into the memory fails.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
-#: What a worker process occupies before it has read anything.
-PROCESS_BYTES = 300 * 2**20
-
-_BYTES_A_POINT = 6_000  # a scan's tables, its graph twice, and what Louvain makes of it
-_BYTES_A_NODE = 15_000  # an object's arcs, candidates for the alignment
+_MIB = 2**20
 
 
-def side_seconds(n_raw: int) -> float:
-    """What the stages of one side cost.
+@dataclass(frozen=True)
+class CostModel:
+    """What tasks cost.
 
-    Parameters
-    ----------
-    n_raw : points of the side's file
+    process_bytes : what a worker process occupies before it has read anything
+    bytes_per_point : a scan's tables, its graph twice, and what Louvain makes of it
+    bytes_per_node : an object's arcs, the candidates for its alignment
     """
-    return 0.01 + 3e-5 * n_raw
+
+    process_bytes: int = 300 * _MIB
+    bytes_per_point: int = 6_000
+    bytes_per_node: int = 15_000
+
+    def side_seconds(self, n_raw: int) -> float:
+        """Seconds of the stages of one side, whose file has so many points."""
+        return 0.01 + 3e-5 * n_raw
+
+    def object_seconds(self, n_keep: int) -> float:
+        """Seconds of selection and scores of one matched object of so many aligned nodes."""
+        return 0.005 + 5e-5 * n_keep + 2e-8 * n_keep**2 + 4e-11 * n_keep**3
+
+    def pair_bytes(self, n_raw: int) -> int:
+        """Bytes of the tables of a pair while a process works on them; both files have so many points."""
+        return self.bytes_per_point * n_raw
+
+    def object_bytes(self, n_keep: int) -> int:
+        """Bytes of one object of so many aligned nodes while it is scored: at worst a whole dense matrix."""
+        return 8 * n_keep**2 + self.bytes_per_node * n_keep
+
+    def most_workers(self, memory: int) -> int:
+        """How many worker processes may share so many bytes, at least half of which is left for what they make."""
+        return max(1, memory // (2 * self.process_bytes))
 
 
-def object_seconds(n_keep: int) -> float:
-    """What selection and scores of one matched object cost.
-
-    Parameters
-    ----------
-    n_keep : aligned nodes
-    """
-    return 0.005 + 5e-5 * n_keep + 2e-8 * n_keep**2 + 4e-11 * n_keep**3
-
-
-def pair_bytes(n_raw: int) -> int:
-    """What the tables of a pair occupy while a process works on them.
-
-    Parameters
-    ----------
-    n_raw : points of both files
-    """
-    return _BYTES_A_POINT * n_raw
-
-
-def object_bytes(n_keep: int) -> int:
-    """What one object occupies while it is scored: at worst a whole dense matrix.
-
-    Parameters
-    ----------
-    n_keep : aligned nodes
-    """
-    return 8 * n_keep**2 + _BYTES_A_NODE * n_keep
-
-
-def most_workers(memory: int) -> int:
-    """How many worker processes may be there, so that at least half of the memory is left for what they make.
-
-    Parameters
-    ----------
-    memory : bytes that all of them together may occupy
-    """
-    return max(1, memory // (2 * PROCESS_BYTES))
-
-
-def largest_object(n_keep: Iterable[tuple[int, int]]) -> tuple[int, int]:
-    """Real id and nodes of the object that has the most; (-1, 0) where there is none."""
-    return max(n_keep, key=lambda of: of[1], default=(-1, 0))
+def largest_object(objects: Iterable[tuple[int, int]]) -> tuple[int, int]:
+    """Id and nodes of the object that has the most nodes; (-1, 0) where there is none."""
+    return max(objects, key=lambda entry: entry[1], default=(-1, 0))

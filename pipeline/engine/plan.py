@@ -1,127 +1,231 @@
-"""What has to be made: the wanted key of each job of a pair, and whether a whole result with that key is there.
-
-Leaves to others: which stages there are (`run`), when and where jobs run (`schedule`).
-"""
+"""What has to be made: the wanted key of each job of a pair, and whether a whole result with that key is there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from importlib.metadata import version
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
 from ..datasets.pairs import ScanPair
-from ..storage.ledger import JobName, JobRecord
-from ..storage.store import Store, key_of
-from .task import Facts, Job, PairTask, Tables
-from .workbench import Workbench
+from ..datasets.scan_checks import ScanContent
+from ..stage import OBJECTS, SCAN, Facts, Grain, Stage
+from ..storage.files import key_of
+from ..storage.folder import RunFolder
+from ..storage.record import library_versions
+from ..storage.tables import JobName, JobRecord
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One row of the pipeline.
+class Part:
+    """A job of an experiment that is wanted of a pair, beside others of the same stage.
 
-    takes, gives : names of tables; "scan" is the input file
-    per_side : one job for each side, or one for the pair
-    settings : groups of settings that the stage reads
-    libraries : what it calls, besides numpy and scipy, under given settings
-    version : of the stage's code, raised by hand whenever its results change
-    make : the job
-    is_wanted : for an extra of the pipeline, whether settings ask for it; None for a stage that every run has
-    summarise : for an extra, what `run.json` holds of its finished jobs
+    stage : of grain PAIR
+    name : "dropout-0.4" or the like; only characters that are safe in a file's name
+    arguments : what makes it another than its neighbours, for the job; plain values, which its key covers
+    seconds : roughly what it costs; orders the work and guesses the time left, nothing else
+    settings : if others than those of the run
     """
 
+    stage: Stage
     name: str
-    takes: tuple[str, ...]
-    gives: tuple[str, ...]
-    per_side: bool
-    settings: tuple[str, ...]
-    libraries: Callable[[Settings], tuple[str, ...]]
-    version: int
-    make: Callable[[Workbench, str], tuple[Tables, Facts]]
-    is_wanted: Callable[[Settings], bool] | None = None
-    summarise: Callable[[Iterable[JobRecord], Settings], Any] | None = None
+    arguments: tuple[Any, ...] = ()
+    seconds: float = 1.0
+    settings: Settings | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """One stage of one pair and part: its key, and its record if it is done.
+
+    needs : stage and part of the jobs of the pair whose results it reads
+    reads : keys of all that it reads
+    """
+
+    stage: Stage
+    part: str
+    key: str
+    settings: Settings
+    needs: tuple[tuple[str, str], ...] = ()
+    reads: tuple[str, ...] = ()
+    arguments: tuple[Any, ...] = ()
+    seconds: float = 0.0
+    record: JobRecord | None = None
 
     @property
-    def sides(self) -> tuple[str, ...]:
-        """The sides of its jobs; "" for one job that takes both."""
-        return SIDES if self.per_side else ("",)
+    def name(self) -> tuple[str, str]:
+        """What it is called among the jobs of its pair."""
+        return self.stage.name, self.part
 
 
-def plan_pair(stages: Iterable[Stage], pair: ScanPair, inputs: Mapping[str, str], settings: Settings) -> PairTask:
-    """The jobs of a pair with their wanted keys, none of them done yet.
+@dataclass(frozen=True)
+class PairPlan:
+    """The jobs of a pair: all that a worker needs to know, paths and keys, no points.
+
+    jobs : in their order
+    inputs : by side, what its file holds
+    folder, token : of the run; no folder where everything stays in memory
+    """
+
+    pair: ScanPair
+    jobs: tuple[Job, ...]
+    inputs: Mapping[str, ScanContent] = field(default_factory=dict)
+    label_names: Mapping[int, str] = field(default_factory=dict)
+    folder: Path | None = None
+    token: str = ""
+
+    @property
+    def pair_id(self) -> str:
+        """The name of the pair."""
+        return self.pair.pair_id
+
+    @property
+    def n_raw(self) -> int:
+        """Points of all files of the pair."""
+        return sum(content.n_raw for content in self.inputs.values())
+
+    @property
+    def todo(self) -> tuple[Job, ...]:
+        """The jobs that are not done."""
+        return tuple(job for job in self.jobs if job.record is None)
+
+    @property
+    def objects(self) -> list[tuple[int, int]] | None:
+        """Id and nodes of each matched object, where a finished job lists them."""
+        lists: list[list[tuple[int, int]]] = [
+            [(number, n_keep) for number, n_keep in job.record.facts[OBJECTS]]
+            for job in self.jobs
+            if job.record is not None and OBJECTS in job.record.facts
+        ]
+        return lists[-1] if lists else None
+
+    def job(self, name: tuple[str, str]) -> Job:
+        """A job by stage and part."""
+        return next(job for job in self.jobs if job.name == name)
+
+    def with_records(self, records: Iterable[JobRecord]) -> PairPlan:
+        """The same plan, knowing that these jobs are done."""
+        done = {(record.stage, record.part): record for record in records}
+        if not done:
+            return self
+        return replace(self, jobs=tuple(replace(job, record=done.get(job.name, job.record)) for job in self.jobs))
+
+
+class Planner:
+    """Plans pairs under one set of settings.
 
     Parameters
     ----------
     stages : in their order
-    pair : the pair
-    inputs : by side, a hash of all that the side's scan is read from
     settings : in force
+    label_names : class names by number
+    sides : which sides of a pair are wanted
     """
-    maker_of: dict[tuple[str, str], str] = {("scan", side): inputs[side] for side in SIDES}
-    jobs: list[Job] = []
-    for stage in stages:
-        for side in stage.sides:
-            read = [
-                maker_of[table, of] for table in stage.takes for of in ([side] if side else _sides_of(maker_of, table))
+
+    def __init__(
+        self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str], sides: Sequence[str] = SIDES
+    ) -> None:
+        self.stages = tuple(stages)
+        self.settings = settings
+        self.label_names = label_names
+        self.sides = tuple(sides)
+        self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
+
+    def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
+        """The jobs of a pair with their wanted keys, none of them done yet.
+
+        A job's key is a hash of its stage's name, version, settings and libraries, its part and arguments, and the
+        keys of what it reads; that of an input file hashes its content, its labels with their names, and T_real_sim.
+
+        Parameters
+        ----------
+        pair : the pair
+        inputs : by side, what its file holds
+        parts : of experiments, wanted besides the stages
+        """
+        makers: dict[tuple[str, str], tuple[str, tuple[str, str] | None]] = {
+            (SCAN, side): (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs
+        }
+        jobs: dict[tuple[str, str], Job] = {}
+        for part in (*(Part(stage, name) for stage in self.stages for name in stage.parts), *parts):
+            stage = part.stage
+            side = part.name if stage.grain is Grain.SIDE else ""
+            if side and side not in self.sides:
+                continue
+            settings = part.settings or self.settings
+            sources = [
+                makers[table, of_side]
+                for table in stage.takes
+                for of_side in ([side] if side else sorted(s for t, s in makers if t == table))
             ]
-            if stage.name == "ground" and side == "sim" and settings.ground.shared:
-                read.append(jobs[0].key)
+            if side == "sim" and stage.needs_real(settings):
+                real = jobs[stage.name, "real"]
+                sources += [makers[table, "real"] for table in stage.takes] + [(real.key, real.name)]
+            reads = tuple(key for key, _ in sources)
+            key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
+            needs = tuple(dict.fromkeys(name for _, name in sources if name is not None))
+            job = Job(stage, part.name, key, settings, needs, reads, part.arguments, part.seconds)
+            jobs[job.name] = job
+            makers |= {(table, side): (key, job.name) for table in stage.gives}
+        return PairPlan(pair, tuple(jobs.values()), inputs, self.label_names)
+
+    def _method_key(self, stage: Stage, settings: Settings) -> str:
+        """A hash of what a stage computes with, which is the same for all pairs."""
+        name = (stage.name, id(settings))
+        if name not in self._method_keys:
             key = key_of(
                 stage.name,
-                side,
                 stage.version,
                 {group: getattr(settings, group).model_dump(mode="json") for group in stage.settings},
                 library_versions(("numpy", "scipy", *stage.libraries(settings))),
-                pair.T_real_sim if stage.name == "ground" and side == "sim" else None,
-                read,
             )
-            jobs.append(Job(stage.name, side, key, stage.gives, stage.make))
-            maker_of |= {(table, side): key for table in stage.gives}
-    return PairTask(pair, settings, tuple(jobs))
+            self._method_keys[name] = settings, key  # kept, so that no other settings get the same id
+        return self._method_keys[name][1]
+
+    def _input_key(self, pair: ScanPair, side: str, content: ScanContent) -> str:
+        key = content.key(self.label_names)
+        return key if side == "real" or pair.T_real_sim is None else key_of(key, pair.T_real_sim)
 
 
-def with_whole_results(
-    task: PairTask, store: Store, redo: frozenset[str] = frozenset()
-) -> tuple[PairTask, dict[JobName, str]]:
-    """The task knowing which of its jobs are done, and the jobs in the index that are not wanted, each with the reason.
+def with_results(
+    plan: PairPlan, folder: RunFolder, redo: frozenset[str] = frozenset(), exhaustive: frozenset[str] = frozenset()
+) -> tuple[PairPlan, dict[JobName, str]]:
+    """The plan knowing which jobs are done, and the finished jobs of the pair that are not wanted, with the reason.
+
+    The result of an extra that is not asked for is wanted as long as all that it was made of is.
 
     Parameters
     ----------
-    task : as planned
-    store : the run
-    redo : stages to be made again whatever their keys say
+    plan : as planned
+    folder : of the run
+    redo : stages that are made again whatever their keys say
+    exhaustive : stages of which nothing is wanted but what the plan names
     """
-    whole, unwanted = [], dict[JobName, str]()
-    for job in task.jobs:
-        record = store.records.get((job.stage, task.pair.pair_id, job.side))
+    records = folder.ledger.jobs(plan.pair_id)
+    whole, unwanted = [], {}
+    for job in plan.jobs:
+        record = records.pop(job.name, None)
         if record is None:
             continue
         if record.key != job.key:
             unwanted[record.name] = "out of date"
-        elif not store.is_whole(record):
+        elif not folder.is_whole(record):
             unwanted[record.name] = "damaged or gone"
-        elif job.stage in redo:
+        elif job.stage.name in redo:
             unwanted[record.name] = "asked for by --from"
         else:
             whole.append(record)
-    return task.with_records(whole), unwanted
+    wanted = {job.key for job in plan.jobs} | {key for job in plan.jobs for key in job.reads}
+    for record in records.values():
+        if not wanted.issuperset(record.reads):
+            unwanted[record.name] = "out of date"
+        elif record.stage in exhaustive:
+            unwanted[record.name] = "not asked for"
+    return replace(plan, folder=folder.folder, token=folder.token).with_records(whole), unwanted
 
 
-def library_versions(names: Iterable[str]) -> dict[str, str]:
-    """Installed versions by distribution name."""
-    found = {}
-    for name in names:
-        if name not in _VERSIONS:
-            _VERSIONS[name] = version(name)
-        found[name] = _VERSIONS[name]
-    return found
-
-
-_VERSIONS: dict[str, str] = {}
-
-
-def _sides_of(made: Mapping[tuple[str, str], Any], table: str) -> list[str]:
-    return [side for name, side in made if name == table]
+def _plain(arguments: tuple[Any, ...]) -> Any:
+    """Arguments of a part as plain values for its key."""
+    return [vars(value) if hasattr(value, "__dict__") else value for value in arguments]

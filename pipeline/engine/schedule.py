@@ -1,9 +1,9 @@
-"""The order of work: which tasks of which pairs are submitted when, and what is done when one ends.
+"""The order of work: which jobs of which pairs are submitted when, and what is done when a batch ends.
 
-Pairs are started through a bounded window. A pair is one task, and several small ones are one together; only when few
-pairs are left for the workers does a pair fall into tasks by side and, largest first, by object. A pair whose worker
-died is tried once more with nothing beside it, so that only the guilty one fails. Leaves to others: what fits
-into the memory (`admission`), where tasks run (`fanout`), what they cost (`costs`), what is kept (`session`).
+Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
+only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. Parts
+of an experiment, which do not wait for each other, are always batches of their own. What a dying worker leaves
+behind is tried once more with nothing beside it, job by job, so that only the guilty one fails.
 """
 
 from __future__ import annotations
@@ -11,23 +11,114 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
-from .costs import largest_object, object_bytes, object_seconds, side_seconds
-from .memory import Active, Order, Room, matched_nodes
+from ..stage import Grain
+from .costs import CostModel, largest_object
+from .memory import MemoryBudget
+from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
-from .runner import OBJECT_STAGES, gather_objects, run_jobs, run_pairs, score_objects
-from .task import Failure, Job, PairTask, Report
+from .worker import (
+    BatchResult,
+    JobFailure,
+    JobId,
+    PairBatch,
+    gather_objects,
+    is_required,
+    run_batch,
+    score_objects,
+)
 
-_SIDE_STAGES = ("ground", "graph", "communities")
-_PAIRS_A_WORKER = 2
-_FEW_PAIRS_A_WORKER = 2
 _FIRST = 1e6  # priority of what others wait for
-_WORTH_SPLITTING_S = 1.0
-_BATCH_S = 0.5
-_BUNDLE_S = 0.5
-_LEAST_WEIGHT = 1 / 16
+
+
+@dataclass(frozen=True)
+class Policy:
+    """How work is cut into batches; no result depends on it.
+
+    costs : what batches may need and take
+    pairs_per_worker : how many pairs are begun for each worker
+    few_pairs_per_worker : with no more left than these, pairs fall into smaller batches
+    worth_splitting_s : that cost more than this
+    batch_s : objects of together so many seconds go together
+    bundle_s : small pairs of together so many seconds go together
+    least_weight : and no more of them than one by this
+    """
+
+    costs: CostModel = CostModel()
+    pairs_per_worker: int = 2
+    few_pairs_per_worker: int = 2
+    worth_splitting_s: float = 1.0
+    batch_s: float = 0.5
+    bundle_s: float = 0.5
+    least_weight: float = 1 / 16
+
+
+class Watcher(Protocol):
+    """Who is told how the work goes on."""
+
+    def pair_begun(self, plan: PairPlan) -> None:
+        """A pair is begun."""
+
+    def batch_done(self, result: BatchResult) -> None:
+        """Some jobs of a pair are finished, or failed."""
+
+    def objects_done(self, pair_id: str, n_keep: tuple[int, ...]) -> None:
+        """Some objects of a pair are scored, of so many nodes."""
+
+    def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
+        """A pair has ended; its plan knows what is finished."""
+
+
+@dataclass
+class _Pair:
+    """A pair that is being worked on."""
+
+    plan: PairPlan
+    failures: list[JobFailure] = field(default_factory=list)
+    is_suspect: bool = False
+    n_waiting: int = 0
+    scored: list[Handle] = field(default_factory=list)
+    scoring: tuple[JobId, ...] = ()
+
+    @property
+    def todo(self) -> list[Job]:
+        """Its jobs that are neither done, nor failed, nor in need of one that did; none where a required one failed."""
+        failed = {(failure.stage, failure.part) for failure in self.failures}
+        if any(is_required(self.plan.job(name)) for name in failed):
+            return []
+        left = []
+        for job in self.plan.todo:
+            if job.name in failed or failed.intersection(job.needs):
+                failed.add(job.name)
+            else:
+                left.append(job)
+        return left
+
+    @property
+    def ready(self) -> list[Job]:
+        """Those of them whose needs are done."""
+        done = {job.name for job in self.plan.jobs if job.record is not None}
+        return [job for job in self.todo if done.issuperset(job.needs)]
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """What waits for memory, or runs.
+
+    pairs : whose it is; several only of `run_batch`
+    need : bytes that it may occupy
+    objects : the nodes of the objects that it scores; their rows stay where they are made
+    """
+
+    pairs: tuple[_Pair, ...]
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    priority: float = 0.0
+    need: int = 0
+    objects: tuple[int, ...] = ()
 
 
 class Schedule:
@@ -35,49 +126,39 @@ class Schedule:
 
     Parameters
     ----------
-    pool : where tasks run
-    tasks : the pairs, each with jobs to be made; taken one by one as they are begun
-    n_raw : points of both files, by pair_id; of just these pairs
-    on_report : called with what each task has finished, as soon as it has
-    on_objects : called with pair_id and numbers of nodes of objects that are scored
-    on_end : called with pair_id and failure (or None) when a pair has ended
+    pool : where batches run
+    plans : of the pairs, each with jobs to be made; taken one by one as they are begun
+    n_pairs : how many there are
+    watcher : is told what happens
+    policy : how work is cut
     """
 
     def __init__(
-        self,
-        pool: Pool,
-        tasks: Iterable[PairTask],
-        n_raw: Mapping[str, int],
-        on_report: Callable[[Report], None],
-        on_objects: Callable[[str, tuple[int, ...]], None],
-        on_end: Callable[[str, Failure | None], None],
+        self, pool: Pool, plans: Iterable[PairPlan], n_pairs: int, watcher: Watcher, policy: Policy | None = None
     ) -> None:
-        self._pool = pool
-        self._pending = iter(tasks)
-        self._n_pending = len(n_raw)
-        self._n_raw = n_raw
-        self._room = Room(pool, n_raw)
-        self._on_report = on_report
-        self._on_objects = on_objects
-        self._on_end = on_end
-        self._active: dict[str, Active] = {}
-        self._waiting: list[tuple[float, int, Order]] = []
-        self._running: dict[Handle, Order] = {}
+        self._pool, self._watcher = pool, watcher
+        self._policy = policy or Policy()
+        self._costs = self._policy.costs
+        self._pending, self._n_pending = iter(plans), n_pairs
+        self._budget = MemoryBudget(pool, self._costs)
+        self._active: dict[str, _Pair] = {}
+        self._waiting: list[tuple[float, int, _Batch]] = []
+        self._running: dict[Handle, _Batch] = {}
         self._count = itertools.count()
-        self._bundle: list[Active] = []
-        self._quarantine: deque[Active] = deque()
-        self._alone = False
+        self._bundle: list[_Pair] = []
+        self._quarantine: deque[_Pair] = deque()
+        self._is_alone = False
 
     def run(self) -> None:
         """Works until every pair has ended."""
         self._fill()
         while self._running:
             handle, outcome = self._pool.next_done()
-            order = self._running.pop(handle)
-            outcomes = outcome if isinstance(outcome, list) else [outcome] * len(order.pairs)
-            for pair, of_pair in zip(order.pairs, outcomes, strict=True):
+            batch = self._running.pop(handle)
+            outcomes = outcome if isinstance(outcome, list) else [outcome] * len(batch.pairs)
+            for pair, result in zip(batch.pairs, outcomes, strict=True):
                 pair.n_waiting -= 1
-                self._take(pair, of_pair, order.objects)
+                self._take(pair, batch, result)
                 if not pair.n_waiting:
                     self._go_on(pair)
             self._fill()
@@ -85,151 +166,191 @@ class Schedule:
             raise RuntimeError(f"{n_left} pairs were left over though nothing ran any more")
 
     def _fill(self) -> None:
-        if self._alone:
-            self._admit()
-            return
-        window = (_FEW_PAIRS_A_WORKER if self._few_left() else _PAIRS_A_WORKER) * self._pool.n_workers
-        while self._n_pending and sum(map(self._weight, self._active.values())) < window:
-            self._n_pending -= 1
-            pair = Active(next(self._pending))
-            self._active[pair.task.pair.pair_id] = pair
-            self._go_on(pair)
-        if not self._n_pending:
-            self._submit_bundle()
+        """Begins pairs while the window has room for them, and hands to the pool what the memory admits."""
+        if not self._is_alone:
+            per_worker = self._policy.few_pairs_per_worker if self._few_left() else self._policy.pairs_per_worker
+            window = per_worker * self._pool.n_workers
+            while self._n_pending and sum(map(self._weight, self._active.values())) < window:
+                self._n_pending -= 1
+                pair = _Pair(next(self._pending))
+                self._watcher.pair_begun(pair.plan)
+                self._active[pair.plan.pair_id] = pair
+                self._go_on(pair)
+            if not self._n_pending:
+                self._submit_bundle()
         self._admit()
         if self._quarantine and not self._active:
-            self._alone = True
+            self._is_alone = True
             pair = self._quarantine.popleft()
-            self._active[pair.task.pair.pair_id] = pair
-            self._submit_whole(pair)
-            self._submit_bundle()
+            self._active[pair.plan.pair_id] = pair
+            self._go_on(pair)
             self._admit()
 
-    def _take(self, pair: Active, outcome: Any, objects: tuple[int, ...]) -> None:
-        if isinstance(outcome, WorkerDied):
-            if self._alone and pair.failure is None:
-                job = pair.todo[0]
+    def _take(self, pair: _Pair, batch: _Batch, result: Any) -> None:
+        if isinstance(result, WorkerDied):
+            if self._is_alone and pair.is_suspect:
+                job = pair.ready[0]
                 reason = (
-                    f"the worker process died, and again when the pair ran alone (out of memory?): {outcome.detail}"
+                    f"the worker process died, and again when the pair ran alone (out of memory?): {result.detail}"
                 )
-                pair.failure = Failure(job.stage, job.side, reason)
-            pair.suspect = True
-        elif isinstance(outcome, Report):
-            self._on_report(outcome)
-            pair.task = pair.task.with_records(outcome.records)
-            pair.failure = pair.failure or outcome.failure
+                pair.failures.append(JobFailure(*job.name, reason))
+            pair.is_suspect = True
+        elif isinstance(result, BatchResult):
+            self._watcher.batch_done(result)
+            pair.plan = pair.plan.with_records(result.records)
+            pair.failures.extend(result.failures)
         else:
-            self._on_objects(pair.task.pair.pair_id, objects)
+            self._watcher.objects_done(pair.plan.pair_id, batch.objects)
 
-    def _go_on(self, pair: Active) -> None:
+    def _go_on(self, pair: _Pair) -> None:
         """Submits what comes next for a pair of which nothing is running."""
-        pair.failure = pair.failure or self._room.too_large(pair)
-        if pair.failure or not pair.todo:
+        while pair.todo and (reason := self._budget.why_too_large(pair.plan)):
+            pair.failures.append(JobFailure(*pair.todo[0].name, reason))
+        if not pair.todo:
             self._end(pair)
-        elif pair.suspect and not self._alone:
+        elif self._is_alone:
             pair.scored.clear()
-            del self._active[pair.task.pair.pair_id]
+            self._submit_jobs(pair, pair.ready[:1])
+        elif pair.is_suspect:
+            pair.scored.clear()
+            del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
         elif pair.scored:
-            self._submit(Order((pair,), gather_objects, (list(pair.scored),), priority=_FIRST))
+            self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, list(pair.scored)), priority=_FIRST))
             pair.scored.clear()
-        elif not self._is_worth_splitting(pair):
-            self._submit_whole(pair)
-        elif sides := [job for job in pair.todo if job.stage in _SIDE_STAGES]:
-            split = not pair.task.settings.ground.shared
-            for side in ("real", "sim") if split else ("",):
-                if own := [job for job in sides if not split or job.side == side]:
-                    self._submit(Order((pair,), run_jobs, (_names(own),), _FIRST, self._room.pair_bytes(pair)))
-        elif matching := [job for job in pair.todo if job.stage == "matching"]:
-            self._submit(Order((pair,), run_jobs, (_names(matching),), priority=_FIRST))
-        elif any(job.stage in OBJECT_STAGES for job in pair.todo):
-            self._submit_objects(pair)
+        elif self._is_worth_splitting(pair):
+            self._split(pair)
         else:
-            need = self._room.pair_bytes(pair) + object_bytes(largest_object(matched_nodes(pair.task) or [])[1])
-            for job in pair.todo:
-                self._submit(Order((pair,), run_jobs, (_names([job]),), need=need))
+            self._submit_whole(pair)
 
-    def _end(self, pair: Active) -> None:
-        self._alone = False
-        del self._active[pair.task.pair.pair_id]
-        self._on_end(pair.task.pair.pair_id, pair.failure)
+    def _end(self, pair: _Pair) -> None:
+        self._is_alone = False
+        del self._active[pair.plan.pair_id]
+        self._watcher.pair_done(pair.plan, tuple(pair.failures))
 
-    def _is_worth_splitting(self, pair: Active) -> bool:
-        n_keep = matched_nodes(pair.task)
-        has_objects = any(job.stage in OBJECT_STAGES for job in pair.todo)
-        if n_keep and has_objects and object_bytes(largest_object(n_keep)[1]) > self._room.object_share(pair):
-            return True  # its objects are admitted one by one
-        if self._alone or self._pool.n_workers == 1 or not self._few_left():
+    def _is_worth_splitting(self, pair: _Pair) -> bool:
+        objects = pair.plan.objects
+        has_objects = any(job.stage.grain is Grain.OBJECT for job in pair.todo)
+        if objects and has_objects:
+            largest = self._costs.object_bytes(largest_object(objects)[1])
+            if largest > self._budget.object_share(pair.plan):
+                return True  # its objects are admitted one by one
+        if any(job.part not in job.stage.parts for job in pair.todo):
+            return True  # parts of an experiment
+        if self._pool.n_workers == 1 or not self._few_left():
             return False
-        if any(job.stage in _SIDE_STAGES for job in pair.todo):
-            return side_seconds(self._n_raw[pair.task.pair.pair_id]) > _WORTH_SPLITTING_S
-        return n_keep is None or sum(object_seconds(n) for _, n in n_keep) > _WORTH_SPLITTING_S
+        if any(job.stage.grain is Grain.SIDE for job in pair.todo):
+            return self._costs.side_seconds(pair.plan.n_raw) > self._policy.worth_splitting_s
+        seconds = sum(self._costs.object_seconds(n) for _, n in objects or [])
+        return objects is None or seconds > self._policy.worth_splitting_s
 
     def _few_left(self) -> bool:
-        return self._n_pending + len(self._active) <= _FEW_PAIRS_A_WORKER * self._pool.n_workers
+        return self._n_pending + len(self._active) <= self._policy.few_pairs_per_worker * self._pool.n_workers
 
-    def _submit_whole(self, pair: Active) -> None:
+    def _split(self, pair: _Pair) -> None:
+        """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
+        ready = pair.ready
+        chains = [self._chain(pair, side) for side in ("real", "sim")]
+        if any(chains):
+            for chain in filter(None, chains):
+                self._submit_jobs(pair, chain, _FIRST)
+        elif ready[0].stage.grain is Grain.OBJECT:
+            self._submit_objects(pair)
+        else:
+            waited_for = {name for job in pair.todo for name in job.needs}
+            for job in ready:
+                if job.stage.grain is Grain.PAIR:
+                    self._submit_jobs(pair, [job], _FIRST if job.name in waited_for else job.seconds)
+
+    @staticmethod
+    def _chain(pair: _Pair, side: str) -> list[Job]:
+        """The jobs of a side that can be made one after the other without waiting for anything else."""
+        done = {job.name for job in pair.plan.jobs if job.record is not None}
+        chain: list[Job] = []
+        for job in pair.todo:
+            if job.stage.grain is Grain.SIDE and job.part == side and done.issuperset(job.needs):
+                chain.append(job)
+                done.add(job.name)
+        return chain
+
+    def _submit_jobs(self, pair: _Pair, jobs: list[Job], priority: float = 0.0) -> None:
+        """Some jobs of a pair as one batch."""
+        need = self._costs.pair_bytes(pair.plan.n_raw)
+        if any(job.stage.grain is not Grain.SIDE for job in jobs):
+            need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
+        names = tuple(job.name for job in jobs)
+        self._submit(_Batch((pair,), run_batch, ([PairBatch(pair.plan, names)], self._costs), priority, need))
+
+    def _submit_whole(self, pair: _Pair) -> None:
         """All that is left of a pair in one piece; small pairs wait for others to go with them."""
         self._bundle.append(pair)
         pair.n_waiting += 1
-        if sum(map(self._weight, self._bundle)) >= 1 or self._alone:
+        if sum(map(self._weight, self._bundle)) >= 1:
             self._submit_bundle()
 
     def _submit_bundle(self) -> None:
-        """The pairs that wait for company, as one task; each stops where an object needs more than a worker's share."""
+        """The pairs that wait for company, as one batch; each stops where an object needs more than a worker's share."""
         if not self._bundle:
             return
         pairs, self._bundle = tuple(self._bundle), []
-        parts = [(pair.task, _names(pair.todo), self._room.object_share(pair)) for pair in pairs]
-        need = max(self._room.pair_bytes(pair) + share for pair, (_, _, share) in zip(pairs, parts, strict=True))
-        self._queue(Order(pairs, run_pairs, (parts,), need=need))
+        shares = [self._budget.object_share(pair.plan) for pair in pairs]
+        batches = [
+            PairBatch(pair.plan, tuple(job.name for job in pair.todo), share)
+            for pair, share in zip(pairs, shares, strict=True)
+        ]
+        need = max(
+            self._costs.pair_bytes(pair.plan.n_raw) + share for pair, share in zip(pairs, shares, strict=True)
+        )
+        self._queue(_Batch(pairs, run_batch, (batches, self._costs), need=need))
 
-    def _weight(self, pair: Active) -> float:
-        """The part of a task that a pair is worth."""
-        seconds = 2 * side_seconds(self._n_raw[pair.task.pair.pair_id] // 2)
-        return min(1.0, max(_LEAST_WEIGHT, seconds / _BUNDLE_S))
+    def _weight(self, pair: _Pair) -> float:
+        """The part of a batch that a pair is worth."""
+        seconds = 2 * self._costs.side_seconds(pair.plan.n_raw // 2)
+        return min(1.0, max(self._policy.least_weight, seconds / self._policy.bundle_s))
 
-    def _submit_objects(self, pair: Active) -> None:
-        """Selection and scores of a pair's objects: large ones alone, small ones together, largest first.
+    def _submit_objects(self, pair: _Pair) -> None:
+        """The stages over a pair's objects: large objects alone, small ones together, largest first.
 
         Pairs go one after the other, that of the largest object first: workers keep the tables of the last ones.
         """
-        sizes = sorted(matched_nodes(pair.task) or [], key=lambda of: (-of[1], of[0]))
-        first = 1000.0 * object_seconds(sizes[0][1]) if sizes else 0.0
+        done = {job.name for job in pair.plan.jobs if job.record is not None}
+        scoring: list[JobId] = []
+        for job in pair.todo:
+            if job.stage.grain is Grain.OBJECT and done.union(scoring).issuperset(job.needs):
+                scoring.append(job.name)
+        pair.scoring = tuple(scoring)
+        sizes = sorted(pair.plan.objects or [], key=lambda entry: (-entry[1], entry[0]))
+        first = 1000.0 * self._costs.object_seconds(sizes[0][1]) if sizes else 0.0
         batch: list[tuple[int, int]] = []
-        for i, (real_id, n) in enumerate(sizes):
-            batch.append((real_id, n))
-            seconds = sum(object_seconds(of) for _, of in batch)
-            if seconds >= _BATCH_S or i + 1 == len(sizes):
-                need = self._room.pair_bytes(pair) + object_bytes(batch[0][1])
-                ids, nodes = tuple(of for of, _ in batch), tuple(of for _, of in batch)
-                self._submit(Order((pair,), score_objects, (ids,), first + seconds, need, nodes))
+        for i, entry in enumerate(sizes):
+            batch.append(entry)
+            seconds = sum(self._costs.object_seconds(n) for _, n in batch)
+            if seconds >= self._policy.batch_s or i + 1 == len(sizes):
+                need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(batch[0][1])
+                numbers, nodes = tuple(number for number, _ in batch), tuple(n for _, n in batch)
+                arguments = (pair.plan, pair.scoring, numbers)
+                self._submit(_Batch((pair,), score_objects, arguments, first + seconds, need, nodes))
                 batch = []
         if not sizes:
-            self._submit(Order((pair,), gather_objects, ([],), priority=_FIRST))
+            self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, []), priority=_FIRST))
 
-    def _submit(self, order: Order) -> None:
-        """Queues a task of one pair for `_admit`."""
-        order.pairs[0].n_waiting += 1
-        self._queue(order)
+    def _submit(self, batch: _Batch) -> None:
+        """Queues a batch of one pair for `_admit`."""
+        batch.pairs[0].n_waiting += 1
+        self._queue(batch)
 
-    def _queue(self, order: Order) -> None:
-        heapq.heappush(self._waiting, (-order.priority, next(self._count), order))
+    def _queue(self, batch: _Batch) -> None:
+        heapq.heappush(self._waiting, (-batch.priority, next(self._count), batch))
 
     def _admit(self) -> None:
-        """Hands tasks to the pool, first come first, as long as those that may run at once fit into the memory."""
+        """Hands batches to the pool, first come first, as long as those that may run at once fit into the memory."""
         while self._waiting:
-            order = self._waiting[0][2]
-            if not self._room.admits(order, self._running.values()):
+            batch = self._waiting[0][2]
+            if not self._budget.admits(batch.need, [running.need for running in self._running.values()]):
                 return
             heapq.heappop(self._waiting)
-            keep = order.function is score_objects
-            first = () if order.function is run_pairs else (order.pairs[0].task,)
-            handle = self._pool.submit(order.function, *first, *order.arguments, priority=order.priority, keep=keep)
-            self._running[handle] = order
+            keep = bool(batch.objects)
+            handle = self._pool.submit(batch.function, *batch.arguments, priority=batch.priority, keep=keep)
+            self._running[handle] = batch
             if keep:
-                order.pairs[0].scored.append(handle)
-
-
-def _names(jobs: Iterable[Job]) -> tuple[tuple[str, str], ...]:
-    return tuple((job.stage, job.side) for job in jobs)
+                batch.pairs[0].scored.append(handle)

@@ -1,8 +1,4 @@
-"""The job of the baselines of a pair, and what they say of all pairs together.
-
-An extra of the pipeline: made only where `metrics.baselines` names some. Leaves to others: the baselines themselves
-(`stages.baselines`), how they are shown (`report.baselines`).
-"""
+"""Stage baselines, an extra: the wanted distances of others of each matched object and of the two whole scans."""
 
 from __future__ import annotations
 
@@ -18,68 +14,58 @@ from ...schemas.tables import BASELINES
 from ...stages.baselines import Baseline, compare_objects, compare_points
 from ...stages.baselines.icp import can_register
 from ...stages.summary import mean_and_std
-from ..engine.task import Facts, Tables
-from ..engine.workbench import Workbench
-from ..storage.ledger import JobRecord
-from .core import chosen_nodes
+from ..stage import Context, Facts, Grain, Made, Stage
+from ..storage.tables import JobRecord
+from .points import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_pair, matched_rows, object_points
 
-STAGE = "baselines"
 OF_OBJECTS, OF_SCAN = "objects", "scans"
 
 
-def libraries(settings: Settings) -> tuple[str, ...]:
-    """What the wanted baselines call; ICP's library is an extra, and without it ICP is null."""
-    wants_icp = "icp" in settings.metrics.baselines
-    return ("POT", "small_gicp") if wants_icp and can_register() else ("POT",)
-
-
-def make_baselines(bench: Workbench, side: str) -> tuple[Tables, Facts]:
-    """The wanted baselines of each matched object, and of all object points of the two scans."""
-    settings = bench.settings
+def make_baselines(context: Context) -> Made:
+    """Compares each matched object, and all object points of the two scans; tells the pair's means as facts."""
+    settings, selection = context.settings, context.table("selection")
     rows: list[Facts] = []
-    selection = bench.table("selection")
-    for match in bench.matched().to_pylist():
-        real, sim = bench.subgraph("real", match["real_id"]), bench.subgraph("sim", match["sim_id"])
-        chosen = chosen_nodes(selection, match["real_id"], real, sim)
-        found = compare_objects(real, sim, chosen, settings.selection.t, settings.metrics, watch=bench.watch)
-        rows += [_row(bench, of, match["real_id"], match["sim_id"]) for of in found]
+    for match in matched_rows(context):
+        real, sim = matched_pair(context, match)
+        nodes = kept_nodes(selection, match["real_id"], real, sim)
+        values = compare_objects(real, sim, nodes, settings.selection.t, settings.metrics, watch=context.step)
+        rows += [_row(context, value, match["real_id"], match["sim_id"]) for value in values]
 
     def watch(name: str) -> AbstractContextManager[None]:
-        return bench.step(_step(name, OF_SCAN))
+        return context.step(_step(name, OF_SCAN))
 
-    real_points, sim_points = (bench.object_points(of)[1] for of in SIDES)
-    of_scan = compare_points(real_points, sim_points, settings.metrics, watch=watch)
-    rows += [_row(bench, of, None, None) for of in of_scan]
-    facts = {"made_from": bench.job("selection").key, "means": _means(rows)}
-    return {"baselines": BASELINES.from_rows(rows)}, facts
+    real_points, sim_points = (object_points(context, side)[1] for side in SIDES)
+    values = compare_points(real_points, sim_points, settings.metrics, watch=watch)
+    rows += [_row(context, value, None, None) for value in values]
+    return Made({"baselines": BASELINES.from_rows(rows)}, {"means": _means(rows)})
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> list[dict[str, Any]]:
-    """Of each baseline and level (objects or scan): mean and standard deviation (n - 1) over pairs, seconds a pair.
+    """Of each baseline and level (objects or scan): mean and standard deviation (n - 1) over pairs, seconds per pair.
 
     The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds` is the time of the
     method, which may give several baselines: it stands with the first of them.
     """
-    own = list(records)
+    finished = list(records)
     summary = []
     for level in (OF_OBJECTS, OF_SCAN):
         for method in settings.metrics.baselines:
-            seconds = [dict(record.steps).get(_step(method, level)) for record in own]
+            seconds = [dict(record.steps).get(_step(method, level)) for record in finished]
             timed = [s for s in seconds if s is not None]
             names = {
-                of["baseline"]: of["unit"]
-                for record in own
-                for of in record.facts["means"]
-                if of["level"] == level and _method(of["baseline"]) == method
+                mean["baseline"]: mean["unit"]
+                for record in finished
+                for mean in record.facts["means"]
+                if mean["level"] == level and _method(mean["baseline"]) == method
             }
             for i, (name, unit) in enumerate(names.items()):
                 pairs = [
-                    of
-                    for record in own
-                    for of in record.facts["means"]
-                    if (of["level"], of["baseline"]) == (level, name)
+                    mean
+                    for record in finished
+                    for mean in record.facts["means"]
+                    if (mean["level"], mean["baseline"]) == (level, name)
                 ]
-                values = [np.nan if of["mean"] is None else of["mean"] for of in pairs]
+                values = [np.nan if pair["mean"] is None else pair["mean"] for pair in pairs]
                 mean, std = mean_and_std(np.array(values, dtype=np.float64))
                 summary.append(
                     {
@@ -88,23 +74,33 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> lis
                         "unit": unit,
                         "mean": mean,
                         "std": std,
-                        "n": sum(of["n"] for of in pairs),
-                        "n_null": sum(of["n_null"] for of in pairs),
+                        "n": sum(pair["n"] for pair in pairs),
+                        "n_null": sum(pair["n_null"] for pair in pairs),
                         "seconds": sum(timed) / len(timed) if timed and i == 0 else None,
                     }
                 )
     return summary
 
 
-def _row(bench: Workbench, of: Baseline, real_id: int | None, sim_id: int | None) -> Facts:
+def _libraries(settings: Settings) -> tuple[str, ...]:
+    """What the wanted baselines call; ICP's library is an extra, and without it ICP is null."""
+    wants_icp = "icp" in settings.metrics.baselines
+    return ("POT", "small_gicp") if wants_icp and can_register() else ("POT",)
+
+
+def _is_wanted(settings: Settings) -> bool:
+    return bool(settings.metrics.baselines)
+
+
+def _row(context: Context, baseline: Baseline, real_id: int | None, sim_id: int | None) -> Facts:
     return {
-        "pair_id": bench.pair_id,
+        "pair_id": context.pair_id,
         "real_id": real_id,
         "sim_id": sim_id,
-        "baseline": of.name,
-        "value": of.value,
-        "unit": of.unit,
-        "reason": of.reason,
+        "baseline": baseline.name,
+        "value": baseline.value,
+        "unit": baseline.unit,
+        "reason": baseline.reason,
     }
 
 
@@ -138,3 +134,17 @@ def _step(method: str, level: str) -> str:
 def _method(baseline: str) -> str:
     """Which method gives a baseline: the one that its name begins with."""
     return next(name for name in BASELINE_NAMES if baseline.startswith(name))
+
+
+STAGE = Stage(
+    name="baselines",
+    takes={**MATCHED_OBJECTS, "selection": NODE_COLUMNS},
+    gives=("baselines",),
+    settings=("selection", "metrics"),
+    grain=Grain.PAIR,
+    version=1,
+    make=make_baselines,
+    libraries=_libraries,
+    is_wanted=_is_wanted,
+    summarise=summarise_baselines,
+)

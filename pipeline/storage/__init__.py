@@ -1,1 +1,1 @@
-"""A run's folder: tables, the ledger of finished jobs, the lock, the record."""
+"""A run's folder: its tables, the ledger of finished jobs, the lock, and the run's record."""

@@ -1,29 +1,47 @@
-"""Writing a file that people and programs read, whole or not at all, and removing one that is out of date."""
+"""Files that are there whole or not at all, and hashes of what they hold."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import secrets
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from ...schemas.errors import RunError
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(
+    path: Path,
+    content: bytes | memoryview | Iterable[bytes | memoryview],
+    *,
+    before_rename: Callable[[], None] | None = None,
+) -> None:
     """Puts a file in place of another, if any: written beside it under a dot name, flushed, renamed.
+
+    Parameters
+    ----------
+    path : of the file; its folder is made where there is none
+    content : all of it, or its parts one after the other, which then never are in memory together
+    before_rename : may raise, and the file in place stays
 
     Raises
     ------
     RunError
         It cannot be written there.
     """
-    temporary = path.with_name(f".{secrets.token_hex(8)}")
+    parts = [content] if isinstance(content, bytes | memoryview) else content
+    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("wb") as file:
-            file.write(content)
+            file.writelines(parts)
             file.flush()
             os.fsync(file.fileno())
+        if before_rename is not None:
+            before_rename()
         temporary.replace(path)
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror}); give another file") from error
@@ -43,3 +61,14 @@ def remove_stale(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise RunError(f"{path}: out of date, but cannot be removed ({error.strerror}); remove it") from error
+
+
+def key_of(*parts: Any) -> str:
+    """A hash of plain values (numbers, strings, lists, dictionaries): equal if and only if they are."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's content, as hexadecimal digits; OSError where it cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

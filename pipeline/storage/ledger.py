@@ -1,274 +1,228 @@
-"""A run's index: one JSON line for each finished job, each input file that was read, and each pair that failed.
+"""A run's ledger: finished jobs, what was learnt of each input file, and why pairs failed. In SQLite.
 
-What a line holds stays on disk and is read when it is asked for; in memory are names and places, so that a command
-over ten thousand pairs stays small. Each line begins with a hash of itself: what is torn or damaged is not believed.
-While a run works, each process notes its jobs in a journal of its own, so that nothing is lost if it is killed.
-Leaves to others: who may write (`store`), what a record means (`plan`).
+A cache that the command alone writes: the same stands in the footers of the tables, from which a lost ledger is made
+again. Nothing of it is kept in memory, so that a command over ten thousand pairs stays small.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-import platform
-import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+import sqlite3
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, BinaryIO, Generic, TypeVar
+from time import monotonic
+from typing import Any
 
 import orjson
 
-INDEX = "index.jsonl"
-_JOURNALS = ".journal"
+from .tables import JobRecord, StoredFile
 
-JobName = tuple[str, str, str]  #: stage, pair_id, side ("" where the stage takes both sides)
-Place = int | bytes  #: where in the index a line begins; or the line itself, of a journal
-Entry = dict[str, Any]
-Name = TypeVar("Name")
-Value = TypeVar("Value")
+LEDGER = "ledger.sqlite"
+_VERSION = 1
+_SECONDS_BETWEEN_COMMITS = 1.0
 
-
-@dataclass(frozen=True)
-class StoredFile:
-    """A file as it was written: its length and content hash, and the file system's marks of that moment."""
-
-    size: int
-    sha256: str
-    mtime_ns: int
-    ctime_ns: int
+_TABLES = f"""
+CREATE TABLE jobs (
+    pair_id TEXT, stage TEXT, part TEXT, entry BLOB, hash TEXT, PRIMARY KEY (pair_id, stage, part)
+) WITHOUT ROWID;
+CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT, stage TEXT, part TEXT) WITHOUT ROWID;
+CREATE TABLE inputs (name TEXT PRIMARY KEY, entry BLOB, hash TEXT) WITHOUT ROWID;
+CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB, hash TEXT) WITHOUT ROWID;
+CREATE TABLE state (name TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;
+PRAGMA user_version = {_VERSION};
+"""
 
 
-@dataclass(frozen=True)
-class JobRecord:
-    """A finished job.
+class Ledger:
+    """The ledger of a run's folder, or an empty one in memory where there is none and nothing may be written.
 
-    files : by path relative to the run
-    facts : small results that are not a table
-    steps : name and seconds of each step
-    """
-
-    stage: str
-    pair_id: str
-    side: str
-    key: str
-    files: dict[str, StoredFile]
-    facts: dict[str, Any] = field(default_factory=dict)
-    steps: tuple[tuple[str, float], ...] = ()
-
-    @property
-    def name(self) -> JobName:
-        """What the job is called in the index."""
-        return self.stage, self.pair_id, self.side
-
-
-class Entries(Mapping[Name, Value], Generic[Name, Value]):
-    """One kind of entries by name, each read from the disk when it is asked for."""
-
-    def __init__(self, read: Callable[[Place], Entry], decode: Callable[[Entry], Value]) -> None:
-        self.places: dict[Name, Place] = {}
-        self._read, self._decode = read, decode
-
-    def __getitem__(self, name: Name) -> Value:
-        return self._decode(self._read(self.places[name]))
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.places
-
-    def __iter__(self) -> Iterator[Name]:
-        return iter(self.places)
-
-    def __len__(self) -> int:
-        return len(self.places)
-
-
-class Index:
-    """The index of a run's folder, and the journals beside it that were not gathered yet.
-
-    jobs, inputs, failures : finished jobs; what was learnt of each input file; why each failed pair failed
-    is_compact : each entry stands in the index once, and there is no journal
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._file: BinaryIO | None = None
-        self._loaded: list[tuple[Path, int, int]] = []
-        self.jobs: Entries[JobName, JobRecord] = Entries(self._entry, _job_record)
-        self.inputs: Entries[str, Entry] = Entries(self._entry, _facts)
-        self.failures: Entries[str, Entry] = Entries(self._entry, _facts)
-        self.is_compact = False
-        self.load()
-
-    def load(self) -> None:
-        """Learns the names and places of all entries anew."""
-        for entries in (self.jobs, self.inputs, self.failures):
-            entries.places.clear()
-        self._close()
-        self._loaded = self._files()
-        n_lines, is_torn = 0, False
-        for path, _, _ in self._loaded:
-            place = 0
-            with path.open("rb") as file:
-                for line in file:
-                    n_lines += 1
-                    is_torn |= not line.endswith(b"\n")
-                    self._learn(line, place if path.name == INDEX else line)
-                    place += len(line)
-        n_entries = len(self.jobs) + len(self.inputs) + len(self.failures)
-        self.is_compact = len(self._loaded) == 1 and n_lines == n_entries and not is_torn
-
-    def is_as_loaded(self) -> bool:
-        """Whether nobody has written to index or journals since they were loaded."""
-        return self._loaded == self._files()
-
-    def put_job(self, record: JobRecord) -> JobName:
-        """Adds a finished job; returns its name."""
-        name = record.name
-        self.jobs.places[name] = self._append({"job": _as_dict(record)})
-        return name
-
-    def put_input(self, name: str, facts: Entry) -> None:
-        """Adds what was learnt of an input file."""
-        self.inputs.places[name] = self._append({"input": name, "facts": facts})
-
-    def put_failure(self, pair_id: str, facts: Entry) -> None:
-        """Adds why a pair failed."""
-        self.failures.places[pair_id] = self._append({"failure": pair_id, "facts": facts})
-
-    def drop_job(self, name: JobName) -> None:
-        """Forgets a finished job."""
-        self.jobs.places.pop(name, None)
-        self.is_compact = False
-
-    def drop_failure(self, pair_id: str) -> None:
-        """Forgets why a pair failed, if it did."""
-        if self.failures.places.pop(pair_id, None) is not None:
-            self.is_compact = False
-
-    def compact(self, replace: Callable[[Path, Iterable[bytes]], None]) -> None:
-        """Writes the index anew, each entry once, and does away with the journals; only if there is need.
-
-        Parameters
-        ----------
-        replace : puts a file of these parts in place of another
-        """
-        if self.is_compact:
-            return
-        new_places: list[tuple[dict[Any, Place], Any, int]] = []
-        kinds: tuple[Entries[Any, Any], ...] = (self.inputs, self.failures, self.jobs)
-
-        def lines() -> Iterator[bytes]:
-            place = 0
-            for entries in kinds:
-                for name in sorted(entries.places):
-                    line = self._line(entries.places[name])
-                    new_places.append((entries.places, name, place))
-                    place += len(line)
-                    yield line
-
-        replace(self._folder / INDEX, lines())
-        for places, name, place in new_places:
-            places[name] = place
-        self._close()
-        for journal in (self._folder / _JOURNALS).glob("*.jsonl"):
-            journal.unlink()
-        self.is_compact = True
-
-    def _append(self, entry: Entry) -> int:
-        self.is_compact = False
-        file = self._open()
-        place = file.seek(0, os.SEEK_END)
-        file.write(_line_of(entry))
-        file.flush()
-        return place
-
-    def _entry(self, place: Place) -> Entry:
-        entry = _entry_of(self._line(place))
-        if not entry:
-            raise RuntimeError(f"{self._folder / INDEX}: the line at {place!r} has changed since it was read")
-        return entry
-
-    def _line(self, place: Place) -> bytes:
-        if isinstance(place, bytes):
-            return place
-        file = self._open()
-        file.seek(place)
-        return file.readline()
-
-    def _open(self) -> BinaryIO:
-        if self._file is None:
-            path = self._folder / INDEX
-            try:
-                self._file = path.open("r+b")
-            except PermissionError:  # somebody else's run, to be read
-                self._file = path.open("rb")
-            weakref.finalize(self, self._file.close)
-        return self._file
-
-    def _close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-
-    def _files(self) -> list[tuple[Path, int, int]]:
-        """The index and the journals, with the file system's marks."""
-        paths = [self._folder / INDEX, *sorted((self._folder / _JOURNALS).glob("*.jsonl"))]
-        return [(path, (of := path.stat()).st_mtime_ns, of.st_size) for path in paths if path.exists()]
-
-    def _learn(self, line: bytes, place: Place) -> None:
-        entry = _entry_of(line)
-        if "job" in entry:
-            job = entry["job"]
-            self.jobs.places[job["stage"], job["pair_id"], job["side"]] = place
-        elif "failure" in entry:
-            self.failures.places[entry["failure"]] = place
-        elif "input" in entry:
-            self.inputs.places[entry["input"]] = place
-
-
-def note_job(folder: Path, token: str, record: JobRecord) -> None:
-    """Adds a finished job to this process's journal, at once.
+    Entries that do not agree with the hash beside them are not believed.
 
     Parameters
     ----------
-    folder, token : of the run that the process works for
+    path : of the file
+    is_writable : else nothing is written to disk, whatever is put in
     """
-    journal = folder / _JOURNALS / f"{token}-{platform.node()}-{os.getpid()}.jsonl"
-    journal.parent.mkdir(exist_ok=True)
-    with journal.open("ab") as file:
-        file.write(_line_of({"job": _as_dict(record)}))
+
+    def __init__(self, path: Path, *, is_writable: bool) -> None:
+        self._path = path
+        self._begun: float | None = None
+        try:
+            self._db = self._open(path, is_writable)
+        except sqlite3.DatabaseError:  # not a database, torn, or of another version: it is made again
+            self._db = _in_memory()
+            if is_writable:
+                path.unlink(missing_ok=True)
+                path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
+                self._db = self._open(path, is_writable)
+
+    def close(self) -> None:
+        """Writes what is not written yet, and ends the use of the file."""
+        self.commit()
+        self._db.close()
+
+    def commit(self) -> None:
+        """Writes what was put in since the last time."""
+        if self._begun is not None:
+            self._db.execute("COMMIT")
+            self._begun = None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it was closed in order: it then knows every finished job."""
+        return _is_complete(self._db)
+
+    def set_complete(self, is_complete: bool) -> None:
+        """Notes, at once, that it knows every finished job, or that jobs may be finished without it."""
+        self._change("INSERT OR REPLACE INTO state VALUES ('is_complete', ?)", "1" if is_complete else "0")
+        self.commit()
+
+    def jobs(self, pair_id: str) -> dict[tuple[str, str], JobRecord]:
+        """The finished jobs of a pair, by stage and part; those of the whole run under ""."""
+        rows = self._db.execute("SELECT stage, part, entry, hash FROM jobs WHERE pair_id = ?", (pair_id,))
+        return {(stage, part): _job_record(entry) for stage, part, entry, check in rows if _agrees(entry, check)}
+
+    def job_of_file(self, name: str) -> JobRecord | None:
+        """The finished job that made a file, by its name relative to the run."""
+        row = self._db.execute("SELECT pair_id, stage, part FROM files WHERE name = ?", (name,)).fetchone()
+        return None if row is None else self.jobs(row[0]).get((row[1], row[2]))
+
+    def knows_file(self, name: str) -> bool:
+        """Whether a finished job made a file of this name."""
+        return self._db.execute("SELECT 1 FROM files WHERE name = ?", (name,)).fetchone() is not None
+
+    def pair_ids(self) -> Iterator[str]:
+        """The pairs with finished jobs, by name."""
+        for (pair_id,) in self._db.execute("SELECT DISTINCT pair_id FROM jobs WHERE pair_id != '' ORDER BY pair_id"):
+            yield pair_id
+
+    def stages(self) -> list[str]:
+        """The stages with finished jobs."""
+        return [stage for (stage,) in self._db.execute("SELECT DISTINCT stage FROM jobs WHERE pair_id != ''")]
+
+    def put_job(self, record: JobRecord) -> None:
+        """Adds a finished job, in place of one of the same name."""
+        entry = orjson.dumps(asdict(record))
+        self._change(
+            "INSERT OR REPLACE INTO jobs VALUES (?, ?, ?, ?, ?)",
+            *(record.pair_id, record.stage, record.part, entry, _hash(entry)),
+        )
+        for name in record.files:
+            self._change(
+                "INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?)", name, record.pair_id, record.stage, record.part
+            )
+
+    def drop_job(self, record: JobRecord) -> None:
+        """Forgets a finished job."""
+        stage, pair_id, part = record.name
+        self._change("DELETE FROM jobs WHERE pair_id = ? AND stage = ? AND part = ?", pair_id, stage, part)
+        for name in record.files:
+            self._change("DELETE FROM files WHERE name = ?", name)
+
+    def input(self, name: str) -> dict[str, Any] | None:
+        """What was learnt of an input file; None if nothing."""
+        return self._entry("SELECT entry, hash FROM inputs WHERE name = ?", name)
+
+    def put_input(self, name: str, facts: Mapping[str, Any]) -> None:
+        """Adds what was learnt of an input file."""
+        self._put("INSERT OR REPLACE INTO inputs VALUES (?, ?, ?)", name, facts)
+
+    def failure(self, pair_id: str) -> dict[str, Any] | None:
+        """Why a pair failed (`key` of the job that did, `reason`); None if it did not."""
+        return self._entry("SELECT entry, hash FROM failures WHERE pair_id = ?", pair_id)
+
+    def failed_pairs(self) -> list[str]:
+        """The pairs that failed, by name."""
+        return [pair_id for (pair_id,) in self._db.execute("SELECT pair_id FROM failures ORDER BY pair_id")]
+
+    def put_failure(self, pair_id: str, facts: Mapping[str, Any]) -> None:
+        """Adds why a pair failed."""
+        self._put("INSERT OR REPLACE INTO failures VALUES (?, ?, ?)", pair_id, facts)
+
+    def drop_failure(self, pair_id: str) -> None:
+        """Forgets why a pair failed, if it did."""
+        self._change("DELETE FROM failures WHERE pair_id = ?", pair_id)
+
+    def _entry(self, question: str, name: str) -> dict[str, Any] | None:
+        row = self._db.execute(question, (name,)).fetchone()
+        if row is None or not _agrees(*row):
+            return None
+        entry: dict[str, Any] = orjson.loads(row[0])
+        return entry
+
+    def _put(self, order: str, name: str, facts: Mapping[str, Any]) -> None:
+        entry = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
+        self._change(order, name, entry, _hash(entry))
+
+    def _change(self, order: str, *values: Any) -> None:
+        now = monotonic()
+        if self._begun is None:
+            self._db.execute("BEGIN")
+            self._begun = now
+        self._db.execute(order, values)
+        if now - self._begun > _SECONDS_BETWEEN_COMMITS:
+            self.commit()
+
+    @staticmethod
+    def _open(path: Path, is_writable: bool) -> sqlite3.Connection:
+        if not is_writable:
+            return _read_only(path) if path.exists() else _in_memory()
+        db = sqlite3.connect(path, isolation_level=None)
+        if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
+            db.executescript(_TABLES)
+        _check(db)
+        return db
 
 
-def _as_dict(record: JobRecord) -> Entry:
-    """The same as `dataclasses.asdict`, which copies all that is inside."""
-    return vars(record) | {"files": {name: vars(of) for name, of in record.files.items()}}
+def _in_memory() -> sqlite3.Connection:
+    db = sqlite3.connect(":memory:", isolation_level=None)
+    db.executescript(_TABLES)
+    return db
 
 
-def _job_record(entry: Entry) -> JobRecord:
-    job = entry["job"]
-    files = {name: StoredFile(**of) for name, of in job.pop("files").items()}
-    steps = tuple((step, seconds) for step, seconds in job.pop("steps"))
-    return JobRecord(**job, files=files, steps=steps)
+def _read_only(path: Path) -> sqlite3.Connection:
+    """The ledger for a reader, who writes nothing, not even a lock where the medium is read-only.
+
+    One that does not know every finished job is copied into memory, where the others can be added.
+    """
+    for mode in ("mode=ro", "mode=ro&immutable=1"):
+        db = sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True, isolation_level=None)
+        try:
+            _check(db)
+        except sqlite3.OperationalError:
+            db.close()
+            continue
+        if _is_complete(db):
+            return db
+        copy = sqlite3.connect(":memory:", isolation_level=None)
+        db.backup(copy)
+        db.close()
+        return copy
+    raise sqlite3.DatabaseError(f"{path} cannot be opened")
 
 
-def _facts(entry: Entry) -> Entry:
-    facts: Entry = entry["facts"]
-    return facts
+def _check(db: sqlite3.Connection) -> None:
+    """Raises `sqlite3.DatabaseError` where it is no ledger of this version."""
+    if db.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
+        raise sqlite3.DatabaseError("a ledger of another version")
 
 
-def _line_of(entry: Entry) -> bytes:
-    text = orjson.dumps(entry, option=orjson.OPT_SERIALIZE_NUMPY)
-    return _line_hash(text) + b" " + text + b"\n"
+def _is_complete(db: sqlite3.Connection) -> bool:
+    row = db.execute("SELECT value FROM state WHERE name = 'is_complete'").fetchone()
+    return row is not None and row[0] == "1"
 
 
-def _entry_of(line: bytes) -> Entry:
-    """The entry of an index line; {} of a torn or damaged one, so that what it spoke of is made again."""
-    found, _, text = line.rstrip(b"\n").partition(b" ")
-    if found != _line_hash(text):
-        return {}
-    entry: Entry = orjson.loads(text)
-    return entry
+def _hash(entry: bytes) -> str:
+    return hashlib.blake2b(entry, digest_size=8).hexdigest()
 
 
-def _line_hash(text: bytes) -> bytes:
-    return hashlib.sha256(text).hexdigest()[:16].encode()
+def _agrees(entry: bytes, check: str) -> bool:
+    return _hash(entry) == check
+
+
+def _job_record(entry: bytes) -> JobRecord:
+    own = orjson.loads(entry)
+    files = {name: StoredFile(**file) for name, file in own.pop("files").items()}
+    steps = tuple((step, seconds) for step, seconds in own.pop("steps"))
+    return JobRecord(**own | {"reads": tuple(own["reads"])}, files=files, steps=steps)

@@ -1,0 +1,297 @@
+"""What a worker does: jobs of a pair one after the other, or some objects of one; and the tables that they work on.
+
+A table that comes from the job before it and one that comes from the run's folder are the same, value for value.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pyarrow as pa
+
+from ...schemas.errors import FidpipeError, StageError
+from ...schemas.tables import TABLES
+from ..datasets.readers import read_scan
+from ..datasets.readers.scan import Scan
+from ..stage import Context, Facts, Grain, Made, Step, Tables, total_steps
+from ..storage.files import hash_file
+from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
+from .costs import CostModel, largest_object
+from .plan import Job, PairPlan
+
+JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
+
+
+@dataclass(frozen=True)
+class JobFailure:
+    """Why a job came to nothing; `trace` where the fault is ours."""
+
+    stage: str
+    part: str
+    reason: str
+    trace: str = ""
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """What a batch has done for one pair: the jobs that are finished, and those that failed."""
+
+    pair_id: str
+    records: tuple[JobRecord, ...] = ()
+    failures: tuple[JobFailure, ...] = ()
+
+
+@dataclass(frozen=True)
+class ObjectRows:
+    """Rows of some objects of a pair, and the seconds of their steps, by job."""
+
+    tables: dict[JobId, Tables]
+    steps: dict[JobId, tuple[tuple[str, float], ...]]
+
+
+@dataclass(frozen=True)
+class PairBatch:
+    """Some jobs of a pair, to be run in order.
+
+    jobs : their names
+    bytes_for_objects : a batch ends before the first stage over objects where one of them needs more than this
+    """
+
+    plan: PairPlan
+    jobs: tuple[JobId, ...]
+    bytes_for_objects: int | None = None
+
+
+def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
+    """Makes and writes the jobs of each pair; one broken job does not stop the others that do not need it."""
+    return [_run_pair(batch, costs) for batch in batches]
+
+
+def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]) -> ObjectRows | JobFailure:
+    """The rows of some objects, by the stages over objects that are wanted; nothing is written."""
+    tables = _kept_tables(plan)
+    made: dict[JobId, Tables] = {}
+    steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
+    beside: dict[tuple[str, str], pa.Table] = {}
+    for name in jobs:
+        job = plan.job(name)
+        source = _WithRows(tables, beside)
+        context = Context(job.stage, job.part, job.settings, source, objects, job.arguments)
+        try:
+            made[name] = job.stage.make(context).tables
+        except Exception as error:  # one broken pair does not stop a dataset
+            return _failure(job, error)
+        steps[name] = total_steps(context.steps)
+        beside |= {(table, ""): rows for table, rows in made[name].items()}
+    return ObjectRows(made, steps)
+
+
+def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRows | JobFailure]) -> list[BatchResult]:
+    """Writes the tables of a pair from the rows of all its objects."""
+    failures = tuple(part for part in parts if isinstance(part, JobFailure))
+    if failures:
+        return [BatchResult(plan.pair_id, failures=failures[:1])]
+    rows = [part for part in parts if isinstance(part, ObjectRows)]
+    tables = PairTables(plan)
+    records: list[JobRecord] = []
+    for name in jobs:
+        job = plan.job(name)
+        context = Context(job.stage, job.part, job.settings, tables, arguments=job.arguments)
+        context.steps.extend(step for part in rows for step in part.steps[name])
+        try:
+            made = {table: [part.tables[name][table] for part in rows] for table in job.stage.gives}
+            records.append(_finish_objects(tables, job, context, made))
+        except Exception as error:  # one broken pair does not stop a dataset
+            return [BatchResult(plan.pair_id, tuple(records), (_failure(job, error),))]
+    return [BatchResult(plan.pair_id, tuple(records))]
+
+
+def make_job(tables: PairTables, job: Job) -> JobRecord:
+    """Makes one job of a pair and writes what it gives; raises what its stage raises."""
+    objects = [number for number, _ in tables.objects] if job.stage.grain is Grain.OBJECT else []
+    context = Context(job.stage, job.part, job.settings, tables, objects, job.arguments)
+    made = job.stage.make(context)
+    if job.stage.grain is Grain.OBJECT:
+        return _finish_objects(tables, job, context, {name: [rows] for name, rows in made.tables.items()})
+    return tables.finish(job, context, made)
+
+
+class PairTables:
+    """The tables of one pair while jobs run on it: those just made, and those that are read when first asked for."""
+
+    def __init__(self, plan: PairPlan, scans: Mapping[str, Scan] | None = None) -> None:
+        self.pair_id = plan.pair_id
+        self.T_real_sim = plan.pair.T_real_sim
+        self._plan = plan
+        self._scans = scans or {}
+        self._folder = None if plan.folder is None else TableFolder(plan.folder, plan.token)
+        self._tables: dict[tuple[str, str], pa.Table] = {}
+        self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
+        self._records = {job.name: job.record for job in plan.jobs if job.record is not None}
+        self._memory: dict[str, tuple[Any, set[str]]] = {}
+
+    @property
+    def objects(self) -> list[tuple[int, int]]:
+        """Id and nodes of each matched object; none where nothing lists them."""
+        return self._plan.with_records(self._records.values()).objects or []
+
+    def table(self, name: str, side: str, columns: tuple[str, ...], step: Step) -> pa.Table:
+        """Columns of a table, all where none is named; `step` is entered while a file is read."""
+        if (name, side) in self._tables:
+            rows = self._tables[name, side]
+            return rows.select(columns) if columns else rows
+        if (name, side, columns) not in self._parts:
+            if self._folder is None:
+                raise RuntimeError(f"table {name} of side {side!r} is asked for before its job is done")
+            record = self._maker(name, side)
+            path = self._folder.path(name, self.pair_id, side)
+            stored = record.files[table_name(name, self.pair_id, side)]
+            with step("read"):
+                self._parts[name, side, columns] = self._folder.read(name, stored, path, list(columns) or None)
+        return self._parts[name, side, columns]
+
+    def whole_table(self, name: str, side: str = "") -> pa.Table:
+        """A table that was made here, with plain strings."""
+        return TABLES[name].plain(self._tables[name, side])
+
+    def facts(self, table: str, side: str = "") -> Facts:
+        """The facts of the job that gave a table."""
+        return self._maker(table, side).facts
+
+    def memory(self) -> dict[str, tuple[Any, set[str]]]:
+        """What jobs of this pair keep for each other, each with the tables that it was made of."""
+        return self._memory
+
+    def scan(self, side: str) -> Scan:
+        """The scan of a side, whose file must be the one that the keys were made of."""
+        if side in self._scans:
+            return self._scans[side]
+        path = self._plan.pair.path(side)
+        if path is None:
+            raise StageError(f"no {side} scan")
+        columns = next(job.settings for job in self._plan.jobs).input.columns
+        scan = read_scan(path, columns, dict(self._plan.label_names))
+        if hash_file(path) != self._plan.inputs[side].sha256:
+            raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
+        return scan
+
+    def finish(self, job: Job, context: Context, made: Made) -> JobRecord:
+        """Keeps and writes what a job has made.
+
+        Raises
+        ------
+        ValueError
+            The tables are not those that the stage gives.
+        """
+        if set(made.tables) != set(job.stage.gives):
+            raise ValueError(f"stage {job.stage.name} gives {', '.join(made.tables)}; it declares {job.stage.gives}")
+        record = JobRecord(
+            job.stage.name,
+            self.pair_id,
+            job.part,
+            job.key,
+            {},
+            job.reads,
+            plain_facts(made.facts),
+            total_steps(context.steps),
+            self._plan.token,
+        )
+        if self._folder is not None:
+            with context.step("write"):
+                files = self._folder.write_job(record, made.tables)
+            record = replace(record, files=files, steps=total_steps(context.steps))
+        self._tables |= {(name, job.part): rows for name, rows in made.tables.items()}
+        self._records[job.name] = record
+        return record
+
+    def _maker(self, table: str, side: str) -> JobRecord:
+        for job in self._plan.jobs:
+            if table in job.stage.gives and job.part == side and job.name in self._records:
+                return self._records[job.name]
+        raise RuntimeError(f"table {table} of side {side!r} is asked for before its job is done")
+
+
+class _WithRows:
+    """The tables of a pair, with the rows of some objects in place of tables that are not written yet."""
+
+    def __init__(self, tables: PairTables, rows: Mapping[tuple[str, str], pa.Table]) -> None:
+        self._tables, self._rows = tables, rows
+        self.pair_id, self.T_real_sim = tables.pair_id, tables.T_real_sim
+        self.facts, self.scan, self.memory = tables.facts, tables.scan, tables.memory
+
+    def table(self, name: str, side: str, columns: tuple[str, ...], step: Step) -> pa.Table:
+        """See `PairTables`."""
+        rows = self._rows.get((name, side))
+        return self._tables.table(name, side, columns, step) if rows is None else rows.select(columns)
+
+
+def _run_pair(batch: PairBatch, costs: CostModel) -> BatchResult:
+    tables = PairTables(batch.plan)
+    records: list[JobRecord] = []
+    failures: list[JobFailure] = []
+    failed: set[JobId] = set()
+    for name in batch.jobs:
+        job = batch.plan.job(name)
+        if failed.intersection(job.needs):
+            failed.add(name)
+            continue
+        if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
+            _, n_keep = largest_object(tables.objects)
+            if costs.object_bytes(n_keep) > batch.bytes_for_objects:
+                break
+        try:
+            records.append(make_job(tables, job))
+        except Exception as error:  # one broken pair does not stop a dataset
+            failures.append(_failure(job, error))
+            failed.add(name)
+            if is_required(job):
+                break
+    return BatchResult(batch.plan.pair_id, tuple(records), tuple(failures))
+
+
+def is_required(job: Job) -> bool:
+    """Whether its pair comes to nothing without it: neither an extra nor a part of an experiment."""
+    return not job.stage.is_extra and job.part in job.stage.parts
+
+
+def _finish_objects(tables: PairTables, job: Job, context: Context, made: Mapping[str, list[pa.Table]]) -> JobRecord:
+    """Keeps and writes the rows of all objects, in the order of the table's keys."""
+    whole = {}
+    for name, parts in made.items():
+        schema = TABLES[name]
+        rows = pa.concat_tables([schema.schema.empty_table(), *parts])
+        whole[name] = rows.sort_by([(key, "ascending") for key in schema.keys]).combine_chunks()
+    facts = job.stage.gather(context, whole) if job.stage.gather is not None else {}
+    return tables.finish(job, context, Made(whole, facts))
+
+
+def _kept_tables(plan: PairPlan) -> PairTables:
+    """The tables of a pair whose objects are scored in several batches; a process keeps the last two."""
+    name = plan.token, tuple(job.key for job in plan.jobs)
+    if name not in _KEPT:
+        while len(_KEPT) >= 2:
+            del _KEPT[next(iter(_KEPT))]
+        _KEPT[name] = PairTables(plan)
+    return _KEPT[name]
+
+
+_KEPT: dict[tuple[str, tuple[str, ...]], PairTables] = {}
+
+
+def _failure(job: Job, error: Exception) -> JobFailure:
+    if isinstance(error, FidpipeError):
+        return JobFailure(*job.name, str(error))
+    if isinstance(error, MemoryError):
+        return JobFailure(*job.name, f"out of memory ({error})")
+    trace = "".join(traceback.format_exception(error))
+    return JobFailure(*job.name, f"internal error: {type(error).__name__}: {error}", trace)
+
+
+def failures_in_words(failures: Iterable[JobFailure]) -> str:
+    """Where jobs failed and why, in one line."""
+    return "; ".join(
+        f"stage {failure.stage}{', ' + failure.part if failure.part else ''}: {failure.reason}" for failure in failures
+    )

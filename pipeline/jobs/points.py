@@ -1,0 +1,100 @@
+"""What jobs read from tables: object points, the graph by node index, matched objects as subgraphs, kept nodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ...schemas.columns import SIDES
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.graph import Edges
+from ...stages.linalg.laplacian import Subgraph, split_by_community
+from ...stages.selection import Selection
+from ..stage import Context
+
+#: The columns that these functions read, for the declarations of stages that call them.
+POINT_COLUMNS = ("point_id", "x", "y", "z", "is_ground")
+EDGE_COLUMNS = ("src", "dst", "length_m")
+MATCH_COLUMNS = ("real_id", "sim_id", "centroid_distance_m", "status")
+NODE_COLUMNS = ("real_id", "real_point_id", "sim_point_id", "real_influence", "sim_influence")
+MATCHED_OBJECTS = {
+    "ground": POINT_COLUMNS,
+    "graph": EDGE_COLUMNS,
+    "communities": ("community_id",),
+    "matching": MATCH_COLUMNS,
+}
+
+
+def column(table: pa.Table, name: str) -> Any:
+    """A column as an array."""
+    return table.column(name).to_numpy()
+
+
+def object_points(context: Context, side: str) -> tuple[IntArray, FloatArray]:
+    """Ids, (n,) int32, and coordinates, (n, 3) float64 metres, of the points of a side that are not ground."""
+
+    def read() -> tuple[IntArray, FloatArray]:
+        ground = context.table("ground", side)
+        ground = ground.filter(pc.invert(ground.column("is_ground")))
+        return column(ground, "point_id"), np.column_stack([column(ground, axis) for axis in "xyz"])
+
+    return context.once(f"object points {side}", read)
+
+
+def graph_edges(context: Context, side: str) -> Edges:
+    """The graph of a side by node index, its nodes being the object points in order."""
+
+    def read() -> Edges:
+        point_ids, _ = object_points(context, side)
+        graph = context.table("graph", side)
+        index_of = np.zeros(int(point_ids[-1]) + 1, dtype=np.int32)
+        index_of[point_ids] = np.arange(len(point_ids), dtype=np.int32)
+        return Edges(index_of[column(graph, "src")], index_of[column(graph, "dst")], column(graph, "length_m"))
+
+    return context.once(f"edges {side}", read)
+
+
+def matched_rows(context: Context) -> list[dict[str, Any]]:
+    """The rows of `matching` of the matched objects that the job is asked for; of another grain than OBJECT all."""
+    matching = context.table("matching")
+    matched = matching.filter(pc.equal(matching.column("status"), "matched"))
+    if context.objects:
+        matched = matched.filter(pc.is_in(matched.column("real_id"), pa.array(context.objects, pa.int32())))
+    rows: list[dict[str, Any]] = matched.to_pylist()
+    return rows
+
+
+def matched_pair(context: Context, row: dict[str, Any]) -> tuple[Subgraph, Subgraph]:
+    """One matched object on both sides."""
+    real, sim = (_matched_subgraphs(context, side)[row[f"{side}_id"]] for side in SIDES)
+    return real, sim
+
+
+def _matched_subgraphs(context: Context, side: str) -> dict[int, Subgraph]:
+    """All matched objects of a side, by community id."""
+
+    def split() -> dict[int, Subgraph]:
+        point_ids, points = object_points(context, side)
+        edges = graph_edges(context, side)
+        labels = column(context.table("communities", side), "community_id")
+        matching = context.table("matching")
+        matched = matching.filter(pc.equal(matching.column("status"), "matched"))
+        with context.step("subgraphs"):
+            return split_by_community(point_ids, points, edges, labels, column(matched, f"{side}_id").tolist())
+
+    return context.once(f"matched subgraphs {side}", split)
+
+
+def kept_nodes(selection: pa.Table, real_id: int, real: Subgraph, sim: Subgraph) -> Selection:
+    """The aligned nodes of one object, as the table `selection` has them."""
+    start, end = np.searchsorted(column(selection, "real_id"), [real_id, real_id + 1])
+    own = selection.slice(start, end - start)
+    return Selection(
+        real_nodes=np.searchsorted(real.point_ids, column(own, "real_point_id")),
+        sim_nodes=np.searchsorted(sim.point_ids, column(own, "sim_point_id")),
+        real_influence=column(own, "real_influence"),
+        sim_influence=column(own, "sim_influence"),
+    )

@@ -1,0 +1,254 @@
+"""The tables of a run's folder: where each lies, how it is written and read, and what its footer tells of the job.
+
+A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the job that made it: the
+wanted key, small facts, seconds by step, so that the tables are the truth and the ledger beside them a cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ...schemas.errors import RunError
+from ...schemas.tables import TABLES
+from .files import hash_file, key_of, write_whole
+
+_TOKEN = ".writer"
+_LONGEST_NAME_BYTES = 120
+
+#: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
+_ENCODINGS = {
+    pa.int32(): "DELTA_BINARY_PACKED",
+    pa.float64(): "BYTE_STREAM_SPLIT",
+    pa.float32(): "BYTE_STREAM_SPLIT",
+    pa.bool_(): "PLAIN",
+}
+
+JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, a part of an experiment, or "" for one job of a pair)
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """A file as it was written: its length and content hash, and the file system's marks of that moment."""
+
+    size: int
+    sha256: str
+    mtime_ns: int
+    ctime_ns: int
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """A finished job.
+
+    stage, pair_id, part : what it is called
+    key : of its result
+    files : by path relative to the run
+    reads : keys of what it read
+    facts : small results that are not a table, as JSON has them
+    steps : name and seconds of each step
+    made_by : token of the run that made it; "" where that is not known
+    """
+
+    stage: str
+    pair_id: str
+    part: str
+    key: str
+    files: dict[str, StoredFile]
+    reads: tuple[str, ...] = ()
+    facts: dict[str, Any] = field(default_factory=dict)
+    steps: tuple[tuple[str, float], ...] = ()
+    made_by: str = ""
+
+    @property
+    def name(self) -> JobName:
+        """What the job is called."""
+        return self.stage, self.pair_id, self.part
+
+
+def plain_facts(facts: dict[str, Any]) -> dict[str, Any]:
+    """Facts as they come back from JSON: lists for tuples and arrays, Python's numbers for NumPy's."""
+    plain: dict[str, Any] = orjson.loads(orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY))
+    return plain
+
+
+def file_stem(pair_id: str) -> str:
+    """A safe file name for a pair: percent-escaped; where that is long or begins oddly, a slug and a hash.
+
+    Examples
+    --------
+    >>> file_stem("000104"), file_stem("street 5")
+    ('000104', 'street%205')
+    >>> file_stem("_x")
+    'x~a01e47cb4cec0963'
+    """
+    escaped = quote(pair_id, safe="").replace("~", "%7E")
+    if escaped[0].isalnum() and len(escaped) <= _LONGEST_NAME_BYTES:
+        return escaped
+    slug = re.sub(r"^[^A-Za-z0-9]+", "", escaped)[:80] or "pair"
+    return f"{slug}~{hashlib.sha256(pair_id.encode()).hexdigest()[:16]}"
+
+
+def table_name(table: str, pair_id: str, part: str = "") -> str:
+    """Where a table of a pair lies, relative to the run's folder."""
+    return f"{table}/{file_stem(pair_id)}{'.' + part if part else ''}.parquet"
+
+
+class TableFolder:
+    """The tables of a run, as a job sees them: paths, atomic writes, checked reads. Holds no lock and no ledger.
+
+    `token` names the run that may write here; a job whose run has ended (killed, and another one started) finds
+    another token in the folder and writes nothing.
+    """
+
+    def __init__(self, folder: Path, token: str) -> None:
+        self.folder = folder
+        self.token = token
+
+    @property
+    def token_path(self) -> Path:
+        """The file that names the run which may write here."""
+        return self.folder / _TOKEN
+
+    def path(self, table: str, pair_id: str, part: str = "") -> Path:
+        """Where a table of a pair lies."""
+        return self.folder / table_name(table, pair_id, part)
+
+    def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
+        """Writes the tables of a finished job, each with the job in its footer; gives what was written by name.
+
+        Parameters
+        ----------
+        record : the job, its `files` not known yet
+        tables : by name, as in `schemas.tables`
+
+        Raises
+        ------
+        RunError
+            Another run has taken over the folder, or it cannot be written.
+        """
+        names = {table: table_name(table, record.pair_id, record.part) for table in tables}
+        footer = {
+            "stage": record.stage,
+            "pair_id": record.pair_id,
+            "part": record.part,
+            "files": list(names.values()),
+            "reads": record.reads,
+            "facts": record.facts,
+            "steps": record.steps,
+        }
+        job = orjson.dumps(footer).decode()
+        return {
+            name: self.write_at(self.folder / name, table, tables[table], record.key, job)
+            for table, name in names.items()
+        }
+
+    def write_at(self, path: Path, table: str, rows: pa.Table, key: str, job: str | None = None) -> StoredFile:
+        """Writes a table to a path of this run, whole or not at all.
+
+        Parameters
+        ----------
+        rows : checked against the table's schema
+        key : of the result, for the footer
+        job : the job as JSON, for the footer; None for a table of the whole run
+        """
+        schema = TABLES[table]
+        rows = schema.check(rows)
+        own = {"fidpipe.table": table, "fidpipe.schema_version": str(schema.version), "fidpipe.key": key}
+        if job is not None:
+            own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
+        words = [field.name for field in schema.schema if field.type not in _ENCODINGS]
+        sink = pa.BufferOutputStream()
+        with pq.ParquetWriter(
+            sink,
+            rows.schema,
+            compression="zstd",
+            use_dictionary=words,
+            write_statistics=words,  # of numbers they cost a quarter of the time, and a file has one pair
+            column_encoding={f.name: _ENCODINGS[f.type] for f in schema.schema if f.type in _ENCODINGS},
+            store_schema=False,  # so that a dictionary is read as the strings it stands for
+            write_page_checksum=True,  # a file that the ledger does not know is judged by them
+        ) as writer:
+            writer.write_table(rows)
+            writer.add_key_value_metadata(own)
+        content = memoryview(sink.getvalue())
+        write_whole(path, content, before_rename=self._check_token)
+        status = path.stat()
+        return StoredFile(status.st_size, hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
+
+    def read(self, table: str, stored: StoredFile, path: Path, columns: list[str] | None = None) -> pa.Table:
+        """Reads a table that must be as it was stored; all columns are checked, or only the named ones are read.
+
+        Raises
+        ------
+        RunError
+            The file is not what was stored.
+        """
+        content = path.read_bytes()
+        if len(content) != stored.size or hashlib.sha256(content).hexdigest() != stored.sha256:
+            raise RunError(f"{path}: the file changed while the run was using it; run the same command again")
+        schema = TABLES[table]
+        dictionaries = schema.same if columns is None else [name for name in schema.same if name in columns]
+        rows = pq.read_table(pa.BufferReader(content), columns=columns, read_dictionary=dictionaries, use_threads=False)
+        return rows if columns is not None else schema.check(rows.cast(schema.schema))
+
+    def _check_token(self) -> None:
+        try:
+            token = self.token_path.read_text()
+        except FileNotFoundError:
+            token = ""
+        if token != self.token:
+            raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+
+
+def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
+    """The job that made a table, told by its footer, and the names of all its files; None where it cannot be believed.
+
+    A file is believed if its footer agrees with the hash that stands in it, every page with its checksum, and the
+    columns with the table's schema. `files` of the record holds this file alone.
+
+    Parameters
+    ----------
+    folder, name : of the run, and of the file relative to it
+    """
+    path = folder / name
+    try:
+        status, content = path.stat(), path.read_bytes()
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+        footer = file.metadata.metadata or {}
+        job, key, table = (footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table"))
+        if footer.get(b"fidpipe.check") != key_of(key, job).encode():
+            return None
+        TABLES[table].check(file.read(use_threads=False).cast(TABLES[table].schema))
+    except (OSError, ValueError, KeyError, pa.ArrowException):
+        return None
+    own = orjson.loads(job)
+    names = tuple(own.pop("files"))
+    stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
+    steps = tuple((step, seconds) for step, seconds in own.pop("steps"))
+    record = JobRecord(**own | {"reads": tuple(own["reads"]), "key": key, "files": {name: stored}, "steps": steps})
+    return (record, names) if name in names else None
+
+
+def is_as_stored(path: Path, stored: StoredFile) -> bool:
+    """Whether a file is as it was written.
+
+    A file whose length and times are those of the moment it was written is taken as it is; any other is hashed.
+    """
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return False
+    if status.st_size != stored.size:
+        return False
+    if (status.st_mtime_ns, status.st_ctime_ns) == (stored.mtime_ns, stored.ctime_ns):
+        return True
+    return hash_file(path) == stored.sha256
