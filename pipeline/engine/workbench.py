@@ -20,8 +20,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.graph import Edges
-from ...stages.linalg.laplacian import Subgraph, split_by_community
+from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..storage.ledger import JobRecord

@@ -18,7 +18,7 @@ from ...stages.clean import clean_scan
 from ...stages.communities import find_communities
 from ...stages.graph import build_graph
 from ...stages.ground import GroundResult, remove_ground
-from ...stages.linalg.laplacian import Subgraph
+from ...stages.linalg.subgraph import Subgraph
 from ...stages.matching import match_communities
 from ...stages.metrics import score_object
 from ...stages.objects import describe_objects, majority_labels
