@@ -36,7 +36,7 @@ bench: setup
 	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin --every 3
 	$(BIN)/python benchmarks/throughput.py $(DATA)/kitti_twin
 	$(BIN)/python benchmarks/steps.py $(DATA)/kitti_twin
-	$(BIN)/python benchmarks/literal.py $(DATA)/kitti_twin
+	$(BIN)/python benchmarks/speedup.py $(DATA)/kitti_twin
 	$(BIN)/python benchmarks/growth.py
 	$(BIN)/python benchmarks/small_pairs.py 50
 	$(BIN)/python benchmarks/small_pairs.py 10000 300

@@ -22,8 +22,8 @@ from measure import machine, repeated, scratch, weigh
 from scipy.linalg import eigvalsh
 from scipy.spatial import cKDTree
 
-from fidpipe.stages.graph import Edges
-from fidpipe.stages.linalg.laplacian import induced_laplacian, split_by_community
+from fidpipe.stages.linalg.laplacian import induced_laplacian
+from fidpipe.stages.linalg.subgraph import Edges, split_by_community
 
 REPEATS = 3
 

@@ -23,11 +23,11 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from fidpipe.schemas.settings import CommunitySettings
-from fidpipe.stages import communities
-from fidpipe.stages.graph import Edges
-from fidpipe.stages.linalg import spectrum
+from fidpipe.stages.communities import TOLERANCE_OPTIMISATION, find_communities
 from fidpipe.stages.linalg.assignment import align_nodes
-from fidpipe.stages.linalg.laplacian import induced_laplacian, split_by_community
+from fidpipe.stages.linalg.laplacian import induced_laplacian
+from fidpipe.stages.linalg.spectrum import BANDED_FROM_NODES, eigenvalues
+from fidpipe.stages.linalg.subgraph import Edges, split_by_community
 
 SEEDS = (0, 1, 2)
 
@@ -46,7 +46,7 @@ def main(dataset):
             aligned += nodes
     compare_spectra(laplacians)
     compare_alignments(aligned)
-    compare_louvain([graph for of_pair in sides.values() for graph in of_pair.values()])
+    compare_louvain([graph for graphs in sides.values() for graph in graphs.values()])
 
 
 def read_side(out, pair, side):
@@ -74,7 +74,7 @@ def read_objects(out, pair, sides):
         for side in ("real", "sim"):
             graph = objects[side][getattr(row, f"{side}_id")]
             nodes = np.searchsorted(graph.point_ids, own[f"{side}_point_id"])
-            if row.n_keep >= spectrum._BANDED_NODES:
+            if row.n_keep >= BANDED_FROM_NODES:
                 laplacians.append(induced_laplacian(graph, nodes))
             points.append(graph.points[np.sort(nodes)])
         aligned.append(points)
@@ -84,13 +84,13 @@ def read_objects(out, pair, sides):
 def compare_spectra(laplacians):
     ours_s, direct_s, worst = 0.0, 0.0, 0.0
     for laplacian in laplacians:
-        ours, seconds = timed(spectrum.eigenvalues, laplacian)
+        ours, seconds = timed(eigenvalues, laplacian)
         ours_s += seconds
         dense = laplacian.toarray(order="F")
         direct, seconds = timed(eigvalsh, dense, overwrite_a=True, check_finite=False)
         direct_s += seconds
         worst = max(worst, np.abs(ours - direct).max())
-    sizes = [of.shape[0] for of in laplacians]
+    sizes = [laplacian.shape[0] for laplacian in laplacians]
     print(
         f"eigenvalues of {len(sizes)} Laplacians of {min(sizes)} to {max(sizes)} nodes: by way of the band "
         f"{ours_s:.1f} s, direct {direct_s:.1f} s: {ours_s / direct_s:.2f}; largest difference {worst:.1e}"
@@ -114,20 +114,18 @@ def compare_alignments(aligned):
 
 
 def compare_louvain(sides):
-    ours = communities._TOLERANCE_OPTIMISATION
-    for tolerance in (ours, 1e-7):
-        communities._TOLERANCE_OPTIMISATION = tolerance
+    for tolerance in (TOLERANCE_OPTIMISATION, 1e-7):
         seconds, modularities = 0.0, []
         for ids, _, edges in sides:
             for seed in SEEDS:
-                found, spent = timed(communities.find_communities, len(ids), edges, CommunitySettings(seed=seed))
+                settings = CommunitySettings(seed=seed)
+                partition, spent = timed(find_communities, len(ids), edges, settings, tolerance=tolerance)
                 seconds += spent
-                modularities.append(found.modularity)
+                modularities.append(partition.modularity)
         print(
             f"Louvain on {len(sides)} graphs with {len(SEEDS)} seeds, tol_optimization {tolerance:g}: {seconds:.1f} s, "
             f"mean modularity {np.mean(modularities):.5f}"
         )
-    communities._TOLERANCE_OPTIMISATION = ours
 
 
 def timed(function, *args, **options):

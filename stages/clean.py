@@ -1,7 +1,4 @@
-"""Decides which points of a scan are measurements, and in which frame they lie.
-
-Leaves to others: what the file holds (readers), what is ground (`ground`).
-"""
+"""Decides which points of a scan are measurements, and in which frame they lie."""
 
 from __future__ import annotations
 
@@ -43,7 +40,7 @@ def clean_scan(
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, the scan's own frame
+    points : (n, 3) float64, metres, the scan's own frame; may hold NaN and infinities
     settings : ranges and boxes
     flip_y : mirror a left-handed scan
     T_real_sim : (3, 4) float64, maps the scan's frame into the real sensor's
@@ -82,6 +79,7 @@ def clean_scan(
 
 
 def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:
+    """Whether an earlier row has the same coordinates, (n,) bool."""
     order = np.lexsort(points.T)  # stable, so that of equal rows the first comes first
     in_order = points[order]
     repeats = np.zeros(len(points), dtype=np.bool_)
@@ -90,6 +88,7 @@ def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:
 
 
 def _inside(points: FloatArray, box: Box | None, *, default: bool) -> BoolArray:
+    """Whether a point lies in the box, bounds included, (n,) bool; the default for all where there is no box."""
     if box is None:
         return np.full(len(points), default)
     low, high = np.array(box[:3]), np.array(box[3:])
@@ -97,6 +96,6 @@ def _inside(points: FloatArray, box: Box | None, *, default: bool) -> BoolArray:
 
 
 def _all(flags: BoolArray) -> BoolArray:
-    """Whether a whole row is true."""
-    of_rows: BoolArray = np.logical_and.reduce(flags, axis=1)
-    return of_rows
+    """Whether a whole row is true, (n,) bool."""
+    rows: BoolArray = np.logical_and.reduce(flags, axis=1)
+    return rows

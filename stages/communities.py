@@ -1,6 +1,6 @@
-"""Decides which points form one object: Louvain communities of the graph (paper, section "Object-Level Decomposition").
+"""Decides which points form one object: Louvain communities of the graph.
 
-Leaves to others: what the objects look like (`objects`), which ones correspond (`matching`).
+Paper, section "Object-Level Decomposition via Communities".
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from scipy import sparse
 
 from ..schemas.settings import CommunitySettings
 from .arrays import FloatArray, IntArray
-from .graph import Edges
+from .linalg.subgraph import Edges, upper_half
 
 #: Smallest gain of modularity for which a level is gone through once more, and for which another level is begun.
-_TOLERANCE_OPTIMISATION = 1e-3
+TOLERANCE_OPTIMISATION = 1e-3
 _TOLERANCE_AGGREGATION = 1e-7
 
 
@@ -31,7 +31,9 @@ class Partition:
     modularity: float
 
 
-def find_communities(n_nodes: int, edges: Edges, settings: CommunitySettings) -> Partition:
+def find_communities(
+    n_nodes: int, edges: Edges, settings: CommunitySettings, *, tolerance: float = TOLERANCE_OPTIMISATION
+) -> Partition:
     """A partition of the nodes that maximises modularity, found by Louvain's method.
 
     Q = 1/2m sum_ij (A_ij - k_i k_j / 2m) delta(c_i, c_j), with A the edge lengths as stored (float32), k the weighted
@@ -43,14 +45,23 @@ def find_communities(n_nodes: int, edges: Edges, settings: CommunitySettings) ->
     n_nodes : number of nodes
     edges : undirected, by node index
     settings : backend and seed
+    tolerance : of scikit-network: least gain of modularity for which a level is gone through once more
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ends = np.array([0, 2], np.int32), np.array([1, 3], np.int32)
+    >>> partition = find_communities(4, Edges(*ends, np.ones(2, np.float32)), CommunitySettings())
+    >>> partition.labels.tolist(), partition.modularity
+    ([0, 0, 1, 1], 0.5)
     """
     if not len(edges.src):
         return Partition(np.arange(n_nodes, dtype=np.int32), 0.0)
     if settings.backend == "scikit-network":
-        found = _scikit_network(n_nodes, edges, settings.seed)
+        labels = _scikit_network(n_nodes, edges, settings.seed, tolerance)
     else:
-        found = _python_louvain(n_nodes, edges, settings.seed)
-    labels = _canonical(found)
+        labels = _python_louvain(n_nodes, edges, settings.seed)
+    labels = _canonical(labels)
     return Partition(labels, modularity(labels, edges))
 
 
@@ -58,6 +69,11 @@ def modularity(labels: IntArray, edges: Edges) -> float:
     """Q of a partition: sum over communities c of w_c / m - (k_c / 2m)^2.
 
     m is the total edge length, w_c that inside c, k_c the sum of the degrees of the nodes of c.
+
+    Parameters
+    ----------
+    labels : (n,) int32, community of each node, ids from 0
+    edges : by node index, at least one
     """
     weight = edges.length_m.astype(np.float64)
     n_communities = int(labels.max()) + 1
@@ -68,18 +84,7 @@ def modularity(labels: IntArray, edges: Edges) -> float:
     return float(inside / total - ((degree / (2 * total)) ** 2).sum())
 
 
-def adjacency(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
-    """The symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices."""
-    half = _upper_half(n_nodes, edges)
-    return half + half.T.tocsr()
-
-
-def _upper_half(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
-    starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
-    return sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
-
-
-def _scikit_network(n_nodes: int, edges: Edges, seed: int) -> IntArray:
+def _scikit_network(n_nodes: int, edges: Edges, seed: int, tolerance: float) -> IntArray:
     """As with `shuffle_nodes=True`, whose order of nodes it takes; but sorting the shuffled matrix costs a quarter."""
     from sknetwork.clustering import Louvain
 
@@ -89,7 +94,7 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int) -> IntArray:
     louvain = Louvain(
         resolution=1,
         shuffle_nodes=False,
-        tol_optimization=_TOLERANCE_OPTIMISATION,
+        tol_optimization=tolerance,
         tol_aggregation=_TOLERANCE_AGGREGATION,
         return_probs=False,
         return_aggregate=False,
@@ -100,7 +105,7 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int) -> IntArray:
 
 def _shuffled_adjacency(n_nodes: int, edges: Edges, order: IntArray, place: IntArray) -> sparse.csr_matrix:
     """The adjacency matrix with node order[i] in row i = place[order[i]]; a transposition sorts it in linear time."""
-    half = _upper_half(n_nodes, edges)[order]
+    half = upper_half(n_nodes, edges)[order]
     half.indices = place[half.indices]
     half.has_sorted_indices = False
     backward = half.T.tocsr()
@@ -115,8 +120,8 @@ def _python_louvain(n_nodes: int, edges: Edges, seed: int) -> IntArray:
     graph.add_nodes_from(range(n_nodes))
     weight: FloatArray = edges.length_m.astype(np.float64)
     graph.add_weighted_edges_from(zip(edges.src.tolist(), edges.dst.tolist(), weight.tolist(), strict=True))
-    of_node = community.best_partition(graph, random_state=seed)
-    return np.array([of_node[node] for node in range(n_nodes)], dtype=np.int32)
+    community_by_node = community.best_partition(graph, random_state=seed)
+    return np.array([community_by_node[node] for node in range(n_nodes)], dtype=np.int32)
 
 
 def _canonical(labels: IntArray) -> IntArray:

@@ -1,36 +1,19 @@
-"""Decides which object points are joined, and how long each edge is (paper, section "From Point Clouds to Graphs").
-
-Leaves to others: what is made of the graph (`communities`, `laplacian`).
-"""
+"""Decides which object points are joined, and how long each edge is (paper, section "From Point Clouds to Graphs")."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..schemas.settings import GraphSettings
-from .arrays import Float32Array, FloatArray, IndexArray, IntArray
+from .arrays import FloatArray, IndexArray, IntArray
+from .linalg.subgraph import Edges
 
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 _LEAF_SIZE = 32
 
 Arcs = tuple[NDArray[np.integer], NDArray[np.integer]]  #: the two ends of each
-
-
-@dataclass(frozen=True)
-class Edges:
-    """Edges of an undirected graph, each once, sorted by (src, dst).
-
-    src, dst : (m,) int32, node indices, src < dst
-    length_m : (m,) float32, the weight
-    """
-
-    src: IntArray
-    dst: IntArray
-    length_m: Float32Array
 
 
 def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
@@ -42,8 +25,8 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, finite
-    settings : k, tau_m, edges
+    points : (n, 3) float64, metres, finite; fewer than two have no edges
+    settings : k (at most n - 1 are taken), tau_m, edges
 
     Examples
     --------
@@ -78,9 +61,9 @@ def _nearest(tree: cKDTree, points: FloatArray, k: int) -> tuple[IntArray, Float
     """The k nearest neighbours of each point, (n, k), ties by smaller index; and the distance of the k-th, (n,)."""
     n = len(points)
     width = min(k + 2, n)
-    distance, found = tree.query(points, k=width)
-    neighbours = found[:, 1 : k + 1].astype(np.int32)
-    is_open = found[:, 0] != np.arange(n)  # the point itself is not the first, so another one lies upon it
+    distance, nearest = tree.query(points, k=width)
+    neighbours = nearest[:, 1 : k + 1].astype(np.int32)
+    is_open = nearest[:, 0] != np.arange(n)  # the point itself is not the first, so another one lies upon it
     if width > k + 1:
         is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
     for i in np.flatnonzero(is_open):
@@ -89,6 +72,7 @@ def _nearest(tree: cKDTree, points: FloatArray, k: int) -> tuple[IntArray, Float
 
 
 def _nearest_of_one(tree: cKDTree, points: FloatArray, i: int, radius: float, k: int) -> IndexArray:
+    """The k nearest neighbours of point i, (k,), ties by smaller index, from all that lie within the radius."""
     ball = np.array(tree.query_ball_point(points[i], radius * (1 + _SLACK)), dtype=np.intp)
     ball = ball[ball != i]
     distance = _distance(points, np.full(len(ball), i), ball)

@@ -1,7 +1,4 @@
-"""Decides which points are road: the PCA Z-cut of the paper ("Data Collection and Graph Build-up").
-
-Leaves to others: which points are measurements at all (`clean`), what the rest is joined into (`graph`).
-"""
+"""Decides which points are road: the PCA Z-cut of the paper ("Data Collection and Graph Build-up")."""
 
 from __future__ import annotations
 
@@ -153,6 +150,7 @@ def _lower_threshold(
 def _variance_loss(
     points: FloatArray, height: FloatArray, removed: BoolArray, peak_m: float, settings: GroundSettings
 ) -> float:
+    """The share of the scan's variance that goes with the removed points, in the reading that `loss` chooses."""
     if settings.loss == "total":
         total = float(points.var(axis=0).sum())
         kept = float(points[~removed].var(axis=0).sum()) if not removed.all() else 0.0

@@ -1,7 +1,4 @@
-"""Decides which real object is which simulated one (paper, Algorithm 1).
-
-Leaves to others: how well the two agree (`selection`, `metrics`).
-"""
+"""Decides which real object is which simulated one (paper, Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -30,6 +27,11 @@ class Matching:
     distance_m: FloatArray
     missing: IntArray
     hallucinated: IntArray
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """The matched communities, (real id, sim id), by real id."""
+        return list(zip(self.real_ids.tolist(), self.sim_ids.tolist(), strict=True))
 
     @property
     def match_rate(self) -> float:
@@ -71,6 +73,7 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
 
 
 def _greedy(distance: FloatArray, delta_m: float) -> tuple[IntArray, IntArray]:
+    """Real and simulated ids of Algorithm 1, by real id."""
     free = distance.copy()
     pairs = []
     for real_id in range(len(free)):
@@ -83,6 +86,7 @@ def _greedy(distance: FloatArray, delta_m: float) -> tuple[IntArray, IntArray]:
 
 
 def _optimal(distance: FloatArray, delta_m: float) -> tuple[IntArray, IntArray]:
+    """Real and simulated ids of the most pairs at the least total distance, by real id."""
     # A forbidden pair costs more than all allowed ones together, so first the fewest of them are used.
     forbidden = delta_m * (min(distance.shape) + 1)
     real_ids, sim_ids = linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))

@@ -1,7 +1,4 @@
-"""Scores a matched object: how far its geometry and its structure have drifted.
-
-Leaves to others: which nodes are compared (`selection`), what the scores of many objects say together.
-"""
+"""Scores a matched object: how far its geometry and its structure have drifted."""
 
 from __future__ import annotations
 
@@ -11,8 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .arrays import FloatArray, Watch, unwatched
-from .linalg.laplacian import Subgraph, induced_laplacian
+from .linalg.laplacian import induced_laplacian
 from .linalg.spectrum import eigenvalues, spectral_norm
+from .linalg.subgraph import Subgraph
 from .selection import Selection
 
 MIN_NODES = 3
@@ -73,7 +71,7 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
     with watch("norm"):
         change = spectral_norm(laplacian_sim - laplacian_real)
     shift = float(np.max(np.abs(spectrum_sim - spectrum_real)))
-    gap_real, gap_sim = (float(of[1] - of[0]) for of in (spectrum_real, spectrum_sim))
+    gap_real, gap_sim = (float(spectrum[1] - spectrum[0]) for spectrum in (spectrum_real, spectrum_sim))
     is_identical = change <= IDENTICAL_CHANGE
     return Scores(
         cdc=cdc,
@@ -97,7 +95,13 @@ def chamfer_density_aware(real: FloatArray, sim: FloatArray) -> float:
 
     Parameters
     ----------
-    real, sim : (n, 3), (m, 3) float64, metres
+    real, sim : (n, 3), (m, 3) float64, metres, at least one point each
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> chamfer_density_aware(np.zeros((1, 3)), np.array([[0.0, 0, 100], [0, 0, 200]]))
+    2.0
     """
     to_sim, _ = cKDTree(sim).query(real)
     to_real, _ = cKDTree(real).query(sim)

@@ -1,7 +1,4 @@
-"""Describes each community as an object: where it is, how large, of what shape.
-
-Leaves to others: which points belong together (`communities`).
-"""
+"""Describes each community as an object: where it is, how large, of what shape."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from .arrays import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Objects:
-    """One row a community, by id.
+    """One row per community, by id.
 
     n_points : (c,) int32
     centroid : (c, 3) float64, metres, mean of the member points
@@ -27,6 +24,12 @@ class Objects:
     extent: FloatArray
     shape: FloatArray
 
+    @property
+    def range_m(self) -> FloatArray:
+        """Distance of the centroid from the sensor, (c,) float64, metres."""
+        range_m: FloatArray = np.linalg.norm(self.centroid, axis=1)
+        return range_m
+
 
 def describe_objects(points: FloatArray, labels: IntArray) -> Objects:
     """Size, place and shape of each community.
@@ -36,28 +39,42 @@ def describe_objects(points: FloatArray, labels: IntArray) -> Objects:
 
     Parameters
     ----------
-    points : (n, 3) float64, metres
+    points : (n, 3) float64, metres, at least one
     labels : (n,) int32, ids from 0 without gaps
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> objects = describe_objects(np.array([[3.0, 0, 0], [5, 0, 0], [0, 9, 0]]), np.array([0, 0, 1]))
+    >>> objects.n_points.tolist(), objects.range_m.tolist(), objects.shape[0].tolist()
+    ([2, 1], [4.0, 9.0], [1.0, 0.0, 0.0])
     """
     order = np.argsort(labels, kind="stable")
     n_points = np.bincount(labels).astype(np.int32)
     members = np.split(points[order], np.cumsum(n_points)[:-1])
-    centroid = np.array([of.mean(axis=0) for of in members])
-    extent = np.array([np.ptp(of, axis=0) for of in members])
-    shape = np.array([_shape(of) for of in members])
+    centroid = np.array([own.mean(axis=0) for own in members])
+    extent = np.array([np.ptp(own, axis=0) for own in members])
+    shape = np.array([_shape(own) for own in members])
     return Objects(n_points, centroid, extent, shape)
 
 
 def majority_labels(labels: IntArray, names: list[str | None]) -> list[str | None]:
-    """The most frequent name in each community, of equals the first in the alphabet; None without names."""
+    """The most frequent name in each community, of equals the first in the alphabet; None without names.
+
+    Parameters
+    ----------
+    labels : (n,) int32, community of each point, ids from 0 without gaps
+    names : (n,) class of each point, None where it has none
+    """
     counts: list[dict[str, int]] = [{} for _ in range(int(labels.max()) + 1)]
     for community, name in zip(labels.tolist(), names, strict=True):
         if name is not None:
             counts[community][name] = counts[community].get(name, 0) + 1
-    return [min(of, key=lambda name: (-of[name], name)) if of else None for of in counts]
+    return [min(count, key=lambda name: (-count[name], name)) if count else None for count in counts]
 
 
 def _shape(points: FloatArray) -> tuple[float, float, float]:
+    """Linearity, planarity and scattering of the points of one community."""
     centred = points - points.mean(axis=0)
     l3, l2, l1 = np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points)), 0.0)
     if l1 <= 0:

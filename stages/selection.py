@@ -1,19 +1,17 @@
-"""Decides which nodes stand for a matched object on both sides, and how they are aligned (paper, Algorithm 2).
-
-Leaves to others: the scores of the reduced graphs (`metrics`).
-"""
+"""Decides which nodes stand for a matched object on both sides, and how they are aligned (paper, Algorithm 2)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from ..schemas.settings import SelectionSettings
 from .arrays import FloatArray, IndexArray, Watch, unwatched
 from .linalg.assignment import align_nodes
-from .linalg.laplacian import Subgraph, normalised_laplacian
+from .linalg.heat import heat_row_sums
+from .linalg.laplacian import normalised_laplacian
+from .linalg.subgraph import Subgraph
 
 INFLUENCE_DECIMALS = 9
 
@@ -55,29 +53,6 @@ def select_nodes(real: Subgraph, sim: Subgraph, settings: SelectionSettings, *, 
     with watch("alignment"):
         sim_nodes = sim_nodes[align_nodes(real.points[real_nodes], sim.points[sim_nodes])]
     return Selection(real_nodes, sim_nodes, influence[0][real_nodes], influence[1][sim_nodes])
-
-
-def heat_row_sums(laplacian: sparse.csr_matrix, t: float) -> FloatArray:
-    """S = exp(-tL) 1 without forming the exponential, (n,) float64.
-
-    With S = I - L, exp(-tL) 1 = e^-t sum_k t^k / k! S^k 1. S has no negative entry, so that no term cancels another;
-    terms are added until they are below the rounding of the sum.
-
-    Parameters
-    ----------
-    laplacian : (n, n) normalised Laplacian
-    t : diffusion time, at most 100
-    """
-    n = laplacian.shape[0]
-    similarity = sparse.eye_array(n, format="csr") - laplacian
-    term = np.full(n, np.exp(-t))
-    total = term.copy()
-    k = 0
-    while k <= t or term.max() > np.finfo(np.float64).eps * total.min():
-        k += 1
-        term = similarity @ term * (t / k)
-        total += term
-    return total
 
 
 def _most_influential(influence: FloatArray, n_keep: int) -> IndexArray:

@@ -1,16 +1,23 @@
-"""The histogram of all distances within a point set, and how far those of two sets are apart. Needs no alignment.
-
-Leaves to others: which point sets (`baselines`).
-"""
+"""The histogram of all distances within a point set, and how far those of two sets are apart. Needs no alignment."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.distance import pdist
 
+from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
+from .interface import Baseline, Baselines
 
 _SEED = 0
+
+
+def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """The value of `histogram_distance` with the settings' sample, bins and order."""
+    points, bins, order = settings.histogram_points, settings.histogram_bins, settings.histogram_order
+    distance = histogram_distance(real, sim, points, bins, order)
+    reason = "a side has no two points apart from each other" if distance is None else None
+    return (Baseline("histogram", None, distance, reason),)
 
 
 def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins: int, order: float) -> float | None:
@@ -25,7 +32,7 @@ def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins:
 
     Parameters
     ----------
-    real, sim : (n, 3), (m, 3) float64, metres
+    real, sim : (n, 3), (m, 3) float64, metres, at least one point each
     n_points : most points of a side whose distances are measured
     n_bins : of the histogram
     order : p of the Minkowski distance, at least 1; 2 is the Euclidean one
@@ -37,6 +44,7 @@ def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins:
 
 
 def _some(points: FloatArray, n_points: int) -> FloatArray:
+    """At most n points, in their order."""
     if len(points) <= n_points:
         return points
     chosen = np.random.default_rng(_SEED).choice(len(points), n_points, replace=False)
@@ -45,6 +53,7 @@ def _some(points: FloatArray, n_points: int) -> FloatArray:
 
 
 def _distance_shares(points: FloatArray, n_bins: int) -> FloatArray | None:
+    """The share of the pairwise distances in each bin, (n_bins,); None where no two points are apart."""
     distance = pdist(points)
     largest = distance.max(initial=0.0)
     if largest == 0:

@@ -1,1 +1,1 @@
-"""Linear algebra of graphs: Laplacians, spectra, assignment."""
+"""Linear algebra of graphs: subgraphs, Laplacians, spectra, heat kernels, assignment. Imports no stage."""

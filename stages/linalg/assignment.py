@@ -1,11 +1,9 @@
-"""Decides which kept node of one side is which of the other: a minimum-distance one-to-one assignment.
+"""Exact one-to-one assignment of two point sets of equal size at the least total distance.
 
-Leaves to others: which nodes are kept (`selection`), what is compared after the alignment (`metrics`).
-
-Small objects are solved densely. Large ones by column generation: the assignment among a few candidate arcs a node,
+Small sets are solved densely. Large ones by column generation: the assignment among a few candidate arcs per node,
 priced by a coarser subsample, is solved exactly by the network simplex; its dual prices show every arc of the full
 problem that could still improve it; these are added until there is none. The result is therefore the optimum of the
-full problem, certified by its duals, though most arcs were never part of it. Memory stays at a few arcs a node.
+full problem, certified by its duals, though most arcs were never part of it. Memory stays at a few arcs per node.
 """
 
 from __future__ import annotations
@@ -22,10 +20,12 @@ from ..arrays import FloatArray, IndexArray
 
 _DENSE_NODES = 400  # up to here the dense solver is the faster one
 _COARSER = 4
-_ARCS_A_NODE = 72
-_TIGHT_ARCS_A_NODE = 16
+_TIGHT_ARCS_PER_NODE = 16
 _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this to be added
 _BLOCK_DISTANCES = 2**20
+
+#: Candidates of each node to begin with; few must be completed often, many cost memory.
+ARCS_PER_NODE = 72
 
 Prices = tuple[FloatArray, FloatArray]
 
@@ -39,7 +39,7 @@ def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
 
     Parameters
     ----------
-    real, sim : (n, 3) float64, metres
+    real, sim : (n, 3) float64, metres, at least one point each
 
     Examples
     --------
@@ -50,17 +50,24 @@ def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
     return assign_nodes(real - real.mean(axis=0), sim - sim.mean(axis=0))
 
 
-def assign_nodes(a: FloatArray, b: FloatArray) -> IndexArray:
+def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_NODE) -> IndexArray:
     """The permutation p that minimises sum_i |a_i - b_p(i)| of two sets of equal size as they lie; exact.
 
     Parameters
     ----------
-    a, b : (n, 3) float64, metres
+    a, b : (n, 3) float64, metres, at least one point each
+    arcs_per_node : candidate arcs of each node to begin with, 1 to 400, where there are more nodes than that; decides
+        the time, not the result
+
+    Raises
+    ------
+    StageError
+        The network simplex ends without an assignment.
     """
     if len(a) <= _DENSE_NODES:
-        found: IndexArray = linear_sum_assignment(cdist(a, b))[1]
-        return found
-    arcs = _candidate_arcs(a, b, _coarse_prices(a, b))
+        sim_of_real: IndexArray = linear_sum_assignment(cdist(a, b))[1]
+        return sim_of_real
+    arcs = _candidate_arcs(a, b, _coarse_prices(a, b, arcs_per_node), arcs_per_node)
     is_first = True
     while True:
         sim_of_real, prices = _solve(a, b, arcs)
@@ -73,47 +80,50 @@ def assign_nodes(a: FloatArray, b: FloatArray) -> IndexArray:
         arcs = np.sort(np.concatenate([arcs, better]), kind="stable")
 
 
-def _coarse_prices(a: FloatArray, b: FloatArray) -> FloatArray:
+def _coarse_prices(a: FloatArray, b: FloatArray, arcs_per_node: int) -> FloatArray:
     """Prices of b from those of a quarter of the nodes of each side; these from a quarter of the quarter, and so on."""
     n = len(a)
     m = n // _COARSER
     spread = np.linspace(0, n - 1, m).astype(np.intp)
     some_a, some_b = a[_curve(a)[spread]], b[_curve(b)[spread]]
-    is_small = m <= _DENSE_NODES
-    arcs = np.arange(m * m) if is_small else _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b))
-    _, (_, of_some_b) = _solve(some_a, some_b, arcs)
-    of_a = _least(a, some_b, of_some_b)
-    return _least(b, a, of_a)
+    if m <= _DENSE_NODES:
+        arcs = np.arange(m * m)
+    else:
+        arcs = _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b, arcs_per_node), arcs_per_node)
+    _, (_, price_some_b) = _solve(some_a, some_b, arcs)
+    return _least(b, a, _least(a, some_b, price_some_b))
 
 
-def _candidate_arcs(a: FloatArray, b: FloatArray, of_b: FloatArray) -> IndexArray:
+def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray, arcs_per_node: int) -> IndexArray:
     """Ascending codes i * n + j of the arcs that are cheapest for a node of either side, and of a whole assignment."""
     n = len(a)
-    from_a, of_a = _cheapest(a, b, of_b)
-    from_b, _ = _cheapest(b, a, of_a)
+    from_a, price_a = _cheapest(a, b, price_b, arcs_per_node)
+    from_b, _ = _cheapest(b, a, price_a, arcs_per_node)
     arcs = from_a + from_b.T + sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
     arcs.sort_indices()
     codes: IndexArray = np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
     return codes
 
 
-def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple[sparse.csr_array, FloatArray]:
+def _cheapest(
+    nodes: FloatArray, others: FloatArray, price: FloatArray, arcs_per_node: int
+) -> tuple[sparse.csr_array, FloatArray]:
     """The arcs to the others that are cheapest for each node, (n, n), and the least cost, (n,); to single precision."""
-    x, y, price_of_y = (of.astype(np.float32) for of in (nodes, others, price))
-    found, counts, least = [], [], []
+    x, y, price_y = (array.astype(np.float32) for array in (nodes, others, price))
+    columns, counts, least = [], [], []
     for rows in _blocks(len(x), len(y)):
         cost = x[rows] @ (-2 * y.T)
         cost += (y**2).sum(axis=1)
         cost += (x[rows] ** 2).sum(axis=1)[:, None]
         np.sqrt(np.maximum(cost, 0, out=cost), out=cost)
-        cost -= price_of_y
-        is_cheap = cost <= np.partition(cost, _ARCS_A_NODE, axis=1)[:, _ARCS_A_NODE, None]
-        found.append(np.flatnonzero(is_cheap) % len(y))
+        cost -= price_y
+        is_cheap = cost <= np.partition(cost, arcs_per_node, axis=1)[:, arcs_per_node, None]
+        columns.append(np.flatnonzero(is_cheap) % len(y))
         counts.append(np.count_nonzero(is_cheap, axis=1))
         least.append(cost.min(axis=1))
-    columns = np.concatenate(found)
+    ends = np.concatenate(columns)
     starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-    arcs = sparse.csr_array((np.ones(len(columns), np.int8), columns, starts), (len(x), len(y)))
+    arcs = sparse.csr_array((np.ones(len(ends), np.int8), ends, starts), (len(x), len(y)))
     return arcs, np.concatenate(least).astype(np.float64)
 
 
@@ -152,7 +162,7 @@ def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: Ind
     n = len(a)
     i, j = np.divmod(arcs, n)
     slack = np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1)) - prices[0][i] - prices[1][j]
-    n_tight = min(_TIGHT_ARCS_A_NODE * n, len(arcs) - 1)
+    n_tight = min(_TIGHT_ARCS_PER_NODE * n, len(arcs) - 1)
     is_tight = slack <= np.partition(slack, n_tight)[n_tight]
     tight: IndexArray = arcs[is_tight | (j == sim_of_real[i])]
     return tight
@@ -161,12 +171,12 @@ def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: Ind
 def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
     """Codes of all arcs that cost less than the prices of their ends: those that the solution must be tried with."""
     n = len(a)
-    of_a, of_b = prices
+    price_a, price_b = prices
     codes = []
     for rows in _blocks(n, n):
         slack = cdist(a[rows], b)
-        slack -= of_b
-        codes.append(rows[0] * n + np.flatnonzero(slack < (of_a[rows] - _SLACK_M)[:, None]))
+        slack -= price_b
+        codes.append(rows[0] * n + np.flatnonzero(slack < (price_a[rows] - _SLACK_M)[:, None]))
     return np.concatenate(codes)
 
 

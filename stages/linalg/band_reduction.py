@@ -5,14 +5,12 @@ other. Blocks of Householder reflections narrow the band, and what they push out
 end, almost all of it in matrix-matrix products on blocks that fit the processor's cache. The direct way (LAPACK's
 dsytrd) ignores the zeros and does half of its work in matrix-vector products, which wait for memory, the more so when
 several processes share it. Both ways are backward stable and agree to rounding.
-
-Leaves to others: the eigenvalues of the narrow band (`spectrum`).
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -23,23 +21,19 @@ from scipy.sparse.csgraph import breadth_first_order, reverse_cuthill_mckee
 from ..arrays import FloatArray, IndexArray
 
 Kernel = Callable[..., None]
+Kernels = Mapping[str, Kernel]  #: by their names in BLAS and LAPACK
 _SWEEPS = 3
 
-#: BLAS's words for left, right, upper, transposed and not, by their addresses.
+#: The characters by which BLAS is told left, right, upper, transposed and not, as addresses.
 _WORDS = np.frombuffer(b"LRUTN", dtype=np.uint8)
 _L, _R, _U, _T, _N = (_WORDS.ctypes.data + i for i in range(len(_WORDS)))
 
-#: The factors that it is called with, likewise.
+#: The factors with which BLAS is called, as addresses.
 _FACTORS = np.array([0.0, 1.0, -1.0, -0.5])
 _ZERO, _ONE, _MINUS, _MINUS_HALF = (_FACTORS.ctypes.data + _FACTORS.itemsize * i for i in range(len(_FACTORS)))
 
 
-def is_available() -> bool:
-    """Whether scipy's BLAS can be called on parts of a matrix here."""
-    return _kernels() is not None
-
-
-def reduce_to_band(symmetric: sparse.csr_matrix, width: int) -> FloatArray:
+def reduce_to_band(symmetric: sparse.csr_matrix, width: int, kernels: Kernels) -> FloatArray:
     """A band matrix with the eigenvalues of a symmetric one, in LAPACK's lower band storage, (width + 1, n) float64.
 
     For each block of `width` columns, the QR factorisation of what lies below the wanted band gives
@@ -50,17 +44,56 @@ def reduce_to_band(symmetric: sparse.csr_matrix, width: int) -> FloatArray:
 
     Parameters
     ----------
-    symmetric : (n, n) CSR float64, n > width
+    symmetric : (n, n) CSR float64; with n <= width there is nothing to reduce
     width : of the band, at least 1
+    kernels : the routines that `scipy_kernels` finds
     """
     lower, reach = _numbered(symmetric)
     blocks, height = _blocks(reach, width)
     band = np.zeros((max(height, width) + 1, symmetric.shape[0]), order="F")
     band[lower.row - lower.col, lower.col] = lower.data
-    work = _Work(band, width, max((max(block.n_rows, block.n_below) for block in blocks), default=0))
+    most_rows = max((max(block.n_rows, block.n_below) for block in blocks), default=0)
+    work = _Work(band, width, most_rows, kernels)
     for block in blocks:
         _eliminate(work, block)
     return band[: width + 1]
+
+
+@cache
+def scipy_kernels() -> Kernels | None:
+    """The BLAS and LAPACK routines of the reduction, from the tables that scipy has for C; None if they are others.
+
+    Each takes addresses only. scipy's own wrappers cannot work on a part of a matrix without copying it.
+    """
+    from scipy.linalg import cython_blas, cython_lapack
+
+    homes: dict[str, Any] = dict.fromkeys(("dsymm", "dsyr2k", "dgemm", "dtrmm"), cython_blas)
+    homes["dgeqrt3"] = cython_lapack
+    return kernels_from({name: home.__pyx_capi__[name] for name, home in homes.items()})
+
+
+def kernels_from(capsules: Mapping[str, object]) -> Kernels | None:
+    """Routines that can be called with addresses; None where one takes other integers than 32-bit ones.
+
+    Parameters
+    ----------
+    capsules : by name, Python capsules whose names are the C signatures, as Cython exports them
+    """
+    kernels: dict[str, Kernel] = {}
+    for name, capsule in capsules.items():
+        signature: bytes = _capsule("GetName", ctypes.c_char_p, capsule)
+        if b"int *" not in signature or b"long" in signature:
+            return None
+        address = _capsule("GetPointer", ctypes.c_void_p, capsule, signature)
+        kernels[name] = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * signature.count(b"*"))(address)
+    return kernels
+
+
+def _capsule(what: str, result: Any, capsule: object, *more: bytes) -> Any:
+    """The result of one of Python's C functions on capsules."""
+    function = getattr(ctypes.pythonapi, f"PyCapsule_{what}")
+    function.restype, function.argtypes = result, [ctypes.py_object, *[ctypes.c_char_p] * len(more)]
+    return function(capsule, *more)
 
 
 class _Block(NamedTuple):
@@ -112,7 +145,7 @@ class _Work:
     and each number by an address, too: what is called many times must not be wrapped again each time.
     """
 
-    def __init__(self, band: FloatArray, width: int, most_rows: int) -> None:
+    def __init__(self, band: FloatArray, width: int, most_rows: int, kernels: Kernels) -> None:
         self.width, self.most_rows = width, max(most_rows, width)
         self.stride: int = band.shape[0] - 1
         self.flat = band.ravel(order="K")
@@ -125,10 +158,7 @@ class _Work:
         self.numbers = np.arange(max(self.stride, self.most_rows) + 1, dtype=np.intc)
         self._first: int = self.flat.ctypes.data
         self._first_number: int = self.numbers.ctypes.data
-        self._bytes_a_number = self.numbers.itemsize
-        kernels = _kernels()
-        if kernels is None:
-            raise RuntimeError("scipy's BLAS routines have other signatures here; ask is_available first")
+        self._bytes_per_number = self.numbers.itemsize
         self.call = kernels
 
     def at(self, row: int, column: int) -> int:
@@ -137,7 +167,7 @@ class _Work:
 
     def number(self, value: int) -> int:
         """The address of a number from 0 to the largest dimension."""
-        return self._first_number + self._bytes_a_number * value
+        return self._first_number + self._bytes_per_number * value
 
     def part(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
         """A part of the matrix, (n_rows, n_columns), a view."""
@@ -152,8 +182,8 @@ def _eliminate(work: _Work, block: _Block) -> None:
     """
     call, number, stride, width, most = work.call, work.number, work.stride, work.width, work.most_rows
     row, column, n_rows, n_columns, n_below = block
-    x, y, v, t, m = (of.ctypes.data for of in (work.x, work.y, work.v, work.t, work.m))
-    rows, k, ld, b, w = (number(of) for of in (n_rows, n_columns, stride, most, width))
+    x, y, v, t, m = (array.ctypes.data for array in (work.x, work.y, work.v, work.t, work.m))
+    rows, k, ld, b, w = (number(value) for value in (n_rows, n_columns, stride, most, width))
     dgemm, dtrmm = call["dgemm"], call["dtrmm"]
 
     call["dgeqrt3"](rows, k, work.at(row, column), ld, t, w, work.info.ctypes.data)
@@ -198,7 +228,7 @@ def _numbered(symmetric: sparse.csr_matrix) -> tuple[sparse.coo_matrix, IndexArr
     pairs = symmetric.tocoo()
     orders = reverse_cuthill_mckee(symmetric, symmetric_mode=True), _from_end(symmetric)
     numberings = [_renumbered(pairs, order) for order in orders]
-    return min(numberings, key=lambda of: int(of[1].sum()))
+    return min(numberings, key=lambda numbering: int(numbering[1].sum()))
 
 
 def _renumbered(pairs: sparse.coo_matrix, order: IndexArray) -> tuple[sparse.coo_matrix, IndexArray]:
@@ -221,32 +251,5 @@ def _from_end(symmetric: sparse.csr_matrix) -> IndexArray:
         start = int(order[-1])
     order = breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
     others = np.setdiff1d(np.arange(symmetric.shape[0]), order)
-    found: IndexArray = np.concatenate([order, others]).astype(np.intp)
-    return found
-
-
-@cache
-def _kernels() -> dict[str, Kernel] | None:
-    """The BLAS and LAPACK routines of the reduction, from the tables that scipy has for C; None if they are others.
-
-    Each takes addresses only. scipy's own wrappers cannot work on a part of a matrix without copying it.
-    """
-    from scipy.linalg import cython_blas, cython_lapack
-
-    homes: dict[str, Any] = dict.fromkeys(("dsymm", "dsyr2k", "dgemm", "dtrmm"), cython_blas)
-    homes["dgeqrt3"] = cython_lapack
-    kernels: dict[str, Kernel] = {}
-    for name, home in homes.items():
-        capsule = home.__pyx_capi__[name]
-        signature: bytes = _capsule("GetName", ctypes.c_char_p, capsule)
-        if b"int *" not in signature or b"long" in signature:
-            return None
-        address = _capsule("GetPointer", ctypes.c_void_p, capsule, signature)
-        kernels[name] = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * signature.count(b"*"))(address)
-    return kernels
-
-
-def _capsule(what: str, result: Any, capsule: object, *more: bytes) -> Any:
-    function = getattr(ctypes.pythonapi, f"PyCapsule_{what}")
-    function.restype, function.argtypes = result, [ctypes.py_object, *[ctypes.c_char_p] * len(more)]
-    return function(capsule, *more)
+    whole_order: IndexArray = np.concatenate([order, others]).astype(np.intp)
+    return whole_order

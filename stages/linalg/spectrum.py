@@ -1,10 +1,8 @@
-"""All eigenvalues, and the spectral norm, of sparse symmetric matrices.
-
-Leaves to others: which matrices (`laplacian`), what their spectra say (`metrics`), how a large one becomes a narrow
-band (`banding`).
-"""
+"""All eigenvalues, and the spectral norm, of sparse symmetric matrices."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy import sparse
@@ -12,30 +10,44 @@ from scipy.linalg import eigvals_banded, eigvalsh
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from ..arrays import FloatArray
-from . import band_reduction as banding
+from .band_reduction import Kernels, reduce_to_band, scipy_kernels
 
-_BANDED_NODES = 1400  # from here the detour over a band is the faster way
-_BAND_WIDTH = 32
+#: From this many nodes on the detour over a band is the faster way.
+BANDED_FROM_NODES = 1400
+BAND_WIDTH = 32
 _DENSE_NORM_NODES = 64
 
 
-def eigenvalues(symmetric: sparse.csr_matrix) -> FloatArray:
+def eigenvalues(
+    symmetric: sparse.csr_matrix,
+    *,
+    banded_from_nodes: int = BANDED_FROM_NODES,
+    band_width: int = BAND_WIDTH,
+    find_kernels: Callable[[], Kernels | None] = scipy_kernels,
+) -> FloatArray:
     """All eigenvalues in ascending order, (n,) float64, to working precision.
+
+    Small matrices go to LAPACK's dense solver; large ones are first reduced to a narrow band. Both ways are backward
+    stable and agree to rounding.
 
     Parameters
     ----------
-    symmetric : (n, n) CSR float64
+    symmetric : (n, n) CSR float64, n at least 1
+    banded_from_nodes : the n from which on the band is taken; the default is where it begins to be faster
+    band_width : of the narrow band; decides the time, not the result
+    find_kernels : gives the BLAS routines of the band reduction; where it gives None all matrices go the dense way
     """
-    if symmetric.shape[0] < _BANDED_NODES or not banding.is_available():
-        found: FloatArray = eigvalsh(symmetric.toarray(order="F"), overwrite_a=True, check_finite=False)
+    kernels = find_kernels() if symmetric.shape[0] >= banded_from_nodes else None
+    if kernels is None:
+        values: FloatArray = eigvalsh(symmetric.toarray(order="F"), overwrite_a=True, check_finite=False)
     else:
-        band = banding.reduce_to_band(symmetric, _BAND_WIDTH)
-        found = eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
-    return found
+        band = reduce_to_band(symmetric, band_width, kernels)
+        values = eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
+    return values
 
 
 def spectral_norm(symmetric: sparse.csr_matrix) -> float:
-    """The largest absolute eigenvalue, by Lanczos iteration to machine precision.
+    """The largest absolute eigenvalue, by Lanczos iteration to machine precision; 0 of a matrix of zeros.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Ray casting and perturbations."""
+"""What sensors see and how scans are altered: ray casting and perturbations."""

@@ -1,7 +1,7 @@
 """Alters a scan in a known way and by a known amount (paper, section "Controlled Perturbation Analysis").
 
 Noise, dropout and rigid motion are the paper's; it names hallucination and local density change and does not sweep
-them, so that their definitions here are ours. Leaves to others: what is made of the altered points.
+them, so that their definitions here are ours.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray
     direction = rng.normal(size=(n_clusters, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     centre = points[rng.integers(len(points), size=n_clusters)] + CLUSTER_DISTANCE_M * direction
-    of_cluster = np.arange(n_new) // CLUSTER_POINTS
-    return np.vstack([points, centre[of_cluster] + rng.normal(0.0, CLUSTER_STD_M, (n_new, 3))])
+    cluster_ids = np.arange(n_new) // CLUSTER_POINTS
+    return np.vstack([points, centre[cluster_ids] + rng.normal(0.0, CLUSTER_STD_M, (n_new, 3))])
 
 
 def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatArray:

@@ -1,7 +1,6 @@
 """Sensor models and ray casting: where a sensor's beams go, what they meet first, and what is measured of it.
 
-A static scene, a sensor that does not move during its revolution, one return a pulse. Leaves to others: what stands
-in the scene, how a simulator falsifies it, and what is written to a file (`pipeline.experiments`).
+A static scene, a sensor that does not move during its revolution, one return per pulse.
 """
 
 from __future__ import annotations
@@ -94,7 +93,7 @@ _VLP32C_DEG = (
 _DEG_PER_S = 600 / 60 * 360.0
 
 #: Sensors by name. VLP-32C: firing cycle 55.296 us at 600 rpm. HDL-64E: nominal angles, as each unit has its own
-#: calibration; 2083 firings a revolution.
+#: calibration; 2083 firings per revolution.
 SENSORS = {
     "vlp32c": SensorModel(
         name="vlp32c",

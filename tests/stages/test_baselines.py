@@ -1,15 +1,15 @@
+import sys
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-import fidpipe.stages.baselines.icp
 from fidpipe.schemas.settings import BASELINE_NAMES, GraphSettings, MetricsSettings, SelectionSettings
-from fidpipe.stages.baselines import compare_objects, compare_points
+from fidpipe.stages.baselines import BASELINES, compare_objects, compare_points
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register
-from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.linalg.laplacian import Subgraph
+from fidpipe.stages.linalg.subgraph import Subgraph, adjacency
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid
 
@@ -79,6 +79,10 @@ def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
     assert (nowhere.fitness, nowhere.rmse_m) == (0, None)
 
 
+def test_the_settings_name_every_baseline_in_the_order_of_the_list():
+    assert tuple(BASELINES) == BASELINE_NAMES
+
+
 def test_an_object_compared_with_itself_is_perfect_in_every_baseline(car):
     found = compare(car, car)
     assert list(found) == [
@@ -139,7 +143,7 @@ def test_objects_too_large_for_their_spectrum_are_left_out(car):
 
 
 def test_without_the_library_icp_is_null_with_its_reason(car, monkeypatch):
-    monkeypatch.setattr(fidpipe.stages.baselines.icp, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
     found = compare_points(car, car, MetricsSettings(baselines=("icp",)))
     assert [(of.value, of.reason) for of in found] == [(None, 'small_gicp is not installed; pip install ".[icp]"')] * 2
 

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from sknetwork.clustering import Louvain
 
-import literal
+import textbook
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings
-from fidpipe.stages.communities import adjacency, find_communities, modularity
-from fidpipe.stages.graph import Edges, build_graph
+from fidpipe.stages.communities import find_communities, modularity
+from fidpipe.stages.graph import build_graph
+from fidpipe.stages.linalg.subgraph import Edges, adjacency
 from fidpipe.stages.objects import describe_objects, majority_labels
 from scenes import box
 
@@ -29,7 +30,7 @@ def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backe
         assert len(set(np.digitize(members, [60, 150]))) == 1
     sizes = np.bincount(labels)
     assert (np.diff(sizes) <= 0).all()
-    np.testing.assert_array_equal(labels, literal.canonical(labels.tolist()))
+    np.testing.assert_array_equal(labels, textbook.canonical(labels.tolist()))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -37,14 +38,14 @@ def test_modularity_is_that_of_the_double_sum(three_boxes, backend):
     points, edges = three_boxes
     found = find_communities(len(points), edges, CommunitySettings(backend=backend))
     A = adjacency(len(points), edges).toarray()
-    assert found.modularity == pytest.approx(literal.modularity(A, found.labels), abs=1e-12)
+    assert found.modularity == pytest.approx(textbook.modularity(A, found.labels), abs=1e-12)
 
 
 def test_the_reference_backend_is_python_louvain_itself(three_boxes):
     points, edges = three_boxes
     found = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
     as_dict = {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
-    np.testing.assert_array_equal(found.labels, literal.louvain(len(points), as_dict, seed=3))
+    np.testing.assert_array_equal(found.labels, textbook.louvain(len(points), as_dict, seed=3))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-import literal
+import textbook
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import GroundSettings
 from fidpipe.stages.ground import remove_ground
@@ -40,10 +40,10 @@ def test_fewer_than_eight_points_are_refused():
 
 @pytest.mark.parametrize("loss", ["removed", "total"])
 @pytest.mark.parametrize("seed", range(4))
-def test_agrees_with_the_literal_twin(seed, loss):
+def test_agrees_with_the_textbook(seed, loss):
     scan = tilted(street(seed), seed)
     cut = remove_ground(scan, GroundSettings(loss=loss))
-    flags, peak, threshold, lost, iterations = literal.ground(scan, loss=loss)
+    flags, peak, threshold, lost, iterations = textbook.ground(scan, loss=loss)
     assert cut.peak_m == pytest.approx(peak, abs=1e-9)
     assert cut.threshold_m == pytest.approx(threshold, abs=1e-9)
     assert cut.loss == pytest.approx(lost, rel=1e-6)

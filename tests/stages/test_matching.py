@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-import literal
+import textbook
 from fidpipe.schemas.settings import MatchingSettings
 from fidpipe.stages.matching import match_communities
 
@@ -11,11 +11,11 @@ def pairs(matching):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_greedy_agrees_with_the_literal_twin(seed):
+def test_greedy_agrees_with_the_textbook(seed):
     rng = np.random.default_rng(seed)
     real, sim = rng.uniform(0, 20, (12, 3)), rng.uniform(0, 20, (15, 3))
     found = match_communities(real, sim, MatchingSettings(delta_m=8))
-    assert [pair[:2] for pair in pairs(found)] == [pair[:2] for pair in literal.match_greedy(real, sim, 8)]
+    assert [pair[:2] for pair in pairs(found)] == [pair[:2] for pair in textbook.match_greedy(real, sim, 8)]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -23,7 +23,7 @@ def test_optimal_agrees_with_trying_all(seed):
     rng = np.random.default_rng(seed)
     real, sim = rng.uniform(0, 9, (4, 3)), rng.uniform(0, 9, (4, 3))
     found = match_communities(real, sim, MatchingSettings(delta_m=4, method="optimal"))
-    best = literal.match_optimal(real, sim, 4)
+    best = textbook.match_optimal(real, sim, 4)
     assert len(found.real_ids) == len(best)
     assert found.distance_m.sum() == pytest.approx(sum(d for _, _, d in best))
 

@@ -1,7 +1,4 @@
-"""The jobs of `fidpipe perturb`: one way and amount of altering, all its repeats, on a whole scan or on one object.
-
-Leaves to others: how points are altered (`stages.perturbations`), which jobs there are (`perturb`).
-"""
+"""The jobs of `fidpipe perturb`: one way and amount of altering, all its repeats, on a whole scan or on one object."""
 
 from __future__ import annotations
 
@@ -13,23 +10,23 @@ import pyarrow as pa
 
 from ....schemas.columns import OBJECT_METRICS
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
+from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray, IntArray
 from ....stages.baselines import compare_objects
 from ....stages.ground import MIN_OBJECT_POINTS
-from ....stages.matching import match_communities
-from ....stages.metrics import MIN_NODES, Scores
+from ....stages.method import PartitionedScan, compare, graph_of, partition, score
+from ....stages.metrics import MIN_NODES
+from ....stages.objects import describe_objects
 from ....stages.selection import select_nodes
 from ....stages.sensing.perturbations import Perturbation, perturb
-from ....stages.summary import summarise_pair
 from ...engine.task import PairTask
 from ...engine.workbench import Workbench, as_numpy
-from ..partition import PartitionedScan, graph_of, partition, score
 
 _COUNTS = ("n_matched", "n_identical", "n_too_small", "match_rate")
 
 
 def global_rows(task: PairTask, perturbation: Perturbation, seeds: Sequence[int]) -> pa.Table:
-    """A row a repeat of `perturb_global`: all object points altered, everything from the graph on run again.
+    """One row of `perturb_global` per repeat: all object points altered, everything from the graph on run again.
 
     Parameters
     ----------
@@ -47,12 +44,12 @@ def global_rows(task: PairTask, perturbation: Perturbation, seeds: Sequence[int]
             "seed": seed,
             "n_points": len(scan.points),
             "n_points_altered": len(points),
-            "n_communities": len(scan.centroids),
+            "n_communities": len(scan.objects.n_points),
         }
         if len(points) < MIN_OBJECT_POINTS:
             row["reason"] = f"{len(points)} points are left, at least {MIN_OBJECT_POINTS} are needed"
         else:
-            row |= _compare(scan, partition(points, task.settings), task)
+            row |= _compare(scan, partition(points, task.settings), task.settings)
         rows.append(row)
     return PERTURB_GLOBAL.from_rows(rows)
 
@@ -60,7 +57,7 @@ def global_rows(task: PairTask, perturbation: Perturbation, seeds: Sequence[int]
 def object_rows(
     task: PairTask, community_id: int, name: str, perturbation: Perturbation, seeds: Sequence[int]
 ) -> pa.Table:
-    """A row a repeat of `perturb_objects`: one object altered, both graphs built from its points alone.
+    """One row of `perturb_objects` per repeat: one object altered, both graphs built from its points alone.
 
     Parameters
     ----------
@@ -76,7 +73,8 @@ def object_rows(
     for repeat, seed in enumerate(seeds):
         altered = perturb(points, perturbation, np.random.default_rng(seed))
         if len(altered):
-            scores = vars(score(before, graph_of(altered, task.settings), task.settings))
+            after = graph_of(altered, task.settings)
+            scores = vars(score(before, after, task.settings.selection).scores)
             distance_m = float(np.linalg.norm(altered.mean(axis=0) - points.mean(axis=0)))
         else:
             reason = f"no point is left, at least {MIN_NODES} are needed for a spectrum"
@@ -101,7 +99,7 @@ def object_rows(
 def baseline_rows(
     task: PairTask, community_id: int, name: str, perturbation: Perturbation, seeds: Sequence[int]
 ) -> pa.Table:
-    """A row a repeat and baseline of `perturb_baselines`; the altered objects are those of `object_rows`.
+    """One row of `perturb_baselines` per repeat and baseline; the altered objects are those of `object_rows`.
 
     Parameters
     ----------
@@ -120,17 +118,16 @@ def baseline_rows(
             continue  # perturb_objects says why
         after = graph_of(altered, settings)
         chosen = select_nodes(before, after, settings.selection)
-        of_repeat = vars(perturbation) | {
+        repeated = vars(perturbation) | {
             "pair_id": task.pair.pair_id,
             "community_id": community_id,
             "object": name,
             "repeat": repeat,
             "seed": seed,
         }
-        found = compare_objects(before, after, chosen, settings.selection.t, settings.metrics)
-        rows += [
-            of_repeat | {"baseline": of.name, "unit": of.unit, "value": of.value, "reason": of.reason} for of in found
-        ]
+        for baseline in compare_objects(before, after, chosen, settings.selection.t, settings.metrics):
+            number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
+            rows.append(repeated | {"baseline": baseline.name} | number)
     return PERTURB_BASELINES.from_rows(rows)
 
 
@@ -148,12 +145,12 @@ def _scan_of(task: PairTask) -> PartitionedScan:
         _KEPT.clear()
         bench = Workbench(task)
         point_ids, points = bench.object_points("real")
-        objects = bench.table("objects", "real")
+        labels = as_numpy(bench.table("communities", "real"), "community_id")
         _KEPT[key] = PartitionedScan(
             points=points,
             edges=bench.edges("real", point_ids),
-            labels=as_numpy(bench.table("communities", "real"), "community_id"),
-            centroids=np.column_stack([as_numpy(objects, name) for name in ("cx", "cy", "cz")]),
+            labels=labels,
+            objects=describe_objects(points, labels),
         )
     return _KEPT[key]
 
@@ -161,26 +158,10 @@ def _scan_of(task: PairTask) -> PartitionedScan:
 _KEPT: dict[str, PartitionedScan] = {}
 
 
-def _compare(scan: PartitionedScan, altered: PartitionedScan, task: PairTask) -> dict[str, Any]:
+def _compare(scan: PartitionedScan, altered: PartitionedScan, settings: Settings) -> dict[str, Any]:
     """Counts, match rate and means over matched objects, the unaltered scan taken as the real side."""
-    matching = match_communities(scan.centroids, altered.centroids, task.settings.matching)
-    before, after = scan.objects(matching.real_ids.tolist()), altered.objects(matching.sim_ids.tolist())
-    scores = [
-        score(before[a], after[b], task.settings)
-        for a, b in zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), strict=True)
-    ]
-    values = {name: _column(scores, name) for name in OBJECT_METRICS if name != "centroid_distance_m"}
-    values["centroid_distance_m"] = matching.distance_m
-    summary = summarise_pair(
-        values,
-        [of.status for of in scores],
-        np.linalg.norm(scan.centroids[matching.real_ids], axis=1),
-        np.linalg.norm(scan.centroids[matching.missing], axis=1),
-        np.linalg.norm(altered.centroids[matching.hallucinated], axis=1),
-    )
+    summary = compare(scan, altered, settings).summary
     means = [f"{metric}_mean" for metric in OBJECT_METRICS]
-    return {name: summary[name] for name in (*_COUNTS, *means)} | {"n_communities_altered": len(altered.centroids)}
-
-
-def _column(scores: list[Scores], name: str) -> FloatArray:
-    return np.array([np.nan if getattr(of, name) is None else getattr(of, name) for of in scores], dtype=np.float64)
+    return {name: summary[name] for name in (*_COUNTS, *means)} | {
+        "n_communities_altered": len(altered.objects.n_points)
+    }

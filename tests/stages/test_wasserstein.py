@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.stats import wasserstein_distance
 
-from fidpipe.stages.baselines.transport import aligned_distance, earth_movers, sliced_wasserstein
+from fidpipe.stages.baselines.emd import aligned_distance, earth_movers
+from fidpipe.stages.baselines.sliced_wasserstein import sliced_wasserstein
 
 
 def test_earth_movers_by_hand():

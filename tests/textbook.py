@@ -1,4 +1,4 @@
-"""The method once more, literal, slow and obvious: dense matrices and loops, straight from the definitions."""
+"""The definitions once more as a textbook has them, slow and obvious: dense matrices, loops, no other thought."""
 
 import itertools
 import math
@@ -96,8 +96,8 @@ def louvain(n, edges, seed=0):
     G = nx.Graph()
     G.add_nodes_from(range(n))
     G.add_weighted_edges_from((i, j, float(length)) for (i, j), length in edges.items())
-    of_node = python_louvain.best_partition(G, random_state=seed)
-    return canonical([of_node[i] for i in range(n)])
+    label_by_node = python_louvain.best_partition(G, random_state=seed)
+    return canonical([label_by_node[i] for i in range(n)])
 
 
 def canonical(labels):
@@ -129,9 +129,9 @@ def match_optimal(real, sim, delta):
     for choice in itertools.permutations(wide, len(real)):
         pairs = [(i, j, math.dist(real[i], sim[j])) for i, j in enumerate(choice) if j is not None]
         pairs = [pair for pair in pairs if pair[2] < delta]
-        found = (len(pairs), -sum(d for _, _, d in pairs), pairs)
-        if found[:2] > best[:2] or not best[2]:
-            best = found if found[:2] >= best[:2] else best
+        candidate = (len(pairs), -sum(d for _, _, d in pairs), pairs)
+        if candidate[:2] > best[:2] or not best[2]:
+            best = candidate if candidate[:2] >= best[:2] else best
     return best[2]
 
 

@@ -1,41 +1,20 @@
-"""Distances between two point sets as the least cost of moving one onto the other: earth mover's, sliced Wasserstein.
-
-Leaves to others: which point sets (`baselines`), how an exact assignment is found (`alignment`).
-"""
+"""The sliced Wasserstein distance: the earth mover's distance of projections onto lines, which needs only sorting."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
-from ..linalg.assignment import assign_nodes
+from .interface import Baseline, Baselines
 
 _SEED = 0
 _DIRECTIONS_AT_ONCE = 10  # bounds the memory: all points are projected on each
 
 
-def earth_movers(a: FloatArray, b: FloatArray) -> float:
-    """min_p mean_i |a_i - b_p(i)| over all one-to-one assignments p, in metres; exact, of two sets of equal size.
-
-    The earth mover's distance (Rubner, Tomasi and Guibas, The earth mover's distance as a metric for image retrieval,
-    IJCV 2000) of points of equal weight; the paper's equation "d_EMD" is the sum, this is the mean. Solved as an
-    assignment: see `alignment.assign_nodes`, whose large problems go through POT's network simplex.
-
-    Parameters
-    ----------
-    a, b : (n, 3) float64, metres, as they lie; at least one point
-    """
-    return aligned_distance(a, b[assign_nodes(a, b)])
-
-
-def aligned_distance(a: FloatArray, b: FloatArray) -> float:
-    """mean_i |a_i - b_i| in metres, of rows that are assigned already.
-
-    Parameters
-    ----------
-    a, b : (n, 3) float64, metres, at least one point
-    """
-    return float(np.linalg.norm(a - b, axis=1).mean())
+def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """The value of `sliced_wasserstein` with `projections` directions."""
+    return (Baseline("sliced_wasserstein_m", "m", sliced_wasserstein(real, sim, settings.projections)),)
 
 
 def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) -> float:

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist, directed_hausdorff
 
-from fidpipe.stages.baselines.nearest import chamfer, density_aware_chamfer, f_score, hausdorff
+from fidpipe.stages.baselines.chamfer import chamfer
+from fidpipe.stages.baselines.dcd import density_aware_chamfer
+from fidpipe.stages.baselines.f_score import f_score
+from fidpipe.stages.baselines.hausdorff import hausdorff
 
 REAL = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
 SIM = np.array([[0.0, 0, 1], [1, 0, 3]])

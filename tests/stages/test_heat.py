@@ -3,8 +3,10 @@ import pytest
 import scipy.linalg
 from scipy import sparse
 
-import literal
-from fidpipe.stages.baselines.diffusion import diffusion_change, heat_trace_distance
+import textbook
+from fidpipe.stages.baselines.netlsd import heat_trace_distance
+from fidpipe.stages.baselines.r_h import diffusion_change
+from fidpipe.stages.linalg.heat import heat_row_sums
 from fidpipe.stages.linalg.laplacian import normalised_laplacian
 
 TIMES = np.geomspace(0.01, 100, 50)
@@ -17,6 +19,13 @@ def random_laplacian(rng, n, density=0.3):
 
 def path(n):
     return normalised_laplacian(sparse.csr_matrix(np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)))
+
+
+@pytest.mark.parametrize("t", [0.1, 1.0, 7.0, 100.0])
+def test_the_heat_row_sums_agree_with_the_dense_exponential(rng, t):
+    pieces = random_laplacian(rng, 60), sparse.csr_matrix((1, 1))  # and an isolated node
+    L = sparse.block_diag(pieces, format="csr")
+    np.testing.assert_allclose(heat_row_sums(L, t), scipy.linalg.expm(-t * L.toarray()).sum(axis=1), atol=1e-12)
 
 
 def test_heat_traces_of_an_edge_and_of_a_path_by_hand():
@@ -51,7 +60,7 @@ def test_the_diffusion_change_agrees_with_the_dense_exponential(rng, n, t):
 def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():
     # d exp(-tL) = -t dL + O(t^2)
     a = path(6)
-    b = normalised_laplacian(sparse.csr_matrix(literal.adjacency(6, {(i, i + 1): 1 + 0.1 * i for i in range(5)})))
+    b = normalised_laplacian(sparse.csr_matrix(textbook.adjacency(6, {(i, i + 1): 1 + 0.1 * i for i in range(5)})))
     assert diffusion_change(a, b, 1e-4, 1e-5) == pytest.approx(1, abs=1e-3)
 
 

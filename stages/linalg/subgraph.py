@@ -1,0 +1,87 @@
+"""What a graph is in memory: its edges, its adjacency matrix, and the part of it that belongs to one object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from ..arrays import Float32Array, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edges of an undirected graph, each once, sorted by (src, dst).
+
+    src, dst : (m,) int32, node indices, src < dst
+    length_m : (m,) float32, the weight
+    """
+
+    src: IntArray
+    dst: IntArray
+    length_m: Float32Array
+
+
+@dataclass(frozen=True)
+class Subgraph:
+    """One object: its points and the edges among them.
+
+    point_ids : (n,) int32, ascending
+    points : (n, 3) float64, metres
+    adjacency : (n, n) CSR float64, symmetric, edge lengths
+    """
+
+    point_ids: IntArray
+    points: FloatArray
+    adjacency: sparse.csr_matrix
+
+
+def adjacency(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
+    """The symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices; all zero without edges."""
+    half = upper_half(n_nodes, edges)
+    return half + half.T.tocsr()
+
+
+def upper_half(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
+    """The part of the adjacency matrix above its diagonal, (n, n) CSR float64."""
+    starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
+    return sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
+
+
+def split_by_community(
+    point_ids: IntArray, points: FloatArray, edges: Edges, labels: IntArray, wanted: Iterable[int]
+) -> dict[int, Subgraph]:
+    """The induced subgraph of each wanted community, by community id; edges between communities are in none.
+
+    Parameters
+    ----------
+    point_ids : (n,) int32, ascending, of the nodes
+    points : (n, 3) float64, metres
+    edges : by node index
+    labels : (n,) int32, community of each node
+    wanted : community ids
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ids, lengths = np.arange(3, dtype=np.int32), np.ones(2, dtype=np.float32)
+    >>> path = Edges(src=ids[:2], dst=ids[1:], length_m=lengths)
+    >>> split_by_community(ids, np.zeros((3, 3)), path, np.array([0, 0, 1]), [0])[0].adjacency.toarray().tolist()
+    [[0.0, 1.0], [1.0, 0.0]]
+    """
+    inside = np.flatnonzero(labels[edges.src] == labels[edges.dst])
+    by_community = inside[np.argsort(labels[edges.src[inside]], kind="stable")]
+    edge_ends = np.searchsorted(labels[edges.src[by_community]], np.arange(int(labels.max()) + 2))
+    nodes_in_order = np.argsort(labels, kind="stable")
+    node_ends = np.searchsorted(labels[nodes_in_order], np.arange(int(labels.max()) + 2))
+    index_inside = np.empty(len(labels), dtype=np.int32)
+    subgraphs = {}
+    for community in wanted:
+        nodes = nodes_in_order[node_ends[community] : node_ends[community + 1]]
+        own = by_community[edge_ends[community] : edge_ends[community + 1]]
+        index_inside[nodes] = np.arange(len(nodes), dtype=np.int32)
+        own_edges = Edges(index_inside[edges.src[own]], index_inside[edges.dst[own]], edges.length_m[own])
+        subgraphs[community] = Subgraph(point_ids[nodes], points[nodes], adjacency(len(nodes), own_edges))
+    return subgraphs

@@ -1,0 +1,209 @@
+"""The whole method on one screen: how faithful one simulated scan is to one real scan, object by object.
+
+This is the page to read first about what is computed. `evaluate` is the paper's "Practical Pipeline" from two scans to
+the scores of the pair, made of two parts that are also used alone: `partition` finds the objects of one side,
+`compare` scores those that two sides have in common. Each step is the function of one stage, which has the equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..schemas.columns import OBJECT_METRICS
+from ..schemas.settings import SelectionSettings, Settings
+from .arrays import FloatArray, IntArray
+from .clean import CleanResult, clean_scan
+from .communities import find_communities
+from .graph import build_graph
+from .ground import GroundResult, remove_ground
+from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
+from .matching import Matching, match_communities
+from .metrics import Scores, score_object
+from .objects import Objects, describe_objects
+from .selection import Selection, select_nodes
+from .summary import Number, summarise_pair
+
+
+def evaluate(
+    real: FloatArray, sim: FloatArray, settings: Settings, *, T_real_sim: FloatArray | None = None
+) -> Evaluation:
+    """How far a simulated scan is from a real one, from the points that were read to the scores of the pair.
+
+    The same numbers as the tables of `fidpipe run`; to the last bit where BLAS has one thread, as it has there.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, each in its own sensor's frame; NaN and infinite points are dropped
+    settings : of all stages; those of baselines and seeds are not used
+    T_real_sim : (3, 4) float64, maps the simulated sensor's frame into the real one's; by default they are the same
+
+    Raises
+    ------
+    StageError
+        A side has fewer than 8 points after cleaning or after ground removal.
+    """
+    flip_y, shares_cut = settings.input.sim_flip_y, settings.ground.shared
+
+    # Measurements only, both sides in the real sensor's frame
+    clean_real = clean_scan(real, settings.input)
+    clean_sim = clean_scan(sim, settings.input, flip_y=flip_y, T_real_sim=T_real_sim)
+
+    # "Data Collection and Graph Build-up": the PCA Z-cut takes the road away
+    cut_real = remove_ground(clean_real.points, settings.ground)
+    cut_sim = remove_ground(clean_sim.points, settings.ground, cut_real if shares_cut else None)
+
+    # "Graphs as Metrics": each side becomes a graph, and its communities are its objects
+    objects_real = partition(clean_real.points[~cut_real.is_ground], settings)
+    objects_sim = partition(clean_sim.points[~cut_sim.is_ground], settings)
+
+    # "Graph-Based Validation Metrics": the objects that both sides have are scored
+    scores = compare(objects_real, objects_sim, settings)
+    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores)
+
+
+def partition(points: FloatArray, settings: Settings, *, edges: Edges | None = None) -> PartitionedScan:
+    """The graph of a side's object points, its communities, and what these look like.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, at least one
+    settings : of the graph and the communities
+    edges : the graph of these points, where it is known already; such as for another seed of the communities
+    """
+    if edges is None:
+        edges = build_graph(points, settings.graph)  # "From Point Clouds to Graphs"
+    labels = find_communities(len(points), edges, settings.communities).labels  # "... Decomposition via Communities"
+    return PartitionedScan(points, edges, labels, describe_objects(points, labels))
+
+
+def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, memo: Memo | None = None) -> PairScores:
+    """Which objects both sides have, the scores of each, and what they say together.
+
+    Parameters
+    ----------
+    real, sim : both sides
+    settings : of matching and selection
+    memo : scores of objects of these two sides, to be taken instead of computing them, and to be added to; give the
+        same dictionary to several calls with the same two sides and other settings
+    """
+    matching = match_communities(real.objects.centroid, sim.objects.centroid, settings.matching)  # Algorithm 1
+    memo = {} if memo is None else memo
+    unscored = [pair for pair in matching.pairs if (*pair, settings.selection) not in memo]
+    real_graphs = real.subgraphs(real_id for real_id, _ in unscored)
+    sim_graphs = sim.subgraphs(sim_id for _, sim_id in unscored)
+    for real_id, sim_id in unscored:
+        scored = score(real_graphs[real_id], sim_graphs[sim_id], settings.selection)
+        memo[real_id, sim_id, settings.selection] = scored
+    objects = tuple(memo[*pair, settings.selection] for pair in matching.pairs)
+    return PairScores(matching, objects, _summarise(real, sim, matching, objects))
+
+
+def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
+    """The nodes that stand for one object on both sides, aligned (Algorithm 2), and the scores of the object.
+
+    Parameters
+    ----------
+    real, sim : the object on both sides, at least one point each
+    settings : diffusion time
+    """
+    selection = select_nodes(real, sim, settings)
+    return ScoredObject(selection, score_object(real, sim, selection))
+
+
+def graph_of(points: FloatArray, settings: Settings) -> Subgraph:
+    """Points as one object, with the graph that they have without any others.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    settings : of the graph
+    """
+    edges = build_graph(points, settings.graph)
+    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
+
+
+@dataclass(frozen=True)
+class PartitionedScan:
+    """The object points of one side, with their graph and their communities.
+
+    points : (n, 3) float64, metres
+    edges : of the graph, by index into the points
+    labels : (n,) int32, community of each point
+    objects : what the communities look like, by id
+    """
+
+    points: FloatArray
+    edges: Edges
+    labels: IntArray
+    objects: Objects
+
+    def subgraphs(self, wanted: Iterable[int]) -> dict[int, Subgraph]:
+        """The induced subgraphs of some communities, by id; their `point_ids` are indices into the points."""
+        wanted = list(wanted)
+        if not wanted:
+            return {}
+        ids = np.arange(len(self.points), dtype=np.int32)
+        return split_by_community(ids, self.points, self.edges, self.labels, wanted)
+
+
+@dataclass(frozen=True)
+class ScoredObject:
+    """One matched object: its aligned nodes, by index into its subgraphs, and its scores."""
+
+    selection: Selection
+    scores: Scores
+
+
+#: Scored objects by real id, simulated id and how their nodes were selected.
+Memo = dict[tuple[int, int, SelectionSettings], ScoredObject]
+
+
+@dataclass(frozen=True)
+class PairScores:
+    """What two sides have in common.
+
+    matching : which objects both have
+    objects : those, in the order of `matching.real_ids`
+    summary : counts, match rate, median ranges, mean and standard deviation of each score; see `summarise_pair`
+    """
+
+    matching: Matching
+    objects: tuple[ScoredObject, ...]
+    summary: dict[str, Number]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Each step's result for both sides, and the scores.
+
+    clean_real, clean_sim : points that are measurements, in the real sensor's frame
+    cut_real, cut_sim : which of these are ground
+    objects_real, objects_sim : the others, their graph and their communities
+    scores : of the pair
+    """
+
+    clean_real: CleanResult
+    clean_sim: CleanResult
+    cut_real: GroundResult
+    cut_sim: GroundResult
+    objects_real: PartitionedScan
+    objects_sim: PartitionedScan
+    scores: PairScores
+
+
+def _summarise(
+    real: PartitionedScan, sim: PartitionedScan, matching: Matching, objects: tuple[ScoredObject, ...]
+) -> dict[str, Number]:
+    """The summary of a pair, from the scores of its objects."""
+    distances_m = matching.distance_m.tolist()
+    rows = [{"centroid_distance_m": m} | vars(own.scores) for m, own in zip(distances_m, objects, strict=True)]
+    return summarise_pair(
+        {name: np.array([row[name] for row in rows], dtype=np.float64) for name in OBJECT_METRICS},
+        [own.scores.status for own in objects],
+        real.objects.range_m[matching.real_ids],
+        real.objects.range_m[matching.missing],
+        sim.objects.range_m[matching.hallucinated],
+    )

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+import textbook
+from fidpipe.stages.linalg.assignment import align_nodes, assign_nodes
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_alignment_is_the_best_of_all(seed):
+    rng = np.random.default_rng(seed)
+    real, sim = rng.normal(0, 1, (7, 3)), rng.normal(5, 1, (7, 3))
+    total, best = textbook.align(real, sim)
+    found = align_nodes(real, sim)
+    assert total_distance(real, sim, found) == pytest.approx(total)
+    assert found.tolist() == list(best)
+
+
+def total_distance(real, sim, sim_of_real):
+    a, b = real - real.mean(axis=0), sim - sim.mean(axis=0)
+    return np.linalg.norm(a - b[sim_of_real], axis=1).sum()
+
+
+def hungarian(real, sim):
+    return linear_sum_assignment(cdist(real - real.mean(axis=0), sim - sim.mean(axis=0)))[1]
+
+
+LARGE = {
+    "gaussian": lambda rng, n: (rng.normal(0, 1, (n, 3)), rng.normal(0, 1.3, (n, 3))),
+    "clustered": lambda rng, n: (rng.normal(0, 0.1, (n, 3)) + 5 * rng.integers(0, 2, (n, 1)), rng.normal(2, 2, (n, 3))),
+    "line against plane": lambda rng, n: (
+        np.outer(np.linspace(0, 9, n), [1, 0, 0]),
+        rng.uniform(0, 9, (n, 3)) * [1, 1, 0],
+    ),
+    "lopsided": lambda rng, n: (
+        rng.normal(0, 0.05, (n, 3)) + 50 * (np.arange(n) < 9)[:, None],
+        rng.normal(0, 0.05, (n, 3)) + 50 * (np.arange(n) >= 9)[:, None],
+    ),
+}
+
+
+@pytest.mark.parametrize("shape", LARGE)
+@pytest.mark.parametrize("n", [401, 900])
+def test_a_large_alignment_is_the_hungarian_one(rng, shape, n):
+    real, sim = LARGE[shape](rng, n)
+    np.testing.assert_array_equal(align_nodes(real, sim), hungarian(real, sim))
+
+
+def test_a_large_alignment_of_many_ties_is_as_short_as_the_hungarian_one():
+    grid = np.array([[x, y, 0] for x in range(22) for y in range(22)], dtype=float)
+    for real, sim in ((grid, grid * 2), (np.zeros((450, 3)), np.ones((450, 3)))):
+        found = align_nodes(real, sim)
+        assert sorted(found) == list(range(len(real)))
+        assert total_distance(real, sim, found) == pytest.approx(total_distance(real, sim, hungarian(real, sim)))
+
+
+def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng):
+    real, sim = rng.normal(0, 1, (600, 3)), rng.normal(0, 1.3, (600, 3))
+    wanted = linear_sum_assignment(cdist(real, sim))[1]
+    np.testing.assert_array_equal(assign_nodes(real, sim, arcs_per_node=2), wanted)
+
+
+def test_the_alignment_undoes_a_shuffle_and_a_shift(rng):
+    points, order = rng.normal(0, 1, (80, 3)), rng.permutation(80)
+    np.testing.assert_array_equal(order[align_nodes(points, (points + [30, -4, 2])[order])], np.arange(80))
