@@ -99,7 +99,7 @@ def check(
     Example:  fidpipe check dataset/ --set input.min_range_m=3
     """
     from ...schemas.settings import load
-    from ..datasets.check import check_dataset
+    from ..datasets.scan_checks import check_dataset
     from ..report.terminal.run import check_view
 
     found = check_dataset(dataset, load(settings, assignments or []))
