@@ -1,4 +1,4 @@
-"""The method as one would write it by hand from the paper: networkx, python-louvain, dense matrices, no other thought.
+"""The method as one would write it by hand from the paper: networkx, python-louvain, dense matrices, no optimisation.
 
 Each step does what DESIGN defines, by the library that comes to mind first. `seconds` tells where the time went.
 """

@@ -3,7 +3,7 @@
     python benchmarks/small_pairs.py [N_PAIRS] [POINTS]      by default 10000 pairs of 2000 points
 
 A manifest lists each of some hundred synthetic pairs many times under different names. While the stages run: wall time
-times workers less the time inside jobs, a pair; Parquet apart; memory of the command (with dask's scheduler in it) and
+times workers less the time inside jobs, per pair; Parquet apart; memory of the command (with dask's scheduler in it) and
 of the workers; the time of a second run, which has nothing to do.
 """
 
