@@ -49,8 +49,8 @@ def main(dataset, every):
     print(f"  wall {whole.wall_s:.1f} s, {whole.wall_s / total:.2f} times the floor")
     pace = (more.wall_s - whole.wall_s) / ((repeats - 1) * len(pairs))
     start_s = whole.wall_s - pace * len(pairs)
-    print(f"  start-up aside: {pace:.2f} s a pair (from {repeats} times as many pairs); start-up {start_s:.1f} s")
-    print(f"run directory {size_mb:.1f} MB a pair")
+    print(f"  start-up aside: {pace:.2f} s per pair (from {repeats} times as many pairs); start-up {start_s:.1f} s")
+    print(f"run directory {size_mb:.1f} MB per pair")
     inside, files = (b - a for a, b in zip(split(timings), split(timings_of_more), strict=True))
     waiting = 2 * (more.wall_s - whole.wall_s) - inside - files
     print(f"of {(repeats - 1) * len(pairs)} further pairs: stages {inside:.1f} s, tables {files:.1f} s, ", end="")

@@ -68,7 +68,7 @@ def scratch():
 
 
 def repeated(dataset, n_pairs, out):
-    """A manifest of so many pairs: those of a dataset, again and again under other names."""
+    """A manifest of this many pairs: those of a dataset, repeated under other names."""
     listed = dataset / "pairs.csv"
     if listed.exists():
         rows = pd.read_csv(listed)

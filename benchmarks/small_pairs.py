@@ -3,8 +3,8 @@
     python benchmarks/small_pairs.py [N_PAIRS] [POINTS]      by default 10000 pairs of 2000 points
 
 A manifest lists each of some hundred synthetic pairs many times under different names. While the stages run: wall time
-times workers less the time inside jobs, a pair; Parquet apart; memory of the command (with dask's scheduler in it) and
-of the workers; the time of a second run, which has nothing to do.
+times workers less the time inside jobs, per pair; Parquet apart; memory of the command (with dask's scheduler in it)
+and of the workers; the time of a second run, which has nothing to do.
 """
 
 import json
@@ -33,7 +33,7 @@ def main(n_pairs=10_000, points=2000):
     beyond = WORKERS * wall_s["stages"] - inside - files
     print(f"{n_pairs} pairs of about {points} points: {run.wall_s:.0f} s wall, {run.cpu_s:.0f} s CPU")
     print(
-        f"a pair: {1e3 * inside / n_pairs:.1f} ms inside the stages, {1e3 * files / n_pairs:.1f} ms Parquet, ", end=""
+        f"per pair: {1e3 * inside / n_pairs:.1f} ms inside the stages, {1e3 * files / n_pairs:.1f} ms Parquet, ", end=""
     )
     print(f"{1e3 * beyond / n_pairs:.1f} ms beyond ({beyond / (inside + files):.1%})")
     workers = ", ".join(f"{of:.0f}" for of in sorted(run.peaks[1:])[-WORKERS:])

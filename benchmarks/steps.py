@@ -2,9 +2,9 @@
 
     python benchmarks/steps.py ../shared/data/kitti_twin
 
-On the objects of all pairs, one thread, one way after the other: eigenvalues by way of a band and by LAPACK's direct
-way, of the Laplacians that take the band; the exact alignment and `linear_sum_assignment` on full matrices; Louvain
-with our tolerance and with 1e-7.
+On the objects of all pairs, one thread, one after the other: eigenvalues by band reduction and by LAPACK's direct way,
+of the Laplacians that are large enough for band reduction; the exact alignment and `linear_sum_assignment` on full
+matrices; Louvain with our tolerance and with 1e-7.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The method as one writes it by hand from the textbook: networkx, python-louvain, dense matrices, no other thought.
+"""The method as one would write it by hand from the paper: networkx, python-louvain, dense matrices, no optimisation.
 
 Each step does what DESIGN defines, by the library that comes to mind first. `seconds` tells where the time went.
 """
@@ -69,7 +69,7 @@ def evaluate(real, sim, labels=None):
         values = eigvalsh(L_real), eigvalsh(L_sim)
         change = np.abs(eigvalsh(L_sim - L_real)).max() if n_keep else 0.0
         clock.lap("spectra")
-        gaps = [spectrum[1] - spectrum[0] if n_keep > 1 else np.nan for spectrum in values]
+        gaps = [of[1] - of[0] if n_keep > 1 else np.nan for of in values]
         shift = np.abs(values[1] - values[0]).max()
         scored = n_keep >= 3 and change > 1e-5
         cdc = density_aware(points["real"][own["real"]], points["sim"][own["sim"]])
@@ -109,9 +109,9 @@ def graph(points):
 
 
 def communities(G):
-    partition = python_louvain.best_partition(G, random_state=0)
+    found = python_louvain.best_partition(G, random_state=0)
     members = {}
-    for node, label in partition.items():
+    for node, label in found.items():
         members.setdefault(label, []).append(node)
     labels = np.empty(len(G), dtype=int)
     for new, own in enumerate(sorted(members.values(), key=lambda nodes: (-len(nodes), min(nodes)))):

@@ -99,7 +99,7 @@ def check(
     Example:  fidpipe check dataset/ --set input.min_range_m=3
     """
     from ...schemas.settings import load
-    from ..datasets.check import check_dataset
+    from ..datasets.scan_checks import check_dataset
     from ..report.terminal.run import check_view
 
     found = check_dataset(dataset, load(settings, assignments or []))
@@ -127,7 +127,7 @@ def run(
     seeds: Annotated[
         int | None,
         typer.Option(
-            "--seeds", min=1, help="Repeat communities to metrics with so many seeds; tells how stable scores are."
+            "--seeds", min=1, help="Repeat communities to metrics with this many seeds; tells how stable scores are."
         ),
     ] = None,
 ) -> None:
@@ -191,7 +191,7 @@ def synth(
     points: Annotated[
         int | None,
         typer.Option(
-            "--points", min=100, help="About so many points a real scan.", show_default="as the sensor has them"
+            "--points", min=100, help="About this many points per real scan.", show_default="as the sensor has them"
         ),
     ] = None,
     workers: Annotated[
@@ -229,7 +229,7 @@ def report(
         str | None,
         typer.Option("--pairs", metavar="PATTERN", help="Show pairs whose name matches in 3D, such as '0000*'."),
     ] = None,
-    folder: Annotated[bool, typer.Option("--folder", help="One page a pair and an index, in RUN/report.")] = False,
+    folder: Annotated[bool, typer.Option("--folder", help="One page per pair and an index, in RUN/report.")] = False,
 ) -> None:
     """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
 

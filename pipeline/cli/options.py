@@ -19,7 +19,9 @@ DatasetFolder = Annotated[
 ]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one a core"),
+    typer.Option(
+        "--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one per core"
+    ),
 ]
 Scheduler = Annotated[
     str | None,

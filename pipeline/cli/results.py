@@ -21,7 +21,7 @@ def show(
         typer.Argument(metavar="[OBJECT]", help="Object of the pair: 7 of the real side, sim:7 of the simulated one."),
     ] = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="The paper's claims beside what is found here, a line each.")
+        bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")] = False,
 ) -> None:

@@ -23,7 +23,14 @@ _ROTATION_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, order=True)
 class ScanPair:
-    """One pair to be evaluated; `fault` says why it cannot be, a path is None where the partner is missing."""
+    """One pair of scans.
+
+    real, sim : the scan files; None where the partner is missing
+    timestamp_s : when the real scan was taken, if the manifest says so
+    T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame; None if they are
+        in it already
+    fault : why the pair cannot be evaluated, or None
+    """
 
     pair_id: str
     real: Path | None
@@ -33,13 +40,18 @@ class ScanPair:
     fault: str | None = None
 
     def path(self, side: str) -> Path | None:
-        """The scan file of a side."""
+        """The scan file of a side ("real" or "sim"), or None."""
         return self.real if side == "real" else self.sim
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """A folder of scan pairs, sorted by pair_id."""
+    """A folder of scan pairs.
+
+    pairs : sorted by pair_id; those with a fault too
+    label_names : class names by number, {} without a `labels.toml`
+    warnings : files that were ignored, one line each
+    """
 
     folder: Path
     pairs: tuple[ScanPair, ...]
@@ -48,7 +60,7 @@ class Dataset:
 
 
 def read_dataset(folder: Path) -> Dataset:
-    """The pairs of a dataset folder.
+    """The pairs of a dataset folder; a missing partner is a fault of its pair, not an error.
 
     Raises
     ------
@@ -69,6 +81,23 @@ def read_dataset(folder: Path) -> Dataset:
     return Dataset(
         folder, tuple(sorted(pairs, key=lambda pair: pair.pair_id)), read_label_names(folder), tuple(warnings)
     )
+
+
+def read_label_names(folder: Path) -> dict[int, str]:
+    """Class names by number from `labels.toml` in a folder; {} where there is none.
+
+    Raises
+    ------
+    DatasetError
+        Its lines are not of the form 4 = "tree".
+    """
+    path = folder / LABEL_NAMES
+    if not path.exists():
+        return {}
+    try:
+        return {int(number): str(name) for number, name in tomllib.loads(path.read_text(encoding="utf-8")).items()}
+    except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
+        raise DatasetError(f'{path}: lines such as 4 = "tree" are wanted ({error})') from error
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
@@ -186,14 +215,3 @@ def _transform(where: str, text: str) -> tuple[float, ...] | None:
             f"{where}: T_real_sim is a mirror image; set input.sim_flip_y = true for a left-handed simulator"
         )
     return tuple(float(value) for value in values if value is not None)
-
-
-def read_label_names(folder: Path) -> dict[int, str]:
-    """Class names by number from `labels.toml` in a folder; {} where there is none."""
-    path = folder / LABEL_NAMES
-    if not path.exists():
-        return {}
-    try:
-        return {int(number): str(name) for number, name in tomllib.loads(path.read_text(encoding="utf-8")).items()}
-    except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
-        raise DatasetError(f'{path}: lines such as 4 = "tree" are wanted ({error})') from error

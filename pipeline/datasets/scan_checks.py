@@ -1,7 +1,7 @@
-"""What a dataset's files hold and what is wrong with them, before anything heavy starts.
+"""What the scan files of a dataset hold, and what is wrong with them or odd about a pair, before anything heavy starts.
 
-Each file is read once, hashed and cleaned; what was learnt is kept by the run, so that an unchanged file is not read
-again. Leaves to others: which files form a pair (`readers.dataset`), what is done with them (`run`).
+Each file is read once, hashed and cleaned. What was learnt are plain facts that a run can keep beside the file's
+length and times, so that an unchanged file need not be read again.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
-from ...schemas.settings import InputSettings
+from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
 from ..storage.store import hash_file, key_of
-from .pairs import ScanPair
+from .pairs import ScanPair, read_dataset
 from .readers import read_scan, stem_of
 from .readers.scan import label_path_of
 
@@ -43,7 +43,7 @@ class ScanContent:
     n_raw: int
 
     def key(self, label_names: Mapping[int, str]) -> str:
-        """A hash of all that the scan is read from; names count where it has labels."""
+        """A hash of all that the scan is read from; class names count only where it has labels."""
         names = key_of(sorted(label_names.items()) if self.label_sha256 else [])
         return key_of(key_of(self.sha256, self.label_sha256), names)
 
@@ -53,7 +53,9 @@ class ScanFacts:
     """What was learnt of one scan file.
 
     marks : length and times of the file and its labels when it was read; the facts hold while these do
+    settings_key : hash of what else the facts depend on; see `settings_key`
     sha256, label_sha256 : content hashes
+    n_raw, n_clean : points in the file, and after cleaning
     dropped : points dropped by cleaning, by reason
     low, high : corners of the axis-aligned box of the clean points, metres
     azimuth_gap_deg : widest sector around the sensor without a point
@@ -75,22 +77,54 @@ class ScanFacts:
 
     @property
     def content(self) -> ScanContent:
-        """The part that a run keeps in mind."""
+        """The part that keys are made of."""
         return ScanContent(self.sha256, self.label_sha256, self.n_raw)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for the run's index."""
+        """Plain values, as `recall_scan` takes them back."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class DatasetCheck:
+    """What would be read from a dataset, and what is wrong with it.
+
+    pairs : each with the facts of its sides; a missing file has none
+    faults, warnings : one line each, with the name of the pair
+    """
+
+    folder: Path
+    pairs: list[tuple[ScanPair, dict[str, ScanFacts]]]
+    faults: list[str]
+    warnings: list[str]
+
+
+def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
+    """Reads every file of a dataset once and names every fault; computes no score.
+
+    Raises
+    ------
+    DatasetError
+        The dataset as a whole cannot be used.
+    """
+    dataset = read_dataset(folder)
+    facts = inspect_pairs(dataset.pairs, settings.input, dataset.label_names)
+    faults, warnings = [], list(dataset.warnings)
+    for pair, sides in zip(dataset.pairs, facts, strict=True):
+        own_faults = [pair.fault, *(scan.fault for scan in sides.values())]
+        faults += [f"pair {pair.pair_id}: {fault}" for fault in own_faults if fault]
+        warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides)]
+    return DatasetCheck(folder, list(zip(dataset.pairs, facts, strict=True)), faults, warnings)
 
 
 def inspect_pairs(
     pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]
 ) -> list[dict[str, ScanFacts]]:
-    """What the files of some pairs hold, by side; a missing file is not in it."""
+    """What the files of each pair hold, by side; a side whose file is missing is left out."""
     facts = []
     for pair in pairs:
         sides: dict[str, ScanFacts] = {}
-        for side in ("real", "sim"):
+        for side in SIDES:
             path = pair.path(side)
             if path is not None:
                 sides[side] = inspect_scan(path, side, pair.T_real_sim, settings, label_names)
@@ -101,7 +135,13 @@ def inspect_pairs(
 def inspect_scan(
     path: Path, side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings, label_names: dict[int, str]
 ) -> ScanFacts:
-    """What one scan file holds; a fault of the file is a fact, not an error."""
+    """What one scan file holds; a fault of the file is a fact, not an error.
+
+    Parameters
+    ----------
+    side : "real" or "sim"; the simulated side is mirrored and moved before it is cut by `include_box`
+    T_real_sim : of the pair, or None
+    """
     marks, key = file_marks(path), settings_key(side, T_real_sim, settings)
     try:
         scan = read_scan(path, settings.columns, label_names)
@@ -129,10 +169,10 @@ def inspect_scan(
 
 
 def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts]) -> list[str]:
-    """What is odd about a pair that can be evaluated all the same."""
+    """What is odd about a pair that can be evaluated all the same, one line each."""
     warnings = [text for side in facts.values() for text in side.warnings]
-    if len(facts) == 2 and not any(of.fault for of in facts.values()):
-        gaps = {side: of.azimuth_gap_deg for side, of in facts.items()}
+    if len(facts) == 2 and not any(scan.fault for scan in facts.values()):
+        gaps = {side: scan.azimuth_gap_deg for side, scan in facts.items()}
         wide = max(gaps, key=lambda side: gaps[side])
         narrow = "sim" if wide == "real" else "real"
         if gaps[wide] > HALF_SWEEP_GAP_DEG >= gaps[narrow]:
@@ -144,7 +184,7 @@ def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts]) -> list[str]:
 
 
 def implausible(points: FloatArray) -> list[str]:
-    """What is odd about the values of a scan, in words.
+    """What is odd about the values of a scan, one sentence each; nothing where there is no point.
 
     Parameters
     ----------
@@ -177,7 +217,12 @@ def implausible(points: FloatArray) -> list[str]:
 
 
 def widest_azimuth_gap_deg(points: FloatArray) -> float:
-    """The widest sector around +Z in which no point lies, in degrees."""
+    """The widest sector around +Z in which no point lies, in degrees; 360 where there is no point.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, the scan's own frame, finite
+    """
     if not len(points):
         return 360.0
     azimuth = np.sort(np.degrees(np.arctan2(points[:, 1], points[:, 0])))
@@ -204,7 +249,7 @@ def input_hashes(
     if contents is None:
         hashes = {side: hash_scan(path) for side in SIDES if (path := pair.path(side)) is not None}
     else:
-        hashes = {side: (of.sha256, of.label_sha256) for side, of in contents.items()}
+        hashes = {side: (scan.sha256, scan.label_sha256) for side, scan in contents.items()}
     has_labels = any(label_sha256 for _, label_sha256 in hashes.values())
     content = key_of(hashes, sorted(label_names.items()) if has_labels else [], pair.T_real_sim)
     return {side: sha256 for side, (sha256, _) in hashes.items()} | {"content": content}
@@ -219,7 +264,7 @@ def input_name(pair: ScanPair, side: str) -> str:
 def recall_scan(
     known: Mapping[str, Mapping[str, Any]], pair: ScanPair, side: str, settings: InputSettings
 ) -> ScanFacts | None:
-    """What was learnt of a scan file before, if it still holds.
+    """What was learnt of a scan file before, if it still holds; else None.
 
     Parameters
     ----------
@@ -228,17 +273,18 @@ def recall_scan(
     path, facts = pair.path(side), known.get(input_name(pair, side))
     if path is None or facts is None:
         return None
-    found = ScanFacts(**facts)
-    holds = found.marks == file_marks(path) and found.settings_key == settings_key(side, pair.T_real_sim, settings)
-    return found if holds else None
+    known_facts = ScanFacts(**facts)
+    is_same_file = known_facts.marks == file_marks(path)
+    is_same_reading = known_facts.settings_key == settings_key(side, pair.T_real_sim, settings)
+    return known_facts if is_same_file and is_same_reading else None
 
 
 def file_marks(path: Path) -> list[list[int]]:
-    """Length and times of a scan file and of its labels: while they stay, so does the content."""
+    """Length and times of a scan file and of its labels, if it has any: while they stay, so does the content."""
     marks = []
-    for of in (path, label_path_of(path, stem_of(path))):
+    for file in (path, label_path_of(path, stem_of(path))):
         try:
-            status = of.stat()
+            status = file.stat()
         except FileNotFoundError:
             continue
         marks.append([status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino])

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.datasets.check import check_dataset
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.datasets.scan_checks import implausible, widest_azimuth_gap_deg
+from fidpipe.pipeline.datasets.scan_checks import check_dataset, implausible, widest_azimuth_gap_deg
 from fidpipe.schemas.errors import DatasetError
 from fidpipe.schemas.settings import Settings, load
 from scenes import road, street, write_bin

@@ -203,8 +203,8 @@ def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labell
 def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes, monkeypatch, done):
     n = len(shapes)
     ones = np.ones(n)
-    found = perturb_choice._Described("a", np.full(n, 99), ones, [None] * n, ones, np.array(shapes))
-    monkeypatch.setattr(perturb_choice, "_describe", lambda task: found)
+    scan = perturb_choice._ScanObjects("a", np.full(n, 99), ones, [None] * n, ones, np.array(shapes))
+    monkeypatch.setattr(perturb_choice, "_describe", lambda task: scan)
     choice = perturb_choice.choose_objects(done.tasks[0], None)
     assert [of.community_id for of in choice.objects] == chosen
     assert len(choice.notes) == n_notes

@@ -12,8 +12,15 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.experiments.synth import synth
 from fidpipe.pipeline.experiments.synth.scans import make_pair
-from fidpipe.pipeline.experiments.synth.scene import KINDS
-from fidpipe.pipeline.experiments.synth.synth import SynthRequest, make_dataset, make_files
+from fidpipe.pipeline.experiments.synth.synth import (
+    SynthRequest,
+    finish,
+    make_dataset,
+    make_files,
+    prepare,
+    wanted_pairs,
+)
+from fidpipe.pipeline.experiments.synth.things import KINDS
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
@@ -82,6 +89,18 @@ def test_a_pair_made_alone_is_the_pair_of_the_set(dataset, tmp_path):
     assert {name: ours[name] for name in content(tmp_path)} == content(tmp_path)
 
 
+def test_pairs_can_be_made_one_by_one_in_any_order(dataset, tmp_path):
+    request = SynthRequest(tmp_path / "steps", n_pairs=2, n_points=N_POINTS)
+    prepare(request)
+    assert wanted_pairs(request) == [0, 1]
+    make_files(request, 1)
+    assert wanted_pairs(request) == [0]
+    make_files(request, 0)
+    assert wanted_pairs(request) == []
+    finish(request)
+    assert content(request.out) == content(dataset)
+
+
 def test_two_processes_make_the_same_dataset(dataset, tmp_path):
     make_dataset(SynthRequest(tmp_path / "two", n_pairs=2, n_points=N_POINTS, workers=2))
     assert content(tmp_path / "two") == content(dataset)
@@ -113,7 +132,7 @@ def test_the_recipe_of_something_else_is_left_alone(tmp_path):
 
 
 def test_a_folder_made_but_never_filled_is_taken(tmp_path):
-    (tmp_path / ".synth.toml.0badcafe").write_text("vers")
+    (tmp_path / ".0badcafe0badcafe").write_text("vers")
     make_dataset(SynthRequest(tmp_path, n_pairs=1, n_points=N_POINTS))
     assert len(read_dataset(tmp_path).pairs) == 1
 
@@ -153,7 +172,7 @@ def test_what_was_interrupted_goes_on_where_it_stopped(dataset, tmp_path, monkey
     with pytest.raises(KeyboardInterrupt):
         make_dataset(request)
     assert not (tmp_path / "out" / "pairs.csv").exists()
-    (tmp_path / "out" / "sim" / ".0001.bin.0badcafe").write_bytes(b"half a file")
+    (tmp_path / "out" / "sim" / ".0badcafe0badcafe").write_bytes(b"half a file")
     lines = []
     make_dataset(request, lines.append)
     assert made == [0, None, 1]

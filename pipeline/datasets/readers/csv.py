@@ -9,7 +9,13 @@ from .scan import Scan, scan_from_columns
 
 
 def read(path: Path) -> Scan:
-    """The scan in a `.csv` file with columns x, y, z and perhaps intensity and label; an empty cell is not finite."""
+    """The scan in a `.csv` file with columns x, y, z and perhaps intensity and label; an empty cell becomes NaN.
+
+    Raises
+    ------
+    ScanError
+        It is no table, a column is missing, or a coordinate is no number.
+    """
     import pandas as pd
 
     try:

@@ -13,7 +13,13 @@ _COLUMNS = ("x", "y", "z", "intensity")
 
 
 def read(path: Path) -> Scan:
-    """The scan in a `.npy` file; objects (pickles) are refused."""
+    """The scan in a `.npy` file.
+
+    Raises
+    ------
+    ScanError
+        The array is not whole, holds objects (pickles, which could run code), or has another shape.
+    """
     try:
         array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError) as error:

@@ -9,7 +9,13 @@ from .scan import Scan, scan_from_columns
 
 
 def read(path: Path) -> Scan:
-    """The scan in a Parquet file."""
+    """The scan in a Parquet file; null becomes NaN.
+
+    Raises
+    ------
+    ScanError
+        The file is not whole, a column is missing, or a coordinate is no number.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 

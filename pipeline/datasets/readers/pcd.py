@@ -9,7 +9,13 @@ from .scan import Scan, scan_from_columns
 
 
 def read(path: Path) -> Scan:
-    """The scan in a `.pcd` file."""
+    """The scan in a `.pcd` file.
+
+    Raises
+    ------
+    ScanError
+        The file is not whole, or has no fields x, y, z.
+    """
     from pypcd4 import PointCloud
 
     try:

@@ -11,7 +11,13 @@ from .scan import Scan, scan_from_columns
 
 
 def read(path: Path) -> Scan:
-    """The vertices of a `.ply` file."""
+    """The vertices of a `.ply` file; its faces are not read.
+
+    Raises
+    ------
+    ScanError
+        The file is not whole, or has no vertices with x, y, z.
+    """
     from trimesh.exchange.ply import load_ply
 
     try:

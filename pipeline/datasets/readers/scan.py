@@ -1,4 +1,4 @@
-"""What every reader returns, and how named columns and label files become it."""
+"""What every reader returns, and how it is made from named columns and a label file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,18 @@ class Scan:
 
 
 def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
-    """A scan from named columns: x, y, z, and intensity and label where they are; upper or lower case."""
+    """A scan from named columns; what readers end with.
+
+    Parameters
+    ----------
+    path : the file, for errors
+    columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label as text or numbers
+
+    Raises
+    ------
+    ScanError
+        x, y or z is missing, or a value is no number (named by row and column). NaN and infinity are let through.
+    """
     by_name = {name.lower(): np.asarray(column) for name, column in columns.items()}
     missing = [name for name in ("x", "y", "z") if name not in by_name]
     if missing:
@@ -47,7 +58,17 @@ def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
 
 
 def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str]) -> Scan:
-    """The scan with the labels of the `.label` file beside it, if there is one: uint32, low 16 bits the class."""
+    """The scan with the labels of the `.label` file beside it, if there is one: uint32, low 16 bits the class.
+
+    Parameters
+    ----------
+    names : of classes by number; a class without a name is called by its number
+
+    Raises
+    ------
+    ScanError
+        There is not one label for each point.
+    """
     label_path = label_path_of(path, stem)
     if not label_path.exists():
         return scan
@@ -57,12 +78,12 @@ def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str])
             f"{label_path}: {n_bytes} bytes found, {4 * len(scan.points)} wanted (one uint32 for each of the "
             f"{len(scan.points)} points of {path.name})"
         )
-    classes, of_point = np.unique(np.fromfile(label_path, dtype="<u4") & 0xFFFF, return_inverse=True)
-    return replace(scan, labels=np.array([names.get(int(number), str(number)) for number in classes])[of_point])
+    classes, class_ids = np.unique(np.fromfile(label_path, dtype="<u4") & 0xFFFF, return_inverse=True)
+    return replace(scan, labels=np.array([names.get(int(number), str(number)) for number in classes])[class_ids])
 
 
 def label_path_of(path: Path, stem: str) -> Path:
-    """Where the labels of a scan file lie, if it has any."""
+    """Where the labels of a scan file lie, if it has any; the file may be absent."""
     return path.with_name(stem + ".label")
 
 

@@ -1,7 +1,4 @@
-"""Which setting the data prefer, by a stated rule, and whether they decide at all.
-
-Leaves to others: the numbers (`ablate`), how the verdict is shown (`report`).
-"""
+"""Which setting the data prefer, by a stated rule, and whether they decide at all."""
 
 from __future__ import annotations
 
@@ -65,9 +62,11 @@ def choose(outcome: AblateOutcome) -> list[Verdict]:
     names = [name for name in CHOSEN if len(outcome.values[name]) > 1]
     verdicts = [_verdict(name, table, along(outcome, name), outcome.base) for name in names]
     if outcome.grid:
-        points = [Point(*of) for of in table[["k", "tau_m", "delta_m", "t"]].drop_duplicates().itertuples(index=False)]
+        points = [
+            Point(*row) for row in table[["k", "tau_m", "delta_m", "t"]].drop_duplicates().itertuples(index=False)
+        ]
         verdicts.append(
-            _verdict("grid", table, [of for of in points if of.delta_m == outcome.base.delta_m], outcome.base)
+            _verdict("grid", table, [point for point in points if point.delta_m == outcome.base.delta_m], outcome.base)
         )
     return verdicts
 
@@ -78,9 +77,9 @@ def along(outcome: AblateOutcome, name: str) -> list[Point]:
 
 
 def influences(outcome: AblateOutcome) -> list[Influence]:
-    """How far match rate and r_lambda move with each parameter."""
+    """How far match rate and r_lambda move with each parameter; needs two pairs and two values of it."""
     table = outcome.rows.to_pandas()
-    found = []
+    moves = []
     for name in PARAMETERS:
         points = along(outcome, name)
         for metric in ("match_rate", "r_lambda_mean"):
@@ -88,8 +87,8 @@ def influences(outcome: AblateOutcome) -> list[Influence]:
             if values.shape[0] > 1 and len(points) > 1:
                 means = values.mean(axis=0)
                 at_base = values[:, points.index(outcome.base)]
-                found.append(Influence(name, metric, float(np.ptp(means)), float(at_base.std(ddof=1))))
-    return found
+                moves.append(Influence(name, metric, float(np.ptp(means)), float(at_base.std(ddof=1))))
+    return moves
 
 
 def _verdict(name: str, table: pd.DataFrame, points: Sequence[Point], base: Point) -> Verdict:

@@ -1,7 +1,4 @@
-"""Decides which objects of a scan stand for its kinds: by label, by the user's word, or by shape.
-
-Leaves to others: what is done with them (`perturb_jobs`).
-"""
+"""Which objects of a scan are altered: one for each kind, by label, by the user's word, or by shape."""
 
 from __future__ import annotations
 
@@ -52,7 +49,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class _Described:
+class _ScanObjects:
     """The objects of a scan: size, distance, label with its share of the points, and shape, by community id."""
 
     pair_id: str
@@ -63,6 +60,7 @@ class _Described:
     shape: FloatArray
 
     def chosen(self, community_id: int, name: str, why: str) -> ChosenObject:
+        """The object of this id as a choice."""
         size, range_m = int(self.n_points[community_id]), float(self.range_m[community_id])
         return ChosenObject(self.pair_id, community_id, name, size, range_m, why)
 
@@ -87,30 +85,30 @@ def choose_objects(task: PairTask, wanted: Sequence[str] | None) -> Choice:
     DatasetError
         There is no such community, or no object with such a label.
     """
-    found = _describe(task)
+    scan = _describe(task)
     least = LEAST_POINTS_OVER_K * task.settings.graph.k
     if wanted is not None:
-        return _by_words(found, wanted, least)
-    objects = [of for name in CLASSES if (of := _by_label(found, name, least)) is not None]
+        return _by_words(scan, wanted, least)
+    objects = [chosen for name in CLASSES if (chosen := _by_label(scan, name, least)) is not None]
     if objects:
-        absent = [name for name in CLASSES if name not in {of.name for of in objects}]
-        notes = (f"scan {found.pair_id} has no object labelled {' or '.join(absent)}",) if absent else ()
+        absent = [name for name in CLASSES if name not in {chosen.name for chosen in objects}]
+        notes = (f"scan {scan.pair_id} has no object labelled {' or '.join(absent)}",) if absent else ()
         return Choice(tuple(objects), notes)
-    why = "has no labels" if not any(found.labels) else f"has no object labelled {', '.join(CLASSES)}"
-    return _by_shapes(found, least, f"scan {found.pair_id} {why}: one typical object for each shape instead")
+    why = "has no labels" if not any(scan.labels) else f"has no object labelled {', '.join(CLASSES)}"
+    return _by_shapes(scan, least, f"scan {scan.pair_id} {why}: one typical object for each shape instead")
 
 
-def _describe(task: PairTask) -> _Described:
+def _describe(task: PairTask) -> _ScanObjects:
     bench = Workbench(task)
     objects = bench.table("objects", "real")
     labels = objects.column("label").to_pylist()
     ground = bench.table("ground", "real")
-    of_point = ground.filter(pc.invert(ground.column("is_ground"))).column("label")
+    point_labels = ground.filter(pc.invert(ground.column("is_ground"))).column("label")
     community = as_numpy(bench.table("communities", "real"), "community_id")
     n_points = as_numpy(objects, "n_points")
-    own = pc.equal(of_point, pa.array([labels[i] for i in community.tolist()], pa.string()))
+    own = pc.equal(point_labels, pa.array([labels[i] for i in community.tolist()], pa.string()))
     n_own = np.bincount(community[pc.fill_null(own, False).to_numpy(zero_copy_only=False)], minlength=len(n_points))
-    return _Described(
+    return _ScanObjects(
         pair_id=task.pair.pair_id,
         n_points=n_points,
         range_m=as_numpy(objects, "range_m"),
@@ -120,74 +118,74 @@ def _describe(task: PairTask) -> _Described:
     )
 
 
-def _by_words(found: _Described, words: Sequence[str], least: int) -> Choice:
+def _by_words(scan: _ScanObjects, words: Sequence[str], least: int) -> Choice:
     chosen: dict[int, ChosenObject] = {}
     notes = []
     for word in words:
-        of = _by_word(found, word, least)
-        first = chosen.setdefault(of.community_id, of)
-        if first is not of:
+        candidate = _by_word(scan, word, least)
+        first = chosen.setdefault(candidate.community_id, candidate)
+        if first is not candidate:
             notes.append(
-                f"--objects {word}: in scan {found.pair_id} that is object {of.community_id}, "
+                f"--objects {word}: in scan {scan.pair_id} that is object {candidate.community_id}, "
                 f"which is chosen as {first.name} already; left out"
             )
     return Choice(tuple(chosen.values()), tuple(notes))
 
 
-def _by_word(found: _Described, word: str, least: int) -> ChosenObject:
+def _by_word(scan: _ScanObjects, word: str, least: int) -> ChosenObject:
     if word.isdigit():
-        if int(word) >= len(found.n_points):
+        if int(word) >= len(scan.n_points):
             raise DatasetError(
-                f"--objects {word}: scan {found.pair_id} has no such object; ids are 0 to {len(found.n_points) - 1}"
+                f"--objects {word}: scan {scan.pair_id} has no such object; ids are 0 to {len(scan.n_points) - 1}"
             )
-        return found.chosen(int(word), f"object {word}", "as asked for")
-    chosen = _by_label(found, word, least)
+        return scan.chosen(int(word), f"object {word}", "as asked for")
+    chosen = _by_label(scan, word, least)
     if chosen is None:
-        known = ", ".join(sorted({label for label in found.labels if label})) or "none: it has no labels"
-        raise DatasetError(f"--objects {word}: scan {found.pair_id} has no object labelled so; its labels are {known}")
+        known = ", ".join(sorted({label for label in scan.labels if label})) or "none: it has no labels"
+        raise DatasetError(f"--objects {word}: scan {scan.pair_id} has no object labelled so; its labels are {known}")
     return chosen
 
 
-def _by_label(found: _Described, name: str, least: int) -> ChosenObject | None:
-    of_class = np.array([label == name for label in found.labels])
-    if not of_class.any():
+def _by_label(scan: _ScanObjects, name: str, least: int) -> ChosenObject | None:
+    is_of_class = np.array([label == name for label in scan.labels])
+    if not is_of_class.any():
         return None
-    typical = np.flatnonzero(of_class & (found.label_share >= PURE_SHARE) & (found.n_points >= least))
+    typical = np.flatnonzero(is_of_class & (scan.label_share >= PURE_SHARE) & (scan.n_points >= least))
     if len(typical):
         why = f"median size of {len(typical)} with {least} points and {PURE_SHARE:.0%} of the label or more"
-        return found.chosen(_median_sized(found, typical), name, why)
-    largest = int(np.flatnonzero(of_class)[np.argmax(found.n_points[of_class])])
+        return scan.chosen(_median_sized(scan, typical), name, why)
+    largest = int(np.flatnonzero(is_of_class)[np.argmax(scan.n_points[is_of_class])])
     why = f"the largest; none has {least} points and {PURE_SHARE:.0%} of the label"
-    return found.chosen(largest, name, why)
+    return scan.chosen(largest, name, why)
 
 
-def _by_shapes(found: _Described, least: int, note: str) -> Choice:
+def _by_shapes(scan: _ScanObjects, least: int, note: str) -> Choice:
     """An object for each shape; first those that are of a shape, then the nearest of the others."""
-    is_large = found.n_points >= least
-    is_free = is_large.copy() if is_large.any() else np.ones(len(found.n_points), dtype=bool)
+    is_large = scan.n_points >= least
+    is_free = is_large.copy() if is_large.any() else np.ones(len(scan.n_points), dtype=bool)
     chosen: dict[str, ChosenObject] = {}
     for column, shape in enumerate(SHAPES):
         name = SHAPE_NAMES[shape]
-        typical = np.flatnonzero((np.argmax(found.shape, axis=1) == column) & is_large)
+        typical = np.flatnonzero((np.argmax(scan.shape, axis=1) == column) & is_large)
         if len(typical):
             why = f"median size of {len(typical)} {name} objects"
-            chosen[name] = found.chosen(_median_sized(found, typical), name, why)
+            chosen[name] = scan.chosen(_median_sized(scan, typical), name, why)
             is_free[chosen[name].community_id] = False
     for column, shape in enumerate(SHAPES):
         name = SHAPE_NAMES[shape]
         if name not in chosen and is_free.any():
-            nearest = int(np.argmax(np.where(is_free, found.shape[:, column], -np.inf)))
-            value = found.shape[nearest, column]
+            nearest = int(np.argmax(np.where(is_free, scan.shape[:, column], -np.inf)))
+            value = scan.shape[nearest, column]
             rest = "" if is_free.sum() == (is_large.sum() or len(is_large)) else " of the others"
             why = f"none is mostly {name}; this one has the largest {shape}{rest}, {value:.2f}"
-            chosen[name] = found.chosen(nearest, name, why)
+            chosen[name] = scan.chosen(nearest, name, why)
             is_free[nearest] = False
     names = [SHAPE_NAMES[shape] for shape in SHAPES]
     absent = [name for name in names if name not in chosen]
-    notes = [f"scan {found.pair_id} has no further object that could stand for {' or '.join(absent)}"] if absent else []
+    notes = [f"scan {scan.pair_id} has no further object that could stand for {' or '.join(absent)}"] if absent else []
     return Choice(tuple(chosen[name] for name in names if name in chosen), (note, *notes))
 
 
-def _median_sized(found: _Described, candidates: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> int:
-    by_size = candidates[np.lexsort((candidates, found.n_points[candidates]))]
+def _median_sized(scan: _ScanObjects, candidates: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> int:
+    by_size = candidates[np.lexsort((candidates, scan.n_points[candidates]))]
     return int(by_size[(len(by_size) - 1) // 2])

@@ -1,7 +1,4 @@
-"""Whether what the paper says of its perturbations holds here, claim by claim.
-
-Leaves to others: the means that are judged (`perturb_summary`), how a claim is shown (`report`).
-"""
+"""Whether what the paper says of its perturbations holds here, claim by claim."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ _TIE = 1e-12
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what the paper says, what was found here, and whether it holds; None where that cannot be told."""
+    """One claim: what the paper says, what the data here say, and whether it holds; None where that cannot be told."""
 
     claim: str
     paper: str
@@ -44,7 +41,7 @@ class Means:
 
     def __init__(self, summary: pa.Table) -> None:
         rows = summary.to_pylist()
-        self._of = {
+        self._by_key = {
             (row["object"], Perturbation(row["kind"], row["amount"], row["shift_m"]), row["metric"]): Mean(
                 row["mean"], row["std"], row["n"]
             )
@@ -52,20 +49,20 @@ class Means:
         }
         self.objects = tuple(dict.fromkeys(row["object"] for row in rows if row["object"] is not None))
 
-    def get(self, of_object: str | None, level: Perturbation, metric: str) -> Mean:
-        """One value; of the whole scan where `of_object` is None."""
-        return self._of.get((of_object, level, metric), Mean(None, None, 0))
+    def get(self, object_name: str | None, level: Perturbation, metric: str) -> Mean:
+        """One value; of the whole scan where `object_name` is None."""
+        return self._by_key.get((object_name, level, metric), Mean(None, None, 0))
 
-    def series(self, of_object: str | None, levels: Sequence[Perturbation], metric: str) -> list[float]:
+    def series(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[float]:
         """The means at some levels; those that could not be computed are left out."""
-        found = (self.get(of_object, level, metric).mean for level in levels)
-        return [value for value in found if value is not None]
+        means = (self.get(object_name, level, metric).mean for level in levels)
+        return [mean for mean in means if mean is not None]
 
-    def missing(self, of_object: str | None, levels: Sequence[Perturbation], metric: str) -> list[Perturbation]:
+    def missing(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[Perturbation]:
         """The levels at which a metric could not be computed; none where it was not asked for at any."""
-        if not any((of_object, level, metric) in self._of for level in levels):
+        if not any((object_name, level, metric) in self._by_key for level in levels):
             return []
-        return [level for level in levels if self.get(of_object, level, metric).mean is None]
+        return [level for level in levels if self.get(object_name, level, metric).mean is None]
 
 
 def judge_claims(summary: pa.Table, levels: Sequence[Perturbation]) -> list[Claim]:
@@ -79,15 +76,15 @@ def judge_claims(summary: pa.Table, levels: Sequence[Perturbation]) -> list[Clai
     levels : that were swept
     """
     means = Means(summary)
-    of_kind = {
-        kind: sorted((of for of in levels if of.kind == kind), key=lambda of: (of.shift_m, of.amount))
+    by_kind = {
+        kind: sorted((level for level in levels if level.kind == kind), key=lambda level: (level.shift_m, level.amount))
         for kind in ("noise", "dropout", "rigid")
     }
-    claims = _rigid_claims(means, of_kind["rigid"])
-    if len(of_kind["dropout"]) > 1:
-        claims += _dropout_claims(means, of_kind["dropout"])
-    if of_kind["dropout"] and of_kind["noise"]:
-        claims += _noise_claims(means, of_kind["noise"], of_kind["dropout"], of_kind["rigid"])
+    claims = _rigid_claims(means, by_kind["rigid"])
+    if len(by_kind["dropout"]) > 1:
+        claims += _dropout_claims(means, by_kind["dropout"])
+    if by_kind["dropout"] and by_kind["noise"]:
+        claims += _noise_claims(means, by_kind["noise"], by_kind["dropout"], by_kind["rigid"])
     return claims
 
 
@@ -105,11 +102,11 @@ def _rigid_claims(means: Means, rigid: list[Perturbation]) -> list[Claim]:
         claims.append(
             _claim("rigid motion keeps the spectra", "d_lambda below 1e-5", f"{most:.1e}", most < RIGID_D_LAMBDA, gaps)
         )
-    turns = [of for of in rigid if of.shift_m == 0 and of.amount]
+    turns = [level for level in rigid if level.shift_m == 0 and level.amount]
     slopes = [
-        value / abs(of.amount)
-        for of in turns
-        if (value := means.get(None, of, "centroid_distance_m_mean").mean) is not None
+        value / abs(level.amount)
+        for level in turns
+        if (value := means.get(None, level, "centroid_distance_m_mean").mean) is not None
     ]
     if slopes and len(turns) > 1:
         off = max(slopes) / min(slopes) - 1 if min(slopes) > 0 else float("inf")
@@ -123,21 +120,21 @@ def _rigid_claims(means: Means, rigid: list[Perturbation]) -> list[Claim]:
             )
         )
     for metric, bound in (("r_lambda", RIGID_R_LAMBDA), ("r_gap", RIGID_R_GAP)):
-        values = [value for of in means.objects for value in means.series(of, rigid, metric)]
+        values = [value for name in means.objects for value in means.series(name, rigid, metric)]
         if values:
             most, gaps = max(values), _gaps(means, means.objects, rigid, metric)
-            name = f"rigid motion leaves {metric} of objects at 0"
-            claims.append(_claim(name, f"below {bound:g}", f"{most:.1e}", most < bound, gaps))
+            claim = f"rigid motion leaves {metric} of objects at 0"
+            claims.append(_claim(claim, f"below {bound:g}", f"{most:.1e}", most < bound, gaps))
     return claims
 
 
 def _dropout_claims(means: Means, dropout: list[Perturbation]) -> list[Claim]:
     claims = []
     for metric in ("r_lambda", "r_gap"):
-        curves = {of: means.series(of, dropout, metric) for of in means.objects}
-        curves = {of: curve for of, curve in curves.items() if curve}
+        curves = {name: means.series(name, dropout, metric) for name in means.objects}
+        curves = {name: curve for name, curve in curves.items() if curve}
         if curves:
-            rising = [of for of, curve in curves.items() if _is_rising(curve)]
+            rising = [name for name, curve in curves.items() if _is_rising(curve)]
             claims.append(
                 _claim(
                     f"{metric} rises with dropout, object by object",
@@ -171,12 +168,12 @@ def _noise_claims(
             _claim("noise keeps nearly all objects matched", "above 0.95", f"{worst:.3f}", worst > 0.95, gaps)
         )
     below, both = [], []
-    for of in means.objects:
-        by_noise, by_dropout = means.series(of, noise, "r_lambda"), means.series(of, dropout, "r_lambda")
+    for name in means.objects:
+        by_noise, by_dropout = means.series(name, noise, "r_lambda"), means.series(name, dropout, "r_lambda")
         if by_noise and by_dropout:
-            both.append(of)
+            both.append(name)
             if max(by_noise) < max(by_dropout):
-                below.append(of)
+                below.append(name)
     if both:
         claims.append(
             _claim(
@@ -188,8 +185,8 @@ def _noise_claims(
             )
         )
     by_kind = {
-        kind: means.series(None, of_kind, "eigenspectrum_distance_mean")
-        for kind, of_kind in (("noise", noise), ("dropout", dropout), ("rigid", rigid))
+        kind: means.series(None, own_levels, "eigenspectrum_distance_mean")
+        for kind, own_levels in (("noise", noise), ("dropout", dropout), ("rigid", rigid))
     }
     most = {kind: max(values) for kind, values in by_kind.items() if values}
     if "dropout" in most and len(most) > 1:
@@ -215,9 +212,9 @@ def _claim(claim: str, paper: str, here: str, holds: bool, gaps: Sequence[str]) 
 def _gaps(means: Means, objects: Sequence[str | None], levels: Sequence[Perturbation], metric: str) -> list[str]:
     """Which levels of which objects have no value, in words; an object that is None is the whole scan."""
     return [
-        f"{level.kind} {level.amount:g}" + (f" of {of}" if of else "")
-        for of in objects
-        for level in means.missing(of, levels, metric)
+        f"{level.kind} {level.amount:g}" + (f" of {name}" if name else "")
+        for name in objects
+        for level in means.missing(name, levels, metric)
     ]
 
 
@@ -225,8 +222,8 @@ def _is_rising(values: Sequence[float]) -> bool:
     return all(b > a + _TIE for a, b in pairwise(values))
 
 
-def _share(holding: Sequence[str], of_all: Sequence[str] | dict[str, list[float]]) -> str:
-    if len(holding) == len(of_all):
-        return f"all {len(of_all)}"
-    others = [of for of in of_all if of not in holding]
-    return f"{len(holding)} of {len(of_all)}, not {', '.join(others)}"
+def _share(holding: Sequence[str], judged: Sequence[str] | dict[str, list[float]]) -> str:
+    if len(holding) == len(judged):
+        return f"all {len(judged)}"
+    others = [name for name in judged if name not in holding]
+    return f"{len(holding)} of {len(judged)}, not {', '.join(others)}"

@@ -1,7 +1,4 @@
-"""Which metric reacts to which alteration: ours and the baselines side by side.
-
-Leaves to others: the means (`perturb_summary`), how they are shown (`report`).
-"""
+"""Which metric reacts to which alteration: ours and the baselines side by side."""
 
 from __future__ import annotations
 
@@ -41,15 +38,21 @@ class Reaction:
 
 
 def react(summary: pa.Table, levels: Sequence[Perturbation]) -> list[Reaction]:
-    """Our metrics, then the baselines that were swept, by name."""
+    """How each metric answers: our own, then the baselines that were swept, by name.
+
+    Parameters
+    ----------
+    summary : rows of `perturb_summary`
+    levels : that were swept
+    """
     means, strongest = Means(summary), strongest_levels(levels)
     swept = {row["metric"] for row in summary.to_pylist() if row["scope"] == "object"}
     reactions = []
     for metric in (*OWN_METRICS, *sorted(swept - set(OBJECT_METRICS))):
         values = []
         for level in strongest:
-            of_objects = [value for name in means.objects for value in means.series(name, [level], metric)]
-            values.append(sum(of_objects) / len(of_objects) if of_objects else None)
+            object_means = [value for name in means.objects for value in means.series(name, [level], metric)]
+            values.append(sum(object_means) / len(object_means) if object_means else None)
         equal = 1.0 if metric in ONE_IF_EQUAL else 0.0
         moved = {level: abs(v - equal) for level, v in zip(strongest, values, strict=True) if v is not None}
         most = max(moved, key=lambda level: moved[level]) if any(moved.values()) else None

@@ -1,7 +1,4 @@
-"""What the repeats of `fidpipe perturb` say together: mean and standard deviation of each metric at each level.
-
-Leaves to others: the repeats themselves (`perturb_jobs`), whether the paper's claims hold (`perturb_claims`).
-"""
+"""What the repeats of `fidpipe perturb` say together: mean and standard deviation of each metric at each level."""
 
 from __future__ import annotations
 
@@ -24,16 +21,16 @@ from ..sweep import Sweep
 GLOBAL_METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 SUMMARY = "perturb_summary"
 _BASELINES = "perturb_baselines"
-_METRICS_OF = {"perturb_global": GLOBAL_METRICS, "perturb_objects": OBJECT_METRICS}
+_METRICS = {"perturb_global": GLOBAL_METRICS, "perturb_objects": OBJECT_METRICS}
 _LEVEL = ("kind", "amount", "shift_m")
 
 
 def summarise(sweep: Sweep) -> pa.Table:
     """Writes and returns the rows of `perturb_summary`, over the repeats of all scans."""
-    records = [of for of in sweep.store.records.values() if of.stage in _METRICS_OF or of.stage == _BASELINES]
+    records = [record for record in sweep.store.records.values() if record.stage in (*_METRICS, _BASELINES)]
     rows: list[dict[str, Any]] = []
-    for scope, found in _by_metric(sweep, records):
-        for name, values in found.groupby(["object", *_LEVEL, "metric"], dropna=False, sort=False)["value"]:
+    for scope, repeats in _by_metric(sweep, records):
+        for name, values in repeats.groupby(["object", *_LEVEL, "metric"], dropna=False, sort=False)["value"]:
             mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
             labels = dict(zip(("object", *_LEVEL, "metric"), name, strict=True))
             labels["object"] = labels["object"] if scope == "object" else None
@@ -48,17 +45,17 @@ def summarise(sweep: Sweep) -> pa.Table:
 
 
 def _by_metric(sweep: Sweep, records: list[JobRecord]) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The repeats, a row a metric, with the scope of each table."""
-    for table, metrics in _METRICS_OF.items():
-        found = _read(sweep, records, table)
-        scope = "object" if "object" in found else "global"
-        labels = found.assign(object=found["object"] if scope == "object" else None)[["object", *_LEVEL]]
+    """The repeats, one row per metric, with the scope of each table."""
+    for table, metrics in _METRICS.items():
+        repeats = _read(sweep, records, table)
+        scope = "object" if "object" in repeats else "global"
+        labels = repeats.assign(object=repeats["object"] if scope == "object" else None)[["object", *_LEVEL]]
         for metric in metrics:
-            yield scope, labels.assign(metric=metric, value=found[metric])
+            yield scope, labels.assign(metric=metric, value=repeats[metric])
     yield "object", _read(sweep, records, _BASELINES).rename(columns={"baseline": "metric"})
 
 
 def _read(sweep: Sweep, records: list[JobRecord], table: str) -> pd.DataFrame:
-    parts = [pq.read_table(sweep.out / name) for of in records if of.stage == table for name in of.files]
-    found: pd.DataFrame = pa.concat_tables([TABLES[table].schema.empty_table(), *parts]).to_pandas()
-    return found
+    parts = [pq.read_table(sweep.out / name) for record in records if record.stage == table for name in record.files]
+    rows: pd.DataFrame = pa.concat_tables([TABLES[table].schema.empty_table(), *parts]).to_pandas()
+    return rows

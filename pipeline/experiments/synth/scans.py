@@ -1,7 +1,6 @@
 """The two scans of a pair: of one street by the real sensor, and of its flawed twin by a simulator.
 
-Decides what each of the two does with a beam that meets something. Leaves to others: the street (`scene`), the twin
-(`twin`), where beams go and what they meet (`stages.raycast`), files (`synth`).
+What each of the two does with a beam that meets something: answered or not, range noise, density, intensity.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ import numpy as np
 
 from ....stages.arrays import Float32Array, FloatArray, IndexArray
 from ....stages.sensing.ray_casting import Beams, RayTarget, SensorModel, fire, measure_ranges, return_probability
-from .meshes import Mesh, join
 from .scene import build_scene
+from .things import Mesh, join_meshes
 from .twin import Copy, build_twin
 
 _PILOT = 8  # a pilot scan has one firing where the sensor has so many
@@ -77,7 +76,7 @@ class _Surface:
     """Meshes as one target for rays; which of them a triangle belongs to, and how it reflects."""
 
     def __init__(self, meshes: Sequence[Mesh], owners: Sequence[int]) -> None:
-        whole = join(meshes)
+        whole = join_meshes(meshes)
         self.target = RayTarget(whole.vertices, whole.faces)
         self.reflectivity = whole.reflectivity
         self.owner_of_face = np.repeat(np.asarray(owners, dtype=np.intp), [len(mesh.faces) for mesh in meshes])

@@ -1,9 +1,7 @@
-"""A street as triangle meshes around a sensor: which things stand where.
+"""A street around a sensor: its course, and which things stand where along it.
 
-Decides the layout: a road that may bend and be crossed, kerbs and pavements, plots with houses, gardens and what grows
-there, parked cars, street trees, lamps and signs. Everything is drawn from one random generator. Leaves to others: the
-course of the street (`street`), what a thing looks like (`shapes`, `plants`), what a sensor sees of it
-(`stages.raycast`), how a twin falsifies it (`twin`).
+A road that may bend and be crossed, kerbs and pavements, plots with houses, gardens and what grows there, parked cars,
+street trees, lamps and signs. Everything is drawn from one random generator.
 """
 
 from __future__ import annotations
@@ -12,40 +10,108 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ....stages.arrays import FloatArray
-from .meshes import NOTHING, Mesh, grid, join, wall
-from .plants import bush, hedge, tree
-from .shapes import car, house, pole
-from .street import Street, draw_street
-
-#: Class names by number, as in `.label` files.
-KINDS = ("ground", "wall", "car", "tree", "vegetation", "pole")
+from ....stages.arrays import BoolArray, FloatArray
+from .things import (
+    EMPTY_MESH,
+    Mesh,
+    Thing,
+    build_bush,
+    build_car,
+    build_grid,
+    build_hedge,
+    build_house,
+    build_pole,
+    build_tree,
+    build_wall,
+)
 
 _REACH_M = 95.0  # how far the street is built up to both sides
 _GROUND_REACH_M = 130.0
+_KERB_M = 0.1
 
 
 @dataclass(frozen=True)
-class Thing:
-    """One object of a scene.
+class Street:
+    """What one street has in common along its length.
 
-    kind : one of `KINDS`
-    solid : what is opaque: walls, bodywork, wood
-    leaves : loose triangles, empty for most
+    Places on it have an s along its middle line, 0 beside the sensor, growing forward, and an n to the left of that.
+
+    bend_per_m : curvature, positive to the left
+    lane_m : n of the sensor
+    half_road_m, pavement_m, setback_m : from the middle to the kerb, to the garden boundary, to the house fronts
+    sensor_height_m : of the sensor above the road
+    plot_m : mean width of a plot
+    grade : rise of the road, metres per metre
+    crossing_m : s of a side street, None without one
+    parking, planting, building : how likely kerbs, gardens and plots are used
+    leaf_scale : how much larger leaves are than usual, and the fewer
     """
 
-    kind: str
-    solid: Mesh
-    leaves: Mesh = NOTHING
+    bend_per_m: float
+    lane_m: float
+    half_road_m: float
+    pavement_m: float
+    setback_m: float
+    grade: float
+    sensor_height_m: float
+    crossing_m: float | None
+    plot_m: float
+    parking: tuple[float, float]
+    planting: float
+    building: float
+    leaf_scale: float
 
-    def mesh(self) -> Mesh:
-        """All of it."""
-        return join([self.solid, self.leaves])
+    def place(self, s: ArrayLike, n: ArrayLike, above: ArrayLike = 0.0) -> FloatArray:
+        """(..., 3) float64, metres, sensor frame: `above` metres over the ground at (s, n)."""
+        s, n, above = (np.asarray(values, dtype=np.float64) for values in (s, n, above))
+        k = self.bend_per_m
+        x = np.sin(k * s) / k - n * np.sin(k * s)
+        y = (1 - np.cos(k * s)) / k + n * np.cos(k * s) - self.lane_m
+        return np.stack(np.broadcast_arrays(x, y, self.height(s, n) + above), axis=-1)
 
-    def range_m(self) -> float:
-        """Distance of its middle from the sensor."""
-        return float(np.linalg.norm(np.concatenate([self.solid.vertices, self.leaves.vertices]).mean(axis=0)))
+    def along(self, s: float) -> FloatArray:
+        """(3,) float64, unit vector of growing s."""
+        turn = self.bend_per_m * s
+        return np.array([np.cos(turn), np.sin(turn), 0.0])
+
+    def height(self, s: FloatArray, n: FloatArray) -> FloatArray:
+        """Height of road, pavement or garden at (s, n), metres, sensor frame."""
+        beside = np.abs(n) > self.half_road_m
+        raised = np.where(beside & ~self.is_crossed(s), _KERB_M, 0.0)
+        camber = 0.01 * np.minimum(np.abs(n), self.half_road_m)
+        swell = 0.01 * np.sin(s / 7.0) * np.cos(n / 5.0)
+        height: FloatArray = -self.sensor_height_m + self.grade * s + raised - camber + swell
+        return height
+
+    def is_crossed(self, s: ArrayLike, margin_m: float = 0.0) -> BoolArray:
+        """Whether the side street opens at s, or within the margin beside it."""
+        if self.crossing_m is None:
+            return np.zeros(np.shape(s), dtype=np.bool_)
+        is_crossed: BoolArray = np.abs(np.asarray(s) - self.crossing_m) < self.half_road_m + margin_m
+        return is_crossed
+
+
+def draw_street(rng: np.random.Generator, leaf_scale: float = 1.0) -> Street:
+    """A random street; draws the same numbers whatever the scale of its leaves."""
+    bend = rng.choice([-1.0, 1.0]) / rng.choice([75.0, 120.0, 200.0, 1e4])
+    half_road = rng.uniform(3.4, 5.2)
+    return Street(
+        bend_per_m=float(bend),
+        lane_m=-0.45 * half_road,
+        half_road_m=half_road,
+        pavement_m=rng.uniform(1.6, 3.2),
+        setback_m=rng.uniform(5.0, 14.0),
+        grade=rng.uniform(-0.003, 0.003),
+        sensor_height_m=rng.uniform(1.72, 1.9),
+        crossing_m=float(rng.choice([-1.0, 1.0]) * rng.uniform(12.0, 40.0)) if rng.uniform() < 0.45 else None,
+        plot_m=rng.uniform(16.0, 27.0),
+        parking=(rng.uniform(0.1, 0.7), rng.uniform(0.1, 0.7)),
+        planting=rng.uniform(0.4, 1.0),
+        building=rng.uniform(0.3, 0.7),
+        leaf_scale=leaf_scale,
+    )
 
 
 def build_scene(rng: np.random.Generator, leaf_scale: float = 1.0) -> tuple[Thing, ...]:
@@ -57,7 +123,7 @@ def build_scene(rng: np.random.Generator, leaf_scale: float = 1.0) -> tuple[Thin
     leaf_scale : larger and fewer leaves, where the scan will be too coarse to tell; all else stays as it is
     """
     street = draw_street(rng, leaf_scale)
-    things = [Thing("ground", _ground(street))]
+    things = [Thing("ground", _build_ground(street))]
     for side in (1, -1):
         things += _kerbside(street, side, rng)
         edge = -_REACH_M
@@ -70,7 +136,7 @@ def build_scene(rng: np.random.Generator, leaf_scale: float = 1.0) -> tuple[Thin
     return tuple(things)
 
 
-def _ground(street: Street) -> Mesh:
+def _build_ground(street: Street) -> Mesh:
     kerbs = [street.half_road_m - 0.01, street.half_road_m + 0.01]
     n = np.array(
         [0.0, street.half_road_m / 2, *kerbs, street.half_road_m + street.pavement_m, 12.0, 18.0, 28.0, 45.0, 65.0]
@@ -79,7 +145,7 @@ def _ground(street: Street) -> Mesh:
     if street.crossing_m is not None:
         jumps = street.crossing_m + street.half_road_m * np.array([-1.001, -0.999, 0.999, 1.001])
         s = np.sort(np.concatenate([s, jumps]))
-    return grid(street.place(s[:, None], np.concatenate([-n[:0:-1], n])), 0.22)
+    return build_grid(street.place(s[:, None], np.concatenate([-n[:0:-1], n])), 0.22)
 
 
 def _kerbside(street: Street, side: int, rng: np.random.Generator) -> Iterator[Thing]:
@@ -89,18 +155,20 @@ def _kerbside(street: Street, side: int, rng: np.random.Generator) -> Iterator[T
         parked = rng.uniform() < street.parking[0 if side > 0 else 1]
         in_own_way = abs(s) < 7.0 and side < 0
         if parked and not in_own_way and not street.is_crossed(s, 5.0):
-            yield _car(street, s, side * (street.half_road_m - 1.0), street.bend_per_m * s + np.pi * (side > 0), rng)
+            yield _place_car(
+                street, s, side * (street.half_road_m - 1.0), street.bend_per_m * s + np.pi * (side > 0), rng
+            )
     for s in np.arange(-_REACH_M + rng.uniform(0, trees), _REACH_M, trees):
         if rng.uniform() < street.planting and not street.is_crossed(s, 2.0):
-            yield _tree(street, s, side * (street.half_road_m + 0.7), rng.uniform(5.0, 9.0), rng)
+            yield _place_tree(street, s, side * (street.half_road_m + 0.7), rng.uniform(5.0, 9.0), rng)
     for s in np.arange(-_REACH_M + rng.uniform(0, lamps), _REACH_M, lamps) + 1.5:
         if not street.is_crossed(s, 1.0):
             arm = -side * 1.4 * np.array([-np.sin(street.bend_per_m * s), np.cos(street.bend_per_m * s), 0.1])
             foot = street.place(s, side * (street.half_road_m + 0.4))
-            yield Thing("pole", pole(foot, rng.uniform(5.0, 7.5), 0.08, arm, 0.0))
+            yield Thing("pole", build_pole(foot, rng.uniform(5.0, 7.5), 0.08, arm, 0.0))
     for s in rng.uniform(-50.0, 50.0, rng.integers(1, 4)):
         foot = street.place(s, side * (street.half_road_m + 0.5))
-        yield Thing("pole", pole(foot, rng.uniform(2.3, 3.0), 0.04, None, rng.uniform(0.5, 0.8)))
+        yield Thing("pole", build_pole(foot, rng.uniform(2.3, 3.0), 0.04, None, rng.uniform(0.5, 0.8)))
 
 
 def _plot(street: Street, side: int, start: float, width: float, rng: np.random.Generator) -> Iterator[Thing]:
@@ -110,38 +178,42 @@ def _plot(street: Street, side: int, start: float, width: float, rng: np.random.
     depth = rng.uniform(7.0, 10.0)
     if rng.uniform() > street.building:
         for _ in range(rng.integers(2, 5)):
-            yield _tree(
+            yield _place_tree(
                 street, start + width * rng.uniform(), side * (boundary + rng.uniform(2, 18)), rng.uniform(5, 11), rng
             )
         for _ in range(rng.integers(1, 4)):
-            yield _bush(street, start + width * rng.uniform(), side * (boundary + rng.uniform(1, 12)), rng)
+            yield _place_bush(street, start + width * rng.uniform(), side * (boundary + rng.uniform(1, 12)), rng)
         return
     length = min(width - 2.5, rng.uniform(8.0, 14.0))
     corner_s = start + (width - length) * rng.uniform(0.3, 0.7)
     size = (length, depth, float(rng.choice([2.9, 3.3, 5.6])))
     corner = street.place(corner_s if side > 0 else corner_s + length, side * front)
-    yield Thing("wall", house(corner, side * street.along(corner_s + length / 2), size, rng.uniform(0.3, 0.7)))
+    yield Thing("wall", build_house(corner, side * street.along(corner_s + length / 2), size, rng.uniform(0.3, 0.7)))
     drive = 3.4 if rng.uniform() < 0.6 else 1.2
     style = rng.uniform()
     line_s = np.linspace(start + drive, start + width - 0.3, max(3, int(width - drive)))
     line = street.place(line_s, side * (boundary + 0.4))
     if style < 0.3 * street.planting:
-        foliage = hedge(line, rng.uniform(0.7, 1.1), rng.uniform(0.8, 1.7), _leaf_m(street, line), rng.spawn(1)[0])
-        yield Thing("vegetation", NOTHING, foliage)
+        foliage = build_hedge(
+            line, rng.uniform(0.7, 1.1), rng.uniform(0.8, 1.7), _leaf_m(street, line), rng.spawn(1)[0]
+        )
+        yield Thing("vegetation", EMPTY_MESH, foliage)
     elif style < 0.5:
-        yield Thing("wall", wall(line, 0.25, rng.uniform(0.5, 1.3), rng.uniform(0.3, 0.6)))
+        yield Thing("wall", build_wall(line, 0.25, rng.uniform(0.5, 1.3), rng.uniform(0.3, 0.6)))
     if drive > 2 and rng.uniform() < 0.5:
         s, n = start + drive / 2, side * (boundary + 2.8)
-        yield _car(street, s, n, street.bend_per_m * s + np.pi / 2 * rng.choice([-1, 1]), rng)
+        yield _place_car(street, s, n, street.bend_per_m * s + np.pi / 2 * rng.choice([-1, 1]), rng)
     for _ in range(rng.poisson(1.2 * street.planting)):
-        yield _bush(
+        yield _place_bush(
             street, rng.uniform(start + drive, start + width), side * rng.uniform(boundary + 1.2, front - 0.6), rng
         )
     if rng.uniform() < 0.5 * street.planting and street.setback_m > 4.5:
-        yield _tree(street, start + width * rng.uniform(0.5, 0.95), side * (boundary + 2.2), rng.uniform(3.5, 6), rng)
+        yield _place_tree(
+            street, start + width * rng.uniform(0.5, 0.95), side * (boundary + 2.2), rng.uniform(3.5, 6), rng
+        )
     for _ in range(rng.poisson(1.0)):
         n = side * (front + depth + rng.uniform(3.0, 14.0))
-        yield _tree(street, start + width * rng.uniform(), n, rng.uniform(6.0, 12.0), rng)
+        yield _place_tree(street, start + width * rng.uniform(), n, rng.uniform(6.0, 12.0), rng)
 
 
 def _side_street(street: Street, rng: np.random.Generator) -> Iterator[Thing]:
@@ -156,33 +228,35 @@ def _side_street(street: Street, rng: np.random.Generator) -> Iterator[Thing]:
             if rng.uniform() < 0.5:
                 yield Thing(
                     "vegetation",
-                    NOTHING,
-                    hedge(line, 0.9, rng.uniform(1.2, 2.0), _leaf_m(street, line), rng.spawn(1)[0]),
+                    EMPTY_MESH,
+                    build_hedge(line, 0.9, rng.uniform(1.2, 2.0), _leaf_m(street, line), rng.spawn(1)[0]),
                 )
             else:
-                yield Thing("wall", wall(line, 0.25, rng.uniform(0.9, 1.9), 0.45))
+                yield Thing("wall", build_wall(line, 0.25, rng.uniform(0.9, 1.9), 0.45))
         s = street.crossing_m + rng.uniform(-2.0, 2.0)
         heading = street.bend_per_m * s + np.pi / 2
-        yield _car(street, s, side * rng.uniform(first + 4, 30.0), heading, rng)
+        yield _place_car(street, s, side * rng.uniform(first + 4, 30.0), heading, rng)
         length = rng.uniform(9.0, 14.0)
         corner = street.place(street.crossing_m - side * length / 2, side * rng.uniform(40.0, 58.0))
-        yield Thing("wall", house(corner, side * street.along(street.crossing_m), (length, 9.0, 5.6), 0.5))
+        yield Thing("wall", build_house(corner, side * street.along(street.crossing_m), (length, 9.0, 5.6), 0.5))
 
 
-def _car(street: Street, s: float, n: float, heading_rad: float, rng: np.random.Generator) -> Thing:
+def _place_car(street: Street, s: float, n: float, heading_rad: float, rng: np.random.Generator) -> Thing:
     style = int(rng.choice(4, p=[0.3, 0.35, 0.27, 0.08]))
     askew = heading_rad + rng.normal(0.0, 0.02)
-    return Thing("car", car(street.place(s, n), askew, style, float(rng.choice([0.06, 0.25, 0.45, 0.7])), rng))
+    return Thing("car", build_car(street.place(s, n), askew, style, float(rng.choice([0.06, 0.25, 0.45, 0.7])), rng))
 
 
-def _tree(street: Street, s: float, n: float, height_m: float, rng: np.random.Generator) -> Thing:
+def _place_tree(street: Street, s: float, n: float, height_m: float, rng: np.random.Generator) -> Thing:
     foot = street.place(s, n)
-    return Thing("tree", *tree(foot, height_m, _leaf_m(street, foot), rng.spawn(1)[0]))
+    return Thing("tree", *build_tree(foot, height_m, _leaf_m(street, foot), rng.spawn(1)[0]))
 
 
-def _bush(street: Street, s: float, n: float, rng: np.random.Generator) -> Thing:
+def _place_bush(street: Street, s: float, n: float, rng: np.random.Generator) -> Thing:
     foot = street.place(s, n)
-    return Thing("vegetation", NOTHING, bush(foot, rng.uniform(0.5, 1.2), _leaf_m(street, foot), rng.spawn(1)[0]))
+    return Thing(
+        "vegetation", EMPTY_MESH, build_bush(foot, rng.uniform(0.5, 1.2), _leaf_m(street, foot), rng.spawn(1)[0])
+    )
 
 
 def _leaf_m(street: Street, place: FloatArray) -> float:

@@ -1,13 +1,13 @@
 """The folder of a synthetic dataset: `real/`, `sim/`, labels, a manifest, and the recipe that it was made by.
 
-Each file is written under a name that begins with a dot and renamed, the manifest comes last: what was interrupted can
-be run again and goes on with the pairs that are missing. Leaves to others: what the scans hold (`scans`).
+`prepare` the folder, `make_files` for each of the `wanted_pairs`, in any order and process, then `finish`: the manifest
+comes last, and each file is whole or not there, so that what was interrupted can be run again and goes on with the
+pairs that are missing.
 """
 
 from __future__ import annotations
 
 import re
-import secrets
 import signal
 import tomllib
 from collections.abc import Callable, Iterator
@@ -22,14 +22,16 @@ from ....schemas.columns import SIDES
 from ....schemas.errors import FidpipeError
 from ....stages.sensing.ray_casting import SENSORS, need_ray_caster
 from ...datasets.pairs import LABEL_NAMES, MANIFEST
-from .scans import SynthScan, make_pair
-from .scene import KINDS
+from ...storage.files import write_whole
+from .scans import make_pair
+from .things import KINDS
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
 SECONDS_APART = 75.0
 _SECONDS_BETWEEN_LINES = 5.0
-_OWN_FILE = re.compile(r"\d{4,}\.(bin|label)|\.\d{4,}\.(bin|label)\.[0-9a-f]{8}")
+#: The files of pairs, and what a killed process left of one that it was writing.
+_OWN_FILE = re.compile(r"\d{4,}\.(bin|label)|\.[0-9a-f]{16}")
 
 
 @dataclass(frozen=True)
@@ -69,23 +71,79 @@ def make_dataset(request: SynthRequest, say: Callable[[str], None] = lambda text
     FidpipeError
         embreex is missing, the sensor is unknown, or the folder holds something else than a synthetic dataset.
     """
-    _check(request)
-    need_ray_caster()
     try:
-        _make(request, say)
+        prepare(request)
+        _make_pairs(request, wanted_pairs(request), say)
+        finish(request)
     except OSError as error:
         raise FidpipeError(f"dataset {request.out}: cannot be written ({error.strerror or error})") from error
 
 
+def prepare(request: SynthRequest) -> None:
+    """Makes the folders; clears away what another recipe left there, and what this one no longer wants.
+
+    Raises
+    ------
+    FidpipeError
+        embreex is missing, the request makes no sense, or the folder holds something else than a synthetic dataset;
+        nothing is written then.
+    """
+    _check(request)
+    need_ray_caster()
+    out = request.out
+    if out.exists() and not out.is_dir():
+        raise FidpipeError(f"dataset {out}: is a file, a folder is wanted")
+    out.mkdir(parents=True, exist_ok=True)
+    earlier_recipe = _read_recipe(out)
+    if earlier_recipe is None and any(not path.name.startswith(".") for path in out.iterdir()):
+        raise FidpipeError(
+            f"dataset {out}: the folder holds other things than a synthetic dataset (no {RECIPE} of ours in it); "
+            "give the name of a new or empty folder"
+        )
+    if earlier_recipe is None:
+        write_whole(out / RECIPE, request.recipe().encode())  # first of all, so that the folder can be told as ours
+    for side in SIDES:
+        (out / side).mkdir(exist_ok=True)
+    (out / MANIFEST).unlink(missing_ok=True)
+    is_same = earlier_recipe == tomllib.loads(request.recipe())
+    wanted_names = {pair_name(index) for index in range(request.n_pairs)} if is_same else set()
+    for side in SIDES:
+        for path in (out / side).iterdir():
+            if _OWN_FILE.fullmatch(path.name) and path.stem not in wanted_names:
+                path.unlink()
+    write_whole(out / RECIPE, request.recipe().encode())  # now, that no pair of another recipe is left
+    write_whole(out / LABEL_NAMES, "".join(f'{number} = "{kind}"\n' for number, kind in enumerate(KINDS)).encode())
+
+
+def wanted_pairs(request: SynthRequest) -> list[int]:
+    """The indices of the pairs that are not there yet, ascending; after `prepare`."""
+    return [index for index in range(request.n_pairs) if not _is_made(request.out, index)]
+
+
 def make_files(request: SynthRequest, index: int) -> None:
-    """Writes the four files of one pair."""
+    """Writes the four files of one pair; they depend on the recipe and the index alone.
+
+    Raises
+    ------
+    RunError
+        A file cannot be written.
+    """
     pair = make_pair(request.seed, index, SENSORS[request.sensor], request.n_points)
     numbers = np.array([KINDS.index(kind) for kind in pair.kinds], dtype="<u4")
-    scans: dict[str, SynthScan] = {"real": pair.real, "sim": pair.sim}
-    for side, scan in scans.items():
+    for side, scan in (("real", pair.real), ("sim", pair.sim)):
         stem = request.out / side / pair_name(index)
-        _put(stem.with_suffix(".label"), numbers[scan.thing_ids].tobytes())
-        _put(stem.with_suffix(".bin"), scan.rows.astype("<f4").tobytes())
+        write_whole(stem.with_suffix(".label"), numbers[scan.thing_ids].tobytes())
+        write_whole(stem.with_suffix(".bin"), scan.rows.astype("<f4").tobytes())
+
+
+def finish(request: SynthRequest) -> None:
+    """Writes the manifest, which says that all pairs are there; frames are 70 to 80 seconds apart."""
+    lines = ["pair_id,real,sim,timestamp_s"]
+    for index in range(request.n_pairs):
+        late = np.random.default_rng(np.random.SeedSequence((request.seed, index), spawn_key=(99,))).uniform(-2.5, 2.5)
+        name, time_s = pair_name(index), SECONDS_APART * (index + 1) + late
+        lines.append(f"{name},real/{name}.bin,sim/{name}.bin,{time_s:.3f}")
+    write_whole(request.out / MANIFEST, ("\n".join(lines) + "\n").encode())
 
 
 def pair_name(index: int) -> str:
@@ -96,60 +154,17 @@ def pair_name(index: int) -> str:
 def _check(request: SynthRequest) -> None:
     if request.sensor not in SENSORS:
         raise FidpipeError(f"sensor {request.sensor!r}: no such sensor; known are {', '.join(SENSORS)}")
-    for name, found, least in (
+    for name, value, least in (
         ("pairs", request.n_pairs, 1),
         ("points", request.n_points, 1),
         ("seed", request.seed, 0),
         ("workers", request.workers, 1),
     ):
-        if found is not None and found < least:
-            raise FidpipeError(f"{name} {found}: at least {least} is wanted")
+        if value is not None and value < least:
+            raise FidpipeError(f"{name} {value}: at least {least} is wanted")
 
 
-def _make(request: SynthRequest, say: Callable[[str], None]) -> None:
-    _prepare(request)
-    wanted = [index for index in range(request.n_pairs) if not _is_made(request.out, index)]
-    n_before = request.n_pairs - len(wanted)
-    start = last_line = monotonic()
-    if n_before:
-        say(f"{n_before} of {request.n_pairs} pairs are there already")
-    for n_made, _ in enumerate(_each_made(request, wanted), start=1):
-        now = monotonic()
-        if now - last_line >= _SECONDS_BETWEEN_LINES:
-            last_line = now
-            left = (now - start) / n_made * (len(wanted) - n_made)
-            say(f"{n_before + n_made} of {request.n_pairs} pairs; about {left:.0f} s left")
-    _put(request.out / MANIFEST, _manifest(request).encode())
-
-
-def _prepare(request: SynthRequest) -> None:
-    """Makes the folders; clears away what another recipe left there, and what this one no longer wants."""
-    out = request.out
-    if out.exists() and not out.is_dir():
-        raise FidpipeError(f"dataset {out}: is a file, a folder is wanted")
-    out.mkdir(parents=True, exist_ok=True)
-    before = _recipe_of(out)
-    if before is None and any(not path.name.startswith(".") for path in out.iterdir()):
-        raise FidpipeError(
-            f"dataset {out}: the folder holds other things than a synthetic dataset (no {RECIPE} of ours in it); "
-            "give the name of a new or empty folder"
-        )
-    if before is None:
-        _put(out / RECIPE, request.recipe().encode())  # first of all, so that the folder can be told as ours
-    for side in SIDES:
-        (out / side).mkdir(exist_ok=True)
-    (out / MANIFEST).unlink(missing_ok=True)
-    is_same = before == tomllib.loads(request.recipe())
-    wanted = {pair_name(index) for index in range(request.n_pairs)} if is_same else set()
-    for side in SIDES:
-        for path in (out / side).iterdir():
-            if _OWN_FILE.fullmatch(path.name) and path.stem not in wanted:
-                path.unlink()
-    _put(out / RECIPE, request.recipe().encode())  # now, that no pair of another recipe is left
-    _put(out / LABEL_NAMES, "".join(f'{number} = "{kind}"\n' for number, kind in enumerate(KINDS)).encode())
-
-
-def _recipe_of(out: Path) -> dict[str, object] | None:
+def _read_recipe(out: Path) -> dict[str, object] | None:
     """The recipe that a folder was made by; None if it is no synthetic dataset."""
     try:
         recipe = tomllib.loads((out / RECIPE).read_text(encoding="utf-8"))
@@ -160,6 +175,20 @@ def _recipe_of(out: Path) -> dict[str, object] | None:
 
 def _is_made(out: Path, index: int) -> bool:
     return all((out / side / f"{pair_name(index)}{suffix}").exists() for side in SIDES for suffix in (".bin", ".label"))
+
+
+def _make_pairs(request: SynthRequest, wanted: list[int], say: Callable[[str], None]) -> None:
+    """Makes the wanted pairs; tells how many are there and how long the others will take."""
+    n_before = request.n_pairs - len(wanted)
+    start = last_line = monotonic()
+    if n_before:
+        say(f"{n_before} of {request.n_pairs} pairs are there already")
+    for n_made, _ in enumerate(_each_made(request, wanted), start=1):
+        now = monotonic()
+        if now - last_line >= _SECONDS_BETWEEN_LINES:
+            last_line = now
+            left = (now - start) / n_made * (len(wanted) - n_made)
+            say(f"{n_before + n_made} of {request.n_pairs} pairs; about {left:.0f} s left")
 
 
 def _each_made(request: SynthRequest, wanted: list[int]) -> Iterator[None]:
@@ -174,23 +203,3 @@ def _each_made(request: SynthRequest, wanted: list[int]) -> Iterator[None]:
     ignore = (signal.SIGINT, signal.SIG_IGN)  # an interrupt is this process's to deal with
     with ProcessPoolExecutor(request.workers, get_context("spawn"), signal.signal, ignore) as pool:
         yield from pool.map(make_files, repeat(request), wanted)
-
-
-def _manifest(request: SynthRequest) -> str:
-    """The text of pairs.csv; frames are 70 to 80 seconds apart."""
-    lines = ["pair_id,real,sim,timestamp_s"]
-    for index in range(request.n_pairs):
-        late = np.random.default_rng(np.random.SeedSequence((request.seed, index), spawn_key=(99,))).uniform(-2.5, 2.5)
-        name, time_s = pair_name(index), SECONDS_APART * (index + 1) + late
-        lines.append(f"{name},real/{name}.bin,sim/{name}.bin,{time_s:.3f}")
-    return "\n".join(lines) + "\n"
-
-
-def _put(path: Path, content: bytes) -> None:
-    """A whole file in its place or none."""
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -1,10 +1,9 @@
 """A flawed digital twin of a street: the geometry that a simulator casts its rays at, and how densely it does.
 
 A twin as the paper has it (sections "Data Collection" and "Real experiments"): a mesh of the street made from
-registered scans. Decides the flaws: surfaces displaced and rounded, thin things thickened, foliage merged into lumps
-or missing where it is far, far things missing, surface invented near foliage and between far things, and things that
-are seen more or less densely than by the real sensor. Leaves to others: how a mesh is blurred (`meshing`), who casts
-the rays (`scans`).
+registered scans. Its flaws: surfaces displaced and rounded, thin things thickened, foliage merged into lumps or missing
+where it is far, far things missing, surface invented near foliage and between far things, and things that are seen more
+or less densely than by the real sensor.
 """
 
 from __future__ import annotations
@@ -14,14 +13,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....stages.arrays import FloatArray
-from .meshes import NOTHING, Mesh, grid, join
-from .meshing import merged, rounded, smooth_field, thickened, torn, within
-from .scene import Thing
+from ....stages.arrays import FloatArray, IndexArray
+from .things import EMPTY_MESH, Mesh, Thing, build_grid, join_meshes
 
 DENSITY_BOUNDS = (0.1, 8.0)
 GROUND_REACH_M = 45.0
 _FOLIAGE = ("tree", "vegetation")
+_SIDES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+#: Corners of the square between a cell and its neighbour on each side, in cells from the cell's own corner.
+_SQUARES = np.array(
+    [
+        [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]],
+        [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],
+        [[0, 1, 0], [0, 1, 1], [1, 1, 1], [1, 1, 0]],
+        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
+        [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]],
+        [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]],
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -48,14 +57,14 @@ def build_twin(things: Sequence[Thing], rng: np.random.Generator) -> tuple[Copy,
     """
     copies = []
     for thing_id, thing in enumerate(things):
-        mesh = _remeshed(thing, rng)
+        mesh = _remesh(thing, rng)
         if len(mesh.faces):
-            copies.append(Copy(thing_id, mesh, _density(thing, rng)))
-    copies += _invented(things, copies, rng)
-    return _displaced(things, copies, rng)
+            copies.append(Copy(thing_id, mesh, _draw_density(thing, rng)))
+    copies += _invent_sheets(things, copies, rng)
+    return _displace(things, copies, rng)
 
 
-def _density(thing: Thing, rng: np.random.Generator) -> float:
+def _draw_density(thing: Thing, rng: np.random.Generator) -> float:
     """Points per beam: rather too few on what is near, and the farther a thing is the less can be said about it."""
     if thing.kind == "ground":
         return 0.8
@@ -63,56 +72,60 @@ def _density(thing: Thing, rng: np.random.Generator) -> float:
     return float(np.clip(rng.lognormal(-0.6, 0.4 + 0.8 * far), *DENSITY_BOUNDS))
 
 
-def _remeshed(thing: Thing, rng: np.random.Generator) -> Mesh:
+def _remesh(thing: Thing, rng: np.random.Generator) -> Mesh:
     """The thing as it comes out of meshing; empty where nothing does."""
     if thing.kind == "ground":
-        return within(thing.solid, GROUND_REACH_M)
+        return crop(thing.solid, GROUND_REACH_M)
     range_m = thing.range_m()
     is_lost = rng.uniform() < np.clip((range_m - 25.0) / 80.0, 0.0, 0.5)
     is_bare = rng.uniform() < np.clip((range_m - 12.0) / 35.0, 0.0, 0.9)
     is_lost |= is_bare and thing.kind == "tree" and rng.uniform() < 0.5
     if is_lost or (is_bare and thing.kind == "vegetation"):
-        return NOTHING
+        return EMPTY_MESH
     parts = []
     if len(thing.solid.faces):
         is_thin = thing.kind in ("pole", "tree")
-        solid = thickened(thing.solid, 0.04 + 0.002 * range_m) if is_thin else rounded(thing.solid)
-        parts.append(torn(solid, float(np.clip(0.03 + 0.003 * range_m, 0.0, 0.25)), rng))
+        solid = thicken(thing.solid, 0.04 + 0.002 * range_m) if is_thin else smooth_mesh(thing.solid)
+        parts.append(tear_holes(solid, float(np.clip(0.03 + 0.003 * range_m, 0.0, 0.25)), rng))
     if not is_bare:
-        parts.append(merged(thing.leaves, 0.28 + 0.005 * range_m, 0.25, rng.spawn(1)[0]))
-    return join(parts)
+        parts.append(merge_leaves(thing.leaves, 0.28 + 0.005 * range_m, 0.25, rng.spawn(1)[0]))
+    return join_meshes(parts)
 
 
-def _invented(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Generator) -> Iterator[Copy]:
+def _invent_sheets(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Generator) -> Iterator[Copy]:
     """Sheets that hang from foliage, and sheets between neighbours that are far from the sensor."""
-    of_things = [copy for copy in copies if things[copy.thing_id].kind != "ground"]
-    middles = np.array([copy.mesh.vertices.mean(axis=0) for copy in of_things]).reshape(-1, 3)
-    for copy, middle in zip(of_things, middles, strict=True):
+    objects = [copy for copy in copies if things[copy.thing_id].kind != "ground"]
+    middles = np.array([copy.mesh.vertices.mean(axis=0) for copy in objects]).reshape(-1, 3)
+    for copy, middle in zip(objects, middles, strict=True):
         range_m = float(np.linalg.norm(middle))
         if things[copy.thing_id].kind in _FOLIAGE and rng.uniform() < 0.5:
-            upper = _edge(copy.mesh, rng)
+            upper = _draw_edge(copy.mesh, rng)
             lower = upper + rng.normal(0.0, 0.5, 3) - [0.0, 0.0, rng.uniform(0.6, 2.0)]
-            yield Copy(copy.thing_id, _sheet(upper, lower), rng.uniform(0.5, 2.0))
+            yield Copy(copy.thing_id, _span_sheet(upper, lower), rng.uniform(0.5, 2.0))
         apart = np.linalg.norm(middles - middle, axis=1)
         near = np.flatnonzero((apart > 0) & (apart < 8.0))
         if len(near) and rng.uniform() < np.clip((range_m - 12.0) / 60.0, 0.0, 0.5):
-            other = of_things[int(rng.choice(near))]
-            yield Copy(copy.thing_id, _sheet(_edge(copy.mesh, rng), _edge(other.mesh, rng)), rng.uniform(0.5, 2.0))
+            other = objects[int(rng.choice(near))]
+            yield Copy(
+                copy.thing_id,
+                _span_sheet(_draw_edge(copy.mesh, rng), _draw_edge(other.mesh, rng)),
+                rng.uniform(0.5, 2.0),
+            )
 
 
-def _edge(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
+def _draw_edge(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
     """(2, 3) float64, two places on a mesh."""
     return mesh.vertices[rng.integers(len(mesh.vertices), size=2)]
 
 
-def _sheet(start: FloatArray, end: FloatArray) -> Mesh:
+def _span_sheet(start: FloatArray, end: FloatArray) -> Mesh:
     """The surface spanned by two edges, in pieces that can be bent."""
     share = np.linspace(0.0, 1.0, 6)
     rails = [edge[0] + share[:, None] * (edge[1] - edge[0]) for edge in (start, end)]
-    return grid(rails[0] + share[:, None, None] * (rails[1] - rails[0]), 0.3)
+    return build_grid(rails[0] + share[:, None, None] * (rails[1] - rails[0]), 0.3)
 
 
-def _displaced(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Generator) -> tuple[Copy, ...]:
+def _displace(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Generator) -> tuple[Copy, ...]:
     """All surfaces shifted by one smooth random field of some centimetres near the sensor and some decimetres afar.
 
     The ground, which the scanner has passed over, is off by the same few centimetres everywhere.
@@ -130,3 +143,100 @@ def _displaced(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.G
         )
         for copy, end in zip(copies, ends, strict=True)
     )
+
+
+def smooth_field(places: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """A random vector at each place, of unit variance on each axis, that varies over 2 to 30 metres.
+
+    F(x) = sqrt(2 / m) sum_k a_k cos(q_k . x + phi_k), m = 24 waves in random directions.
+
+    Parameters
+    ----------
+    places : (n, 3) float64, metres
+    """
+    n_waves = 24
+    direction = rng.normal(size=(n_waves, 3))
+    wavelength = 2.0 * 15.0 ** rng.uniform(size=(n_waves, 1))
+    waves = 2 * np.pi * direction / np.linalg.norm(direction, axis=1, keepdims=True) / wavelength
+    phases = rng.uniform(0.0, 2 * np.pi, n_waves)
+    amplitudes = rng.normal(size=(n_waves, 3))
+    field: FloatArray = np.sqrt(2.0 / n_waves) * np.cos(places @ waves.T + phases) @ amplitudes
+    return field
+
+
+def smooth_mesh(mesh: Mesh, times: int = 1) -> Mesh:
+    """The mesh with each vertex moved half the way to the mean of its neighbours, `times` times."""
+    a, b = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]).T
+    ends, others = np.concatenate([a, b]), np.concatenate([b, a])
+    degree = np.maximum(np.bincount(ends, minlength=len(mesh.vertices)), 1)[:, None]
+    vertices = mesh.vertices
+    for _ in range(times):
+        vertices = (vertices + _sums(ends, vertices[others], len(vertices)) / degree) / 2
+    return Mesh(vertices, mesh.faces, mesh.reflectivity)
+
+
+def thicken(mesh: Mesh, by_m: float) -> Mesh:
+    """The mesh with each vertex pushed out along its normal; a vertex without a face stays."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = _sums(mesh.faces.ravel(), np.repeat(face_normals, 3, axis=0), len(mesh.vertices))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Mesh(mesh.vertices + by_m * normals, mesh.faces, mesh.reflectivity)
+
+
+def tear_holes(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
+    """The mesh with holes, a few metres wide, that take about this share of its faces.
+
+    The faces are left out where a wave field is highest.
+    """
+    if not len(mesh.faces):
+        return mesh
+    height = smooth_field(mesh.vertices[mesh.faces].mean(axis=1), rng)[:, 0]
+    holds = height <= np.quantile(height, 1.0 - share * rng.uniform(0.0, 2.0))
+    return Mesh(mesh.vertices, mesh.faces[holds], mesh.reflectivity[holds])
+
+
+def crop(mesh: Mesh, range_m: float) -> Mesh:
+    """The mesh with only those faces whose middle is within `range_m` of the sensor."""
+    near = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1) <= range_m
+    return Mesh(mesh.vertices, mesh.faces[near], mesh.reflectivity[near])
+
+
+def merge_leaves(leaves: Mesh, cell_m: float, swollen: float, rng: np.random.Generator) -> Mesh:
+    """A closed, lumpy surface around loose triangles: the border of the cells that they occupy, smoothed.
+
+    It is empty where there are no triangles.
+
+    Parameters
+    ----------
+    leaves : loose triangles
+    cell_m : edge of a cell
+    swollen : share of the occupied cells from which a random neighbour is taken in as well
+    """
+    if not len(leaves.faces):
+        return EMPTY_MESH
+    centres = leaves.vertices[leaves.faces].mean(axis=1)
+    origin = rng.uniform(0.0, cell_m, 3)
+    cells = np.unique(np.floor((centres - origin) / cell_m).astype(np.int64), axis=0)
+    growing = cells[rng.uniform(size=len(cells)) < swollen]
+    cells = np.unique(np.concatenate([cells, growing + _SIDES[rng.integers(6, size=len(growing))]]), axis=0)
+    low = cells.min(axis=0) - 1
+    shape = cells.max(axis=0) - low + 3
+    occupied = np.zeros(shape, dtype=np.bool_)
+    occupied[tuple((cells - low).T)] = True
+    squares = []
+    for side, square in zip(_SIDES, _SQUARES, strict=True):
+        open_to = cells[~occupied[tuple((cells - low + side).T)]]
+        squares.append(open_to[:, None] + square)
+    corners = np.concatenate(squares) - low
+    numbers = np.ravel_multi_index(tuple(corners.reshape(-1, 3).T), tuple(shape + 1))
+    kept, ids = np.unique(numbers, return_inverse=True)
+    vertices = (np.stack(np.unravel_index(kept, tuple(shape + 1)), axis=1) + low) * cell_m + origin
+    p, q, r, s = ids.reshape(-1, 4).T
+    faces = np.concatenate([np.column_stack([p, q, r]), np.column_stack([p, r, s])])
+    return smooth_mesh(Mesh(vertices, faces, np.full(len(faces), leaves.reflectivity[0])), times=3)
+
+
+def _sums(ids: IndexArray, rows: FloatArray, n: int) -> FloatArray:
+    """(n, 3) float64, sum of the rows of each id."""
+    return np.column_stack([np.bincount(ids, rows[:, axis], n) for axis in range(3)])

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.columns import SIDES
-from ...datasets.check import DatasetCheck
+from ...datasets.scan_checks import DatasetCheck
 from ...engine.request import RunOutcome
 from ...results.status import STATES, RunStatus
 from .baselines import baselines_view
