@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings
-from ..schemas.tables import TABLES
 from .datasets.pairs import ScanPair
 from .datasets.readers.scan import Scan
-from .engine.plan import plan_pair
+from .datasets.scan_checks import ScanContent
+from .engine.plan import Planner
 from .engine.pool import one_blas_thread
-from .engine.workbench import Workbench
-from .run import stages_of
+from .engine.worker import PairTables, make_job
+from .jobs import stages_under
+from .stage import ROW
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +32,7 @@ class PairResult:
     points, edges, communities, objects : by side, "real" and "sim"
     matching, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
-    seeds : of the pair, a row a seed, where `stability.seeds` is above 1
+    seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
 
     summary: dict[str, Any]
@@ -74,24 +75,25 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
     """
     scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
     settings = settings or Settings()
-    task = plan_pair(stages_of(settings), ScanPair("pair", None, None), dict.fromkeys(SIDES, ""), settings)
-    bench = Workbench(task, scans)
+    inputs = {side: ScanContent("", "", len(scan.points)) for side, scan in scans.items()}
+    plan = Planner(stages_under(settings), settings, {}).plan(ScanPair("pair", None, None), inputs)
+    tables, summary = PairTables(plan, scans), dict[str, Any]()
     with one_blas_thread():
-        for job in task.jobs:
+        for job in plan.jobs:
             try:
-                bench.finish(job, *job.make(bench, job.side))
+                summary = make_job(tables, job).facts.get(ROW, summary)
             except StageError as error:
-                raise StageError(f"stage {job.stage}{', ' + job.side if job.side else ''}: {error}") from error
+                raise StageError(f"stage {job.stage.name}{', ' + job.part if job.part else ''}: {error}") from error
 
     def by_side(table: str) -> dict[str, pd.DataFrame]:
         return {side: frame(table, side) for side in SIDES}
 
     def frame(table: str, side: str = "") -> pd.DataFrame:
-        found: pd.DataFrame = TABLES[table].plain(bench.table(table, side)).to_pandas()
-        return found
+        rows: pd.DataFrame = tables.whole_table(table, side).to_pandas()
+        return rows
 
     return PairResult(
-        summary=bench.facts("metrics")["row"],
+        summary=summary,
         points=by_side("ground"),
         edges=by_side("graph"),
         communities=by_side("communities"),

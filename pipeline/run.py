@@ -1,128 +1,102 @@
-"""The pipeline: its stages in their order, and a run over a dataset from reading to the record.
+"""A run over a dataset, verb by verb: read, inspect, survey, replace, make, write. The page to read first.
 
-This is the page to read first. A run is the list of verbs in `run_dataset`. Leaves to others: what a stage computes
-(`stages`), what a job reads and writes (`jobs`, `store`), when and where it runs (`schedule`, `fanout`).
+Which stages there are stands in `jobs`, what one of them is in `stage`, what each computes in the package `stages`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path
+from time import perf_counter
+from typing import Any
 
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ..schemas.columns import Table
 from ..schemas.errors import DatasetError, RunError
-from ..schemas.settings import Settings
+from ..schemas.settings import Settings, to_toml
+from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.plan import Stage
+from .datasets.scan_checks import input_hashes
+from .engine.engine import Engine, Machines, Survey, current_records, modules_of
+from .engine.plan import PairPlan, Planner, with_results
 from .engine.progress import Reporter
-from .engine.request import RunOutcome, RunRequest
-from .engine.session import Session
-from .jobs import baselines as baseline_jobs
-from .jobs import core as jobs
-from .jobs import seeds as seed_jobs
-from .storage.ledger import INDEX
-from .storage.record import read_run
-from .storage.store import Store
-
-_CUTTERS = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
-_LOUVAINS = {"scikit-network": ("scikit-network",), "python-louvain": ("python-louvain", "networkx")}
-
-#: The pipeline. To add a stage: a schema, a settings class, a function, a row here, a test.
-STAGES = (
-    Stage(
-        "ground",
-        takes=("scan",),
-        gives=("ground",),
-        per_side=True,
-        settings=("input", "ground"),
-        libraries=lambda settings: _CUTTERS[settings.ground.method],
-        version=1,
-        make=jobs.make_ground,
-    ),
-    Stage(
-        "graph",
-        takes=("ground",),
-        gives=("graph",),
-        per_side=True,
-        settings=("graph",),
-        libraries=lambda settings: (),
-        version=1,
-        make=jobs.make_graph,
-    ),
-    Stage(
-        "communities",
-        takes=("ground", "graph"),
-        gives=("communities", "objects"),
-        per_side=True,
-        settings=("communities",),
-        libraries=lambda settings: _LOUVAINS[settings.communities.backend],
-        version=2,
-        make=jobs.make_communities,
-    ),
-    Stage(
-        "matching",
-        takes=("objects",),
-        gives=("matching",),
-        per_side=False,
-        settings=("matching",),
-        libraries=lambda settings: (),
-        version=1,
-        make=jobs.make_matching,
-    ),
-    Stage(
-        "selection",
-        takes=("ground", "graph", "communities", "matching"),
-        gives=("selection",),
-        per_side=False,
-        settings=("selection",),
-        libraries=lambda settings: ("POT",),
-        version=1,
-        make=jobs.make_selection,
-    ),
-    Stage(
-        "metrics",
-        takes=("ground", "graph", "communities", "objects", "matching", "selection"),
-        gives=("metrics",),
-        per_side=False,
-        settings=(),
-        libraries=lambda settings: (),
-        version=1,
-        make=jobs.make_metrics,
-    ),
+from .jobs import stages_under
+from .results.findings import run_findings
+from .stage import ROW, Stage
+from .storage.files import key_of, write_whole
+from .storage.folder import RunFolder
+from .storage.ledger import LEDGER
+from .storage.record import (
+    DATASET_VALUES,
+    SETTINGS_TOML,
+    StageSeconds,
+    read_run,
+    run_header,
+    run_record,
+    summarise_pairs,
+    timing_rows,
+    what_changed,
+    write_record,
 )
-STAGE_NAMES = tuple(stage.name for stage in STAGES)
+from .storage.tables import JobRecord
 
-#: What is made besides, where the settings ask for it; no stage above depends on any of it.
-EXTRAS = (
-    Stage(
-        baseline_jobs.STAGE,
-        takes=("ground", "graph", "communities", "matching", "selection"),
-        gives=("baselines",),
-        per_side=False,
-        settings=("selection", "metrics"),
-        libraries=baseline_jobs.libraries,
-        version=1,
-        make=baseline_jobs.make_baselines,
-        is_wanted=lambda settings: bool(settings.metrics.baselines),
-        summarise=baseline_jobs.summarise_baselines,
-    ),
-    Stage(
-        seed_jobs.STAGE,
-        takes=("ground", "graph", "metrics"),
-        gives=("seeds",),
-        per_side=False,
-        settings=("stability",),
-        libraries=lambda settings: (),
-        version=1,
-        make=seed_jobs.make_seeds,
-        is_wanted=lambda settings: settings.stability.seeds > 1,
-        summarise=seed_jobs.summarise_seeds,
-    ),
-)
+_PAIRS_AT_ONCE = 500
 
 
-def stages_of(settings: Settings) -> tuple[Stage, ...]:
-    """The stages that a run under these settings goes through."""
-    return (*STAGES, *(stage for stage in EXTRAS if stage.is_wanted and stage.is_wanted(settings)))
+@dataclass(frozen=True)
+class RunRequest:
+    """What the user asked for.
+
+    dataset, out : folders
+    settings : of all stages
+    from_stage : this stage and those after it are made again
+    pattern : only pairs whose name matches are worked on (shell style)
+    machines : where work is done
+    stages : by default those of the pipeline under these settings
+    """
+
+    dataset: Path
+    out: Path
+    settings: Settings
+    from_stage: str | None = None
+    pattern: str | None = None
+    machines: Machines = field(default_factory=Machines)
+    stages: tuple[Stage, ...] | None = None
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What has become of a run.
+
+    pairs : the table `pairs`
+    record : what `run.json` holds
+    n_made, n_reused : jobs
+    failed_extras : why a baseline or the like failed of a pair that is scored
+    """
+
+    folder: Path
+    pairs: pa.Table
+    record: dict[str, Any]
+    n_made: int
+    n_reused: int
+    failed_extras: dict[str, str]
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of `pairs`."""
+        rows: list[dict[str, Any]] = self.pairs.to_pylist()
+        return rows
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Why each failed pair failed, or what was asked for besides its scores."""
+        failed = self.pairs.filter(pc.equal(self.pairs.column("status"), "failed")).select(["pair_id", "reason"])
+        return {row["pair_id"]: row["reason"] for row in failed.to_pylist()} | self.failed_extras
 
 
 def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
@@ -138,21 +112,28 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
     dataset = read_dataset(request.dataset)
     selected = select_pairs(dataset, request.pattern)
     check_folder(request.out, request.dataset)
-    store = Store(request.out)
-    with store.locked():
-        run = Session(request, stages_of(request.settings), dataset, selected, store, reporter)
-        try:
-            run.inspect()
-            run.plan()
-            run.clear()
-            run.work()
-            return run.write()
-        finally:
-            run.close()
+    folder = RunFolder(request.out)
+    stages = stages_under(request.settings) if request.stages is None else request.stages
+    with (
+        folder.locked(),
+        Engine(folder, request.settings, request.machines, reporter, modules_of(stages)) as engine,
+    ):
+        run = _Run(request, dataset, stages, engine)
+        run.inspect(selected)
+        survey = run.survey(selected)
+        run.replace(survey)
+        run.make(survey)
+        return run.write(survey)
 
 
 def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
-    """The pairs whose name matches."""
+    """The pairs whose name matches; all without a pattern.
+
+    Raises
+    ------
+    DatasetError
+        No name matches.
+    """
     if pattern is None:
         return dataset.pairs
     selected = tuple(pair for pair in dataset.pairs if fnmatchcase(pair.pair_id, pattern))
@@ -163,16 +144,168 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
 
 
 def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
-    """Refuses a folder that is not a run, or is the run of another dataset or of another command."""
+    """Refuses a folder that is not a run, or is the run of another dataset or of another command, with `RunError`."""
     if not out.exists():
         return
     if not out.is_dir():
         raise RunError(f"run {out}: is a file, a folder is wanted; give another --out")
-    if not (out / INDEX).exists() and any(not path.name.startswith(".") for path in out.iterdir()):
-        raise RunError(f"run {out}: the folder holds other things than a run; give another --out")
     record = read_run(out)
+    is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
+    if not is_run and any(not path.name.startswith(".") for path in out.iterdir()):
+        raise RunError(f"run {out}: the folder holds other things than a run; give another --out")
     before, made_by = record.get("dataset"), record.get("experiment", "run")
     if before and made_by != experiment:
         raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
     if before and Path(before) != dataset.resolve() and Path(before).exists():
         raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
+
+
+class _Run:
+    """One run while it works."""
+
+    def __init__(self, request: RunRequest, dataset: Dataset, stages: tuple[Stage, ...], engine: Engine) -> None:
+        self._request, self._dataset, self._stages, self._engine = request, dataset, stages, engine
+        self._folder, self._reporter = engine.folder, engine.reporter
+        self._planner = Planner(stages, request.settings, dataset.label_names)
+        self._versions = {stage.name: stage.version for stage in stages}
+        self._wall_s: dict[str, float] = {}
+        self._start = self._phase_start = perf_counter()
+        before = read_run(request.out)
+        self._changes = what_changed(before, request.settings, self._versions)
+        self._findings_before = before.get("findings", {})
+
+    def inspect(self, selected: Iterable[ScanPair]) -> None:
+        """Reads every file once that is not known yet: of the wanted pairs, and of those with results."""
+        ledger = self._folder.ledger
+        wanted = {pair.pair_id for pair in selected} | set(ledger.pair_ids()) | set(ledger.failed_pairs())
+        pairs = [pair for pair in self._dataset.pairs if pair.pair_id in wanted]
+        for text in self._dataset.warnings:
+            self._reporter.warn(text)
+        self._engine.inspect(pairs, self._dataset.label_names)
+        self._end_phase("inspect")
+
+    def survey(self, selected: Iterable[ScanPair]) -> Survey:
+        """Finds which pairs have jobs to be made, and which results are not those that are wanted."""
+        names, first = list(self._versions), self._request.from_stage
+        redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
+        chosen = {pair.pair_id for pair in selected}
+        return self._engine.survey(self._dataset.pairs, self._plan, selected=chosen, redo=redo)
+
+    def replace(self, survey: Survey) -> None:
+        """Removes what is out of date, and writes the head of the record."""
+        self._engine.replace(survey, self._changes, list(self._versions))
+        settings = to_toml(self._request.settings).encode()
+        write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
+        write_record(self._request.out, self._header(), self._folder.check_token)
+
+    def make(self, survey: Survey) -> None:
+        """Makes what is not there."""
+        self._engine.make(survey, self._plan)
+        self._end_phase("stages")
+
+    def write(self, survey: Survey) -> RunOutcome:
+        """Writes the tables of the whole run and its record."""
+        seconds, pair_ids = StageSeconds(), [pair.pair_id for pair in survey.usable]
+        keys, n_current = [], 0
+        for record in self._records(pair_ids):
+            seconds.add(record)
+            n_current += 1
+            if ROW in record.facts:
+                keys.append(record.key)
+        key = key_of(keys, self._engine.failures)
+        pairs = self._write_table(PAIRS, key, self._pair_parts(survey))
+        is_new = self._engine.n_made > 0
+        self._write_table(TIMINGS, key if is_new else key_of("reused", key), self._timing_parts(pair_ids))
+        self._end_phase("tables")
+        self._wall_s["total"] = perf_counter() - self._start
+        contents = self._engine.contents
+        hashes = {
+            pair.pair_id: input_hashes(pair, self._dataset.label_names, contents[pair.pair_id])
+            for pair in self._dataset.pairs
+            if pair.pair_id in contents
+        }
+        n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
+        rows = pairs.select(["pair_id", "status", *DATASET_VALUES]).to_pylist()
+        scored = [row for row in rows if row["status"] == "scored"]
+        times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
+        scored_ids = [row["pair_id"] for row in scored]
+        findings = run_findings(self._folder, scored_ids, times, summarise_pairs(scored), key, self._findings_before)
+        record = run_record(
+            self._header(), hashes, rows, self._wall_s, self._engine.n_workers, seconds.as_dict(), findings, n_to_do
+        )
+        for stage in self._stages:
+            if stage.summarise:
+                own = current_records(self._folder, pair_ids, [stage.name])
+                record[stage.name] = stage.summarise(list(own), self._request.settings)
+        write_record(self._request.out, record, self._folder.check_token)
+        known = set(scored_ids)
+        failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
+        n_made = self._engine.n_made
+        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras)
+
+    def _plan(self, pair: ScanPair) -> PairPlan:
+        return self._planner.plan(pair, self._engine.contents[pair.pair_id])
+
+    def _header(self) -> dict[str, Any]:
+        return run_header(self._request.dataset, self._request.settings, self._versions)
+
+    def _records(self, pair_ids: Iterable[str]) -> Iterator[JobRecord]:
+        return current_records(self._folder, pair_ids, self._versions)
+
+    def _write_table(self, table: Table, key: str, parts: Iterator[pa.Table]) -> pa.Table:
+        """Writes a table of the whole run, unless it is there under its key; gives it."""
+        path = self._request.out / f"{table.name}.parquet"
+        before = self._folder.ledger.jobs("").get((table.name, ""))
+        if before is None or before.key != key or not self._folder.is_whole(before):
+            stored = self._folder.write_at(path, table.name, parts, key)
+            before = JobRecord(table.name, "", "", key, {path.name: stored})
+            self._folder.ledger.put_job(before)
+        return self._folder.read(table.name, before.files[path.name], path) if table is PAIRS else None
+
+    def _pair_parts(self, survey: Survey) -> Iterator[pa.Table]:
+        """The rows of `pairs`, some pairs at a time: those with current results, and those that failed."""
+        failures = self._engine.failures
+        usable = {pair.pair_id: pair for pair in survey.usable}
+        for names in _chunks(sorted(usable.keys() | failures.keys())):
+            rows = []
+            for pair_id in names:
+                row = self._row(pair_id) if pair_id in usable else None
+                reason = None if row else failures.get(pair_id) or self._past_failure(usable.get(pair_id))
+                if row or reason:
+                    rows.append(row or {"pair_id": pair_id, "status": "failed", "reason": reason})
+            yield PAIRS.from_rows(rows)
+
+    def _row(self, pair_id: str) -> dict[str, Any] | None:
+        """The row of a scored pair; None where a stage that every run has is not done."""
+        records = self._folder.ledger.jobs(pair_id)
+        required = [(stage.name, part) for stage in self._stages if not stage.is_extra for part in stage.parts]
+        if not all(name in records for name in required):
+            return None
+        return next((records[name].facts[ROW] for name in required if ROW in records[name].facts), None)
+
+    def _past_failure(self, pair: ScanPair | None) -> str | None:
+        """Why a pair failed in an earlier run, if the same job would fail again."""
+        past = self._folder.ledger.failure(pair.pair_id) if pair else None
+        if pair is None or past is None:
+            return None
+        plan, _ = with_results(self._plan(pair), self._folder)
+        return str(past["reason"]) if any(past["key"] == job.key for job in plan.todo) else None
+
+    def _timing_parts(self, pair_ids: Iterable[str]) -> Iterator[pa.Table]:
+        """The rows of `timings`, some pairs at a time."""
+        for names in _chunks(sorted(pair_ids)):
+            yield TIMINGS.from_rows(
+                row for record in self._records(names) for row in timing_rows(record, self._folder.token)
+            )
+
+    def _end_phase(self, name: str) -> None:
+        now = perf_counter()
+        self._wall_s[name] = now - self._phase_start
+        self._phase_start = now
+
+
+def _chunks(names: Iterable[str]) -> Iterator[list[str]]:
+    """Some names at a time."""
+    left = iter(names)
+    while chunk := list(islice(left, _PAIRS_AT_ONCE)):
+        yield chunk

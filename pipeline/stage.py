@@ -25,6 +25,8 @@ from .storage.tables import JobRecord
 SCAN = "scan"  #: among what a stage takes: the side's input file
 OBJECTS = "objects"  #: the fact in which a stage lists the objects that later stages go over one by one
 
+ROW = "row"  #: the fact in which the stage that ends a pair gives the pair's row of `pairs`
+
 Facts = dict[str, Any]
 Tables = dict[str, pa.Table]
 Step = Callable[[str], AbstractContextManager[None]]
@@ -235,7 +237,7 @@ class Context:
                 "declare"
             )
         for outer in self._asked:
-            outer |= asked
+            outer.update(asked)
         return cast(Value, value)
 
     @contextmanager

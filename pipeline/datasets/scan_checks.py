@@ -6,7 +6,7 @@ length and times, so that an unchanged file need not be read again.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
-from ..storage.store import hash_file, key_of
+from ..storage.files import hash_file, key_of
 from .pairs import ScanPair, read_dataset
 from .readers import read_scan, stem_of
 from .readers.scan import label_path_of
@@ -256,21 +256,21 @@ def input_hashes(
 
 
 def input_name(pair: ScanPair, side: str) -> str:
-    """What a file is called in an index: by its absolute path, so that it is known wherever the command is called."""
+    """What a file is called in a ledger: by its absolute path, so that it is known wherever the command is called."""
     path = pair.path(side)
     return f"{pair.pair_id} {side} {path and path.absolute()}"
 
 
 def recall_scan(
-    known: Mapping[str, Mapping[str, Any]], pair: ScanPair, side: str, settings: InputSettings
+    known: Callable[[str], Mapping[str, Any] | None], pair: ScanPair, side: str, settings: InputSettings
 ) -> ScanFacts | None:
     """What was learnt of a scan file before, if it still holds; else None.
 
     Parameters
     ----------
-    known : facts of files by `input_name`, as a run's index has them
+    known : gives the facts of a file by its `input_name`, as a run's ledger has them
     """
-    path, facts = pair.path(side), known.get(input_name(pair, side))
+    path, facts = pair.path(side), known(input_name(pair, side))
     if path is None or facts is None:
         return None
     known_facts = ScanFacts(**facts)

@@ -1,7 +1,7 @@
-"""Tasks on several processes: on a local dask cluster, or on the cluster behind a scheduler's address.
+"""Batches on several processes: on a local dask cluster, or on the cluster behind a scheduler's address.
 
 With `worker_start` the only file that needs dask, and only when a cluster is wanted (`pool` asks it for the memory of
-the machine). Leaves to others: which tasks there are and in which order (`schedule`), what a pool is (`pool`).
+the machine).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import asyncio
 import logging
 import os
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,8 +18,9 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import RunError
+from ..storage.record import library_versions
 from . import prefork
-from .costs import most_workers
+from .costs import CostModel
 from .pool import (
     SHARE_OF_MEMORY,
     Handle,
@@ -81,6 +82,7 @@ class DaskPool:
     shared_file : a file that every worker must see with the same content
     libraries : versions that every worker must have
     memory : bytes that the worker processes may occupy together; None for what there is
+    modules : names of those that the jobs are in, to be imported once for all workers of this machine
 
     Raises
     ------
@@ -95,9 +97,10 @@ class DaskPool:
         shared_file: Path,
         libraries: dict[str, str],
         memory: int | None = None,
+        modules: Iterable[str] = (),
     ) -> None:
         if address is None:
-            prefork.start()  # before what is imported here: both take their time
+            prefork.start(modules)  # before what is imported here: both take their time
         import dask
         import distributed
 
@@ -122,7 +125,7 @@ class DaskPool:
                     scheduler_kwargs={"dashboard": False},
                     memory_limit=self.memory.together,  # of each: one may need what the others leave
                     silence_logs=logging.CRITICAL,
-                    preload=[prefork.PRELOADED],
+                    preload=[prefork.WORKER_START],
                 )
         try:
             self._client = distributed.Client(
@@ -148,12 +151,14 @@ class DaskPool:
         if self._given_memory is not None or self._address is None:
             memory = self._given_memory or machine_memory()
             return Memory(memory, memory)
-        limits = [int(of["memory_limit"]) for of in self._client.scheduler_info(n_workers=-1)["workers"].values()]
+        limits = [
+            int(worker["memory_limit"]) for worker in self._client.scheduler_info(n_workers=-1)["workers"].values()
+        ]
         return Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits, default=0)))
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
-        passed = [[of.future for of in arg] if is_handles(arg) else arg for arg in args]
+        passed = [[handle.future for handle in arg] if is_handles(arg) else arg for arg in args]
         future = self._client.submit(_in_worker, function, *passed, pure=False, priority=priority)
         handle = Handle(future)
         self._handles[future.key] = handle, keep
@@ -199,6 +204,7 @@ def start_pool(
     memory_gib: float | None,
     shared_file: Path,
     libraries: dict[str, str],
+    modules: Iterable[str] = (),
 ) -> Pool:
     """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`.
 
@@ -207,21 +213,19 @@ def start_pool(
     memory = None if memory_gib is None else int(memory_gib * 2**30)
     n_workers = n_workers or cpu_count()
     if address is None and n_workers > 1:
-        n_workers = min(n_workers, most_workers(memory or machine_memory()))
+        n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
     if address is None and n_workers == 1:
         return InProcess(memory)
-    return DaskPool(n_workers, address, shared_file, libraries, memory)
+    return DaskPool(n_workers, address, shared_file, libraries, memory, modules)
 
 
 def worker_fault(path: str, content: bytes, libraries: dict[str, str]) -> str:
     """Why a worker cannot serve a run: it does not see the run's files, or has other versions; "" if it can."""
-    from .plan import library_versions
-
     try:
-        found = Path(path).read_bytes()
+        own = Path(path).read_bytes()
     except OSError as error:
         return f"{path} cannot be read there ({error.strerror}); workers must see the same files under the same paths"
-    if found != content:
+    if own != content:
         return f"{path} is another file there; workers must see the same files under the same paths"
     versions = library_versions(libraries)
     other = [

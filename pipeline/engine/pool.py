@@ -1,7 +1,6 @@
-"""Somewhere to run tasks: what every pool can do, and the one in this process.
+"""Somewhere to run batches: what every pool can do, and the one in this process.
 
-A pool takes a function and its arguments and gives back what became of it, in any order. Leaves to others: the pools
-of several processes (`fanout`), which tasks there are and in which order (`schedule`).
+A pool takes a function and its arguments and gives back what became of it, in any order.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ class InProcess:
         handle = Handle()
 
         def call() -> Any:
-            return function(*([of.future for of in arg] if is_handles(arg) else arg for arg in args))
+            return function(*([handle.future for handle in arg] if is_handles(arg) else arg for arg in args))
 
         heapq.heappush(self._waiting, (-priority, next(self._count), handle, call, keep))
         return handle
@@ -118,4 +117,4 @@ def machine_memory() -> int:
 
 def is_handles(arg: Any) -> bool:
     """Whether an argument of a task is a list of handles, which stands for the list of their results."""
-    return isinstance(arg, list) and all(isinstance(of, Handle) for of in arg)
+    return isinstance(arg, list) and all(isinstance(entry, Handle) for entry in arg)

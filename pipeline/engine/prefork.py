@@ -1,7 +1,7 @@
 """The process that the workers of this machine are forked from: it imports once what each of them needs.
 
 It can be started before the command has imported all of that itself, so that both are ready at the same time. Where
-there is no such way (Windows) workers start by themselves. Leaves to others: what the workers do (`fanout`).
+there is no such way (Windows) workers start by themselves.
 """
 
 from __future__ import annotations
@@ -10,13 +10,11 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 
-#: What it imports.
-PRELOADED = "fidpipe.pipeline.engine.worker_start"
+#: What it imports in any case, and what dask calls in each worker.
+WORKER_START = "fidpipe.pipeline.engine.worker_start"
 
 #: Of the forked processes: one BLAS thread, and an allocator that keeps blocks of up to 32 MiB instead of giving the
 #: pages back and faulting them in again for each array.
@@ -34,47 +32,20 @@ def is_available() -> bool:
     return "forkserver" in multiprocessing.get_all_start_methods()
 
 
-@dataclass
-class _Server:
-    """What this process remembers of it."""
-
-    is_needed: bool = False
-
-
-_SERVER = _Server()
-
-
-def start(*, needed: bool = True) -> None:
-    """Starts the process, unless it is there; it imports while this one goes on.
+def start(modules: Iterable[str] = ()) -> None:
+    """Starts the process, unless it is there; it imports while this one goes on, and ends when this one does.
 
     Parameters
     ----------
-    needed : whether workers will be forked in any case; else it is done away with at the end if there were none
+    modules : what it imports besides, by name: those of the jobs
     """
     if not is_available():
         return
-    _SERVER.is_needed |= needed
     from multiprocessing import forkserver
 
-    forkserver.set_forkserver_preload([PRELOADED])
+    forkserver.set_forkserver_preload([WORKER_START, *modules])
     with _environment(_ENVIRONMENT), ignoring_interrupts():
         forkserver.ensure_running()
-
-
-def stop() -> None:
-    """Ends it and waits for it, so that the seconds of all workers count as those of this command."""
-    if not is_available():
-        return
-    from multiprocessing import forkserver
-
-    server: Any = getattr(forkserver, "_forkserver", None)
-    process_id = getattr(server, "_forkserver_pid", None)
-    if process_id is None or not hasattr(server, "_stop"):  # there is no public way; it ends with this process
-        return
-    if not _SERVER.is_needed:
-        with suppress(ProcessLookupError):
-            os.kill(process_id, signal.SIGTERM)
-    server._stop()
 
 
 @contextmanager

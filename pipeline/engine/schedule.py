@@ -47,7 +47,7 @@ class Policy:
     least_weight : and no more of them than one by this
     """
 
-    costs: CostModel = CostModel()
+    costs: CostModel = field(default_factory=CostModel)
     pairs_per_worker: int = 2
     few_pairs_per_worker: int = 2
     worth_splitting_s: float = 1.0
@@ -190,9 +190,7 @@ class Schedule:
         if isinstance(result, WorkerDied):
             if self._is_alone and pair.is_suspect:
                 job = pair.ready[0]
-                reason = (
-                    f"the worker process died, and again when the pair ran alone (out of memory?): {result.detail}"
-                )
+                reason = f"the worker process died, and again when the pair ran alone (out of memory?): {result.detail}"
                 pair.failures.append(JobFailure(*job.name, reason))
             pair.is_suspect = True
         elif isinstance(result, BatchResult):
@@ -289,7 +287,7 @@ class Schedule:
             self._submit_bundle()
 
     def _submit_bundle(self) -> None:
-        """The pairs that wait for company, as one batch; each stops where an object needs more than a worker's share."""
+        """The pairs that wait for company, as one batch; each stops where an object needs more than its share."""
         if not self._bundle:
             return
         pairs, self._bundle = tuple(self._bundle), []
@@ -298,9 +296,7 @@ class Schedule:
             PairBatch(pair.plan, tuple(job.name for job in pair.todo), share)
             for pair, share in zip(pairs, shares, strict=True)
         ]
-        need = max(
-            self._costs.pair_bytes(pair.plan.n_raw) + share for pair, share in zip(pairs, shares, strict=True)
-        )
+        need = max(self._costs.pair_bytes(pair.plan.n_raw) + share for pair, share in zip(pairs, shares, strict=True))
         self._queue(_Batch(pairs, run_batch, (batches, self._costs), need=need))
 
     def _weight(self, pair: _Pair) -> float:

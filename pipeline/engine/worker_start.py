@@ -9,9 +9,9 @@ import ot
 import sklearn.decomposition
 import sknetwork.clustering
 
-from . import runner
+from . import worker
 
-__all__ = ["distributed", "ot", "runner", "sklearn", "sknetwork"]
+__all__ = ["distributed", "ot", "sklearn", "sknetwork", "worker"]
 
 
 def dask_setup(worker: Any) -> None:

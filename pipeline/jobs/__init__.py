@@ -1,1 +1,21 @@
-"""One file a stage: declared tables in, the stage's function, tables out."""
+"""The pipeline: its stages in their order. One file a stage, with what it declares and the job that makes its tables.
+
+Nothing outside this folder knows a stage by name. To add one: a table in `schemas.tables`, a settings class, a function
+in `stages`, a file here, and its row below.
+"""
+
+from __future__ import annotations
+
+from ...schemas.settings import Settings
+from ..stage import Stage
+from . import baselines, communities, graph, ground, matching, metrics, seeds, selection
+
+STAGES = (ground.STAGE, graph.STAGE, communities.STAGE, matching.STAGE, selection.STAGE, metrics.STAGE)
+
+#: What is made besides, where the settings ask for it; no stage above depends on any of it.
+EXTRAS = (baselines.STAGE, seeds.STAGE)
+
+
+def stages_under(settings: Settings) -> tuple[Stage, ...]:
+    """The stages that a run under these settings goes through."""
+    return (*STAGES, *(stage for stage in EXTRAS if stage.is_wanted is not None and stage.is_wanted(settings)))

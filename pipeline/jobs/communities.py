@@ -45,7 +45,8 @@ def make_communities(context: Context) -> Made:
     return Made({"communities": communities, "objects": described}, facts)
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
+def louvain_libraries(settings: Settings) -> tuple[str, ...]:
+    """What finds the communities under given settings."""
     return _LIBRARIES[settings.communities.backend]
 
 
@@ -57,5 +58,5 @@ STAGE = Stage(
     grain=Grain.SIDE,
     version=2,
     make=make_communities,
-    libraries=_libraries,
+    libraries=louvain_libraries,
 )

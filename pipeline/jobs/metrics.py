@@ -9,10 +9,9 @@ from ...schemas.tables import METRICS
 from ...stages.arrays import FloatArray
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
-from ..stage import Context, Facts, Grain, Made, Stage, Tables
+from ..stage import ROW, Context, Facts, Grain, Made, Stage, Tables
 from .points import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_pair, matched_rows
 
-ROW = "row"  #: the fact in which the row of `pairs` stands
 _CUT = ("peak_m", "threshold_m", "loss", "iterations", "removed_share", "tilt_deg")
 
 

@@ -10,8 +10,7 @@ import pyarrow.compute as pc
 
 from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.graph import Edges
-from ...stages.linalg.laplacian import Subgraph, split_by_community
+from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ...stages.selection import Selection
 from ..stage import Context
 

@@ -18,7 +18,8 @@ from ...schemas.columns import SIDES
 from ...stages.arrays import IntArray
 from ...stages.statistics.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
-from ..storage.store import TableFolder, key_of
+from ..storage.files import key_of
+from ..storage.tables import TableFolder
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
 _VERSION = 2

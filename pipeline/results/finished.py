@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ..storage.ledger import JobName
+from ..storage.folder import RunFolder
 from ..storage.record import read_run
-from ..storage.store import Store
+from ..storage.tables import table_name
 
 Row = dict[str, Any]
 
@@ -58,8 +58,8 @@ class FinishedRun:
                 f"run {folder}: the run has not ended, or an older fidpipe wrote it; "
                 f"finish it with: fidpipe run {self.record.get('dataset')} --out {folder}"
             )
-        self.store = Store(folder)
-        self.rows = self._read(("pairs", "", ""), "pairs.parquet")
+        self.store = RunFolder(folder)
+        self.rows = self._read("pairs.parquet")
         self._row_of = {row["pair_id"]: row for row in self.rows}
 
     @property
@@ -79,8 +79,9 @@ class FinishedRun:
 
     def check(self, pair_id: str) -> None:
         """Raises `RunError` if a table of objects or scores of a scored pair is damaged."""
-        for job, name in self._jobs(pair_id):
-            self._record(job, name)
+        for side in SIDES:
+            self._check(table_name("objects", pair_id, side))
+        self._check(table_name("metrics", pair_id))
 
     def objects(self, pair_id: str) -> PairObjects:
         """The objects of a scored pair; `RunError` if it failed or a table is damaged."""
@@ -88,29 +89,21 @@ class FinishedRun:
         if row["status"] != "scored":
             raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
         sides = {side: self.side_objects(pair_id, side) for side in SIDES}
-        matched = self._read(("metrics", pair_id, ""), self._name("metrics", pair_id))
+        matched = self._read(table_name("metrics", pair_id))
         alone = [sorted({of["community_id"] for of in sides[s]} - {of[f"{s}_id"] for of in matched}) for s in SIDES]
         return PairObjects(row, sides, matched, *alone)
 
     def side_objects(self, pair_id: str, side: str) -> list[Row]:
         """The objects of one side of a scored pair."""
-        return self._read(("communities", pair_id, side), self._name("objects", pair_id, side))
+        return self._read(table_name("objects", pair_id, side))
 
-    def _name(self, table: str, pair_id: str, side: str = "") -> str:
-        return str(self.store.path(table, pair_id, side).relative_to(self.folder))
-
-    def _jobs(self, pair_id: str) -> list[tuple[JobName, str]]:
-        """The jobs that made the objects and scores of a pair, and the table of each."""
-        sides = [(("communities", pair_id, side), self._name("objects", pair_id, side)) for side in SIDES]
-        return [*sides, (("metrics", pair_id, ""), self._name("metrics", pair_id))]
-
-    def _read(self, job: JobName, name: str) -> list[Row]:
-        self._record(job, name)
+    def _read(self, name: str) -> list[Row]:
+        self._check(name)
         rows: list[Row] = pq.read_table(self.folder / name, use_threads=False).to_pylist()
         return rows
 
-    def _record(self, job: JobName, name: str) -> None:
-        record = self.store.records.get(job)
+    def _check(self, name: str) -> None:
+        record = self.store.ledger.job_of_file(name)
         if record is None or not self.store.is_whole(record):
             raise RunError(
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "

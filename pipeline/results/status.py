@@ -1,7 +1,4 @@
-"""How far a run is: stages by pairs, done, stale, failed, to do. Reads the run and its dataset, writes nothing.
-
-Leaves to others: what makes a result stale (`plan`), showing it (`report.terminal`).
-"""
+"""How far a run is: stages by pairs, done, stale, failed, to do. Reads the run and its dataset, writes nothing."""
 
 from __future__ import annotations
 
@@ -14,20 +11,19 @@ from rich.console import Console
 from ...schemas.errors import RunError
 from ...schemas.settings import parse
 from ..datasets.pairs import read_dataset
+from ..engine.engine import Engine, Machines, current_records
+from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
-from ..engine.request import RunRequest
-from ..engine.session import Session
-from ..engine.task import PairTask
-from ..run import stages_of
+from ..jobs import stages_under
+from ..storage.folder import RunFolder
 from ..storage.record import StageSeconds, read_run
-from ..storage.store import Store
 
 STATES = ("done", "stale", "failed", "to do")
 
 
 @dataclass(frozen=True)
 class RunStatus:
-    """What was found.
+    """How far a run is.
 
     stages : by stage, how many pairs are in which state
     failures : why each failed pair failed
@@ -59,29 +55,36 @@ def run_status(folder: Path) -> RunStatus:
             f"run {folder}: was written by {made_by}, which goes on when it is run again; status is for runs"
         )
     dataset = read_dataset(Path(record["dataset"]))
-    store = Store(folder)
-    request = RunRequest(dataset.folder, folder, parse(record["settings"]))
-    in_force = stages_of(request.settings)
-    session = Session(request, in_force, dataset, dataset.pairs, store, Reporter(Console(quiet=True)))
-    session.inspect(note=False)
-    session.plan()
-    failures = {row["pair_id"]: row["reason"] for row in session.standing.rows() if row["status"] == "failed"}
-    stages: dict[str, Counter[str]] = {stage.name: Counter() for stage in in_force}
-    for pair in dataset.pairs:
-        task = session.standing.task(pair.pair_id)
-        for stage in in_force:
-            stages[stage.name][_state(store, stage.name, pair.pair_id, task, pair.pair_id in failures)] += 1
-    seconds = StageSeconds()
-    for of_job in session.standing.records():
-        seconds.add(of_job)
-    return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures, seconds.mean())
-
-
-def _state(store: Store, stage: str, pair_id: str, task: PairTask | None, failed: bool) -> str:
-    own = [job for job in task.jobs if job.stage == stage] if task else []
-    if own and all(job.stored for job in own):
-        return "done"
-    if failed:
-        return "failed"
-    is_there = any((stage, pair_id, job.side) in store.records for job in own if not job.stored)
-    return "stale" if is_there else "to do"
+    settings = parse(record["settings"])
+    stages, run_folder = stages_under(settings), RunFolder(folder)
+    ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)
+    known = set(ledger.pair_ids()) | set(ledger.failed_pairs())
+    states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
+    seconds, failures = StageSeconds(), {}
+    with Engine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
+        engine.inspect(dataset.pairs, dataset.label_names, is_noted=False)
+        for pair in dataset.pairs:
+            failure = engine.failures.get(pair.pair_id)
+            if failure is not None or pair.pair_id not in engine.contents:
+                failures[pair.pair_id] = failure or "the input cannot be used"
+                for counts in states.values():
+                    counts["failed"] += 1
+                continue
+            plan, unwanted = with_results(planner.plan(pair, engine.contents[pair.pair_id]), run_folder)
+            past = ledger.failure(pair.pair_id) if pair.pair_id in known else None
+            if past is not None and any(past["key"] == job.key for job in plan.todo):
+                failures[pair.pair_id] = str(past["reason"])
+            for stage in stages:
+                jobs = [job for job in plan.jobs if job.stage is stage]
+                if all(job.record is not None for job in jobs):
+                    state = "done"
+                elif pair.pair_id in failures:
+                    state = "failed"
+                else:
+                    is_there = any((stage.name, pair.pair_id, job.part) in unwanted for job in jobs)
+                    state = "stale" if is_there else "to do"
+                states[stage.name][state] += 1
+            for own in current_records(run_folder, [pair.pair_id], states):
+                if own.name not in unwanted:
+                    seconds.add(own)
+    return RunStatus(folder, dataset.folder, len(dataset.pairs), states, failures, seconds.mean())

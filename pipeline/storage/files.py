@@ -18,6 +18,7 @@ def write_whole(
     content: bytes | memoryview | Iterable[bytes | memoryview],
     *,
     before_rename: Callable[[], None] | None = None,
+    advice: str = "; give another file",
 ) -> None:
     """Puts a file in place of another, if any: written beside it under a dot name, flushed, renamed.
 
@@ -26,6 +27,7 @@ def write_whole(
     path : of the file; its folder is made where there is none
     content : all of it, or its parts one after the other, which then never are in memory together
     before_rename : may raise, and the file in place stays
+    advice : ends the message of the error
 
     Raises
     ------
@@ -44,7 +46,7 @@ def write_whole(
             before_rename()
         temporary.replace(path)
     except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror}); give another file") from error
+        raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -1,4 +1,4 @@
-"""A run's folder as the command sees it: its lock, its ledger, which results are whole, and what nobody accounts for."""
+"""A run's folder as the command sees it: its lock, its ledger, which results are whole, and which are nobody's."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The record of a run: what it was made with, from and on, and how long each step took.
-
-Leaves to others: the results themselves (`store`).
-"""
+"""The record of a run: what it was made with, from and on, and how long each step took."""
 
 from __future__ import annotations
 
@@ -9,17 +6,18 @@ import json
 import os
 import platform
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from ... import __version__
 from ...schemas.columns import OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...stages.summary import summarise_dataset
-from ..engine.plan import Stage, library_versions
-from .ledger import JobName, JobRecord
+from .files import write_whole
+from .tables import JobRecord
 
 RUN_JSON = "run.json"
 SETTINGS_TOML = "settings.toml"
@@ -45,6 +43,16 @@ LIBRARIES = (
 DATASET_VALUES = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
+def library_versions(names: Iterable[str]) -> dict[str, str]:
+    """Installed versions by distribution name."""
+    return {name: _version(name) for name in names}
+
+
+@cache
+def _version(name: str) -> str:
+    return version(name)
+
+
 def read_run(folder: Path) -> dict[str, Any]:
     """The record of a run; {} where there is none yet."""
     try:
@@ -52,6 +60,11 @@ def read_run(folder: Path) -> dict[str, Any]:
     except (FileNotFoundError, ValueError):
         return {}
     return record
+
+
+def write_record(folder: Path, record: Mapping[str, Any], before_rename: Callable[[], None] | None = None) -> None:
+    """Writes `run.json`, piece by piece: the record of a run has some lines for each pair."""
+    write_whole(folder / RUN_JSON, json_parts(record), before_rename=before_rename)
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:
@@ -66,15 +79,20 @@ def json_parts(record: Mapping[str, Any]) -> Iterator[bytes]:
     yield b"\n"
 
 
-def run_header(dataset: Path, settings: Settings, stages: Iterable[Stage]) -> dict[str, Any]:
-    """What `run.json` holds from the start of a run: what it is made from and with."""
+def run_header(dataset: Path, settings: Settings, stages: Mapping[str, int]) -> dict[str, Any]:
+    """What `run.json` holds from the start of a run: what it is made from and with.
+
+    Parameters
+    ----------
+    stages : code version by stage
+    """
     return {
-        "fidpipe": __version__,
+        "fidpipe": _version("fidpipe"),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "dataset": str(dataset.resolve()),
         "settings": settings.model_dump(mode="json"),
         "seed": settings.communities.seed,
-        "stages": {stage.name: stage.version for stage in stages},
+        "stages": dict(stages),
         "libraries": library_versions(LIBRARIES),
         "machine": {
             "python": platform.python_version(),
@@ -145,12 +163,6 @@ class StageSeconds:
             total[step] = total.get(step, 0.0) + seconds
             of_pair[record.stage] += seconds
 
-    def count(self, records: Iterable[JobRecord]) -> Iterator[JobRecord]:
-        """The same records, each counted as it passes."""
-        for record in records:
-            self.add(record)
-            yield record
-
     def mean(self) -> dict[str, dict[str, float]]:
         """By stage and step, the mean over the pairs that have the stage."""
         n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
@@ -162,21 +174,20 @@ class StageSeconds:
         return {"mean": self.mean(), "pairs": dict(sorted(of_pair.items()))}
 
 
-def timing_rows(records: Iterable[JobRecord], made_now: Container[JobName]) -> Iterator[dict[str, Any]]:
-    """Rows of `timings` from the finished jobs; those not made now are reused."""
-    for record in records:
-        for step, seconds in record.steps:
-            yield {
-                "pair_id": record.pair_id,
-                "side": record.side or None,
-                "stage": record.stage,
-                "step": step,
-                "seconds": seconds,
-                "reused": record.name not in made_now,
-            }
+def timing_rows(record: JobRecord, run_token: str) -> Iterator[dict[str, Any]]:
+    """Rows of `timings` of a finished job; one that this run did not make is reused."""
+    for step, seconds in record.steps:
+        yield {
+            "pair_id": record.pair_id,
+            "side": record.part or None,
+            "stage": record.stage,
+            "step": step,
+            "seconds": seconds,
+            "reused": record.made_by != run_token,
+        }
 
 
-def what_changed(before: Mapping[str, Any], settings: Settings, stages: Iterable[Stage]) -> list[str]:
+def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]) -> list[str]:
     """In words, what is other than in the record of the last run: settings, library versions, stage code."""
     if not before:
         return []
@@ -192,9 +203,9 @@ def what_changed(before: Mapping[str, Any], settings: Settings, stages: Iterable
     for name, found in library_versions(before["libraries"]).items():
         if found != before["libraries"][name]:
             changes.append(f"{name} was {before['libraries'][name]}, is {found}")
-    for stage in stages:
-        if before["stages"].get(stage.name, stage.version) != stage.version:
-            changes.append(f"code of stage {stage.name} is new")
+    changes += [
+        f"code of stage {stage} is new" for stage, own in stages.items() if before["stages"].get(stage, own) != own
+    ]
     return changes
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -151,17 +152,19 @@ class TableFolder:
             for table, name in names.items()
         }
 
-    def write_at(self, path: Path, table: str, rows: pa.Table, key: str, job: str | None = None) -> StoredFile:
+    def write_at(
+        self, path: Path, table: str, rows: pa.Table | Iterable[pa.Table], key: str, job: str | None = None
+    ) -> StoredFile:
         """Writes a table to a path of this run, whole or not at all.
 
         Parameters
         ----------
-        rows : checked against the table's schema
+        rows : checked against the table's schema; or parts of them, in their order
         key : of the result, for the footer
         job : the job as JSON, for the footer; None for a table of the whole run
         """
         schema = TABLES[table]
-        rows = schema.check(rows)
+        parts = [rows] if isinstance(rows, pa.Table) else rows
         own = {"fidpipe.table": table, "fidpipe.schema_version": str(schema.version), "fidpipe.key": key}
         if job is not None:
             own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
@@ -169,7 +172,7 @@ class TableFolder:
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(
             sink,
-            rows.schema,
+            schema.schema,
             compression="zstd",
             use_dictionary=words,
             write_statistics=words,  # of numbers they cost a quarter of the time, and a file has one pair
@@ -177,10 +180,11 @@ class TableFolder:
             store_schema=False,  # so that a dictionary is read as the strings it stands for
             write_page_checksum=True,  # a file that the ledger does not know is judged by them
         ) as writer:
-            writer.write_table(rows)
+            for part in parts:
+                writer.write_table(schema.check(part))
             writer.add_key_value_metadata(own)
         content = memoryview(sink.getvalue())
-        write_whole(path, content, before_rename=self._check_token)
+        write_whole(path, content, before_rename=self.check_token, advice="")
         status = path.stat()
         return StoredFile(status.st_size, hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
 
@@ -200,7 +204,8 @@ class TableFolder:
         rows = pq.read_table(pa.BufferReader(content), columns=columns, read_dictionary=dictionaries, use_threads=False)
         return rows if columns is not None else schema.check(rows.cast(schema.schema))
 
-    def _check_token(self) -> None:
+    def check_token(self) -> None:
+        """Raises `RunError` where another run has taken over the folder."""
         try:
             token = self.token_path.read_text()
         except FileNotFoundError:

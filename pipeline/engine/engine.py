@@ -1,0 +1,340 @@
+"""One engine for runs and experiments: inspects files, plans, removes what is out of date, has jobs made, collects.
+
+A run and an experiment only say which pairs, stages and parts they want.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from types import TracebackType
+
+from ...schemas.columns import SIDES
+from ...schemas.settings import Settings
+from ..datasets.pairs import ScanPair
+from ..datasets.scan_checks import ScanContent, ScanFacts, input_name, inspect_pairs, pair_warnings, recall_scan
+from ..stage import Stage
+from ..storage.folder import RunFolder
+from ..storage.record import LIBRARIES, library_versions
+from ..storage.tables import JobName, JobRecord
+from .cluster import start_pool
+from .plan import PairPlan, with_results
+from .pool import InProcess, Pool
+from .progress import Reporter, Work, seconds_of
+from .schedule import Policy, Schedule
+from .worker import BatchResult, JobFailure, failures_in_words
+
+_FEW_PAIRS = 16  # whose files are read in this process
+_MOST_PAIRS_PER_BATCH = 32
+_LEAST_BATCHES = 8
+
+PlanPair = Callable[[ScanPair], PairPlan]
+
+
+@dataclass(frozen=True)
+class Machines:
+    """Where work is done; no result depends on it.
+
+    workers : processes on this machine; None for one a core; 1 for none besides this one
+    scheduler : address of a dask scheduler, instead of a cluster on this machine
+    pool : to be used instead of either; it is not closed
+    policy : how work is cut into batches
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    pool: Pool | None = None
+    policy: Policy = field(default_factory=Policy)
+
+
+@dataclass
+class Survey:
+    """What there is and what is wanted.
+
+    usable : pairs whose files can be read
+    todo : those of them that are wanted and have jobs to be made
+    unwanted : finished jobs whose results are not wanted, each with the reason
+    n_jobs, n_done : jobs by stage, of the pairs in `todo`
+    seconds : of their work that is known, roughly
+    """
+
+    usable: list[ScanPair] = field(default_factory=list)
+    todo: list[ScanPair] = field(default_factory=list)
+    unwanted: dict[JobName, str] = field(default_factory=dict)
+    n_jobs: Counter[str] = field(default_factory=Counter)
+    n_done: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0
+
+
+class Engine(AbstractContextManager["Engine"]):
+    """Makes the jobs of pairs in a run's folder; used as a context, at whose end the pool is ended.
+
+    Parameters
+    ----------
+    folder : of the run; locked where anything is to be made
+    settings : in force
+    machines : where work is done
+    reporter : told how it goes on
+    modules : names of those that the jobs are in
+
+    Attributes
+    ----------
+    contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
+    failures : why something came to nothing: by pair_id, or "pair_id, part" for a part of an experiment
+    n_made : jobs that were made
+    """
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        settings: Settings,
+        machines: Machines,
+        reporter: Reporter,
+        modules: Iterable[str] = (),
+    ) -> None:
+        self.folder, self.settings, self.reporter = folder, settings, reporter
+        self.contents: dict[str, dict[str, ScanContent]] = {}
+        self.failures: dict[str, str] = {}
+        self.n_made = 0
+        self._machines, self._modules = machines, tuple(modules)
+        self._traces: set[str] = set()
+        self._pool: Pool | None = machines.pool
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Ends the pool, whatever it is doing."""
+        if self._pool is not None and self._pool is not self._machines.pool:
+            self._pool.close(now=True)
+
+    @property
+    def pool(self) -> Pool:
+        """Where batches run; started when first needed."""
+        if self._pool is None:
+            self._pool = start_pool(
+                self._machines.workers,
+                self._machines.scheduler,
+                self.settings.machine.memory_gib,
+                self.folder.token_path,
+                library_versions(LIBRARIES),
+                self._modules,
+            )
+        return self._pool
+
+    @property
+    def n_workers(self) -> int:
+        """Workers of the pool; 0 where none was needed."""
+        return 0 if self._pool is None else self._pool.n_workers
+
+    def inspect(
+        self,
+        pairs: Sequence[ScanPair],
+        label_names: dict[int, str],
+        *,
+        sides: Sequence[str] = SIDES,
+        is_noted: bool = True,
+    ) -> None:
+        """Reads every file that is not known yet, once, and names every fault.
+
+        Parameters
+        ----------
+        pairs : whose files are wanted
+        label_names : class names by number
+        sides : a pair can be used if these sides of it can be read
+        is_noted : whether the ledger remembers what was learnt
+        """
+        unknown = []
+        for pair in pairs:
+            facts = self._recall(pair, sides)
+            if facts is None:
+                unknown.append(pair)
+            else:
+                self._judge(pair, facts, sides, is_noted)
+        pool = self.pool if len(unknown) > _FEW_PAIRS else InProcess()
+        n = max(1, min(_MOST_PAIRS_PER_BATCH, len(unknown) // _LEAST_BATCHES))
+        parts = [unknown[i : i + n] for i in range(0, len(unknown), n)]
+        handles = {pool.submit(inspect_pairs, part, self.settings.input, label_names): part for part in parts}
+        known: dict[str, dict[str, ScanFacts]] = {}
+        while handles:
+            handle, read = pool.next_done()
+            for pair, facts in zip(handles.pop(handle), read, strict=True):
+                for side, scan in facts.items() if is_noted else ():
+                    self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
+                known[pair.pair_id] = facts
+        for pair in unknown:  # in their order, whichever was read first
+            self._judge(pair, known[pair.pair_id], sides, is_noted)
+
+    def survey(
+        self,
+        pairs: Iterable[ScanPair],
+        plan_pair: PlanPair,
+        *,
+        selected: set[str],
+        redo: frozenset[str] = frozenset(),
+        exhaustive: frozenset[str] = frozenset(),
+    ) -> Survey:
+        """Compares what is there with what is wanted; `inspect` comes before.
+
+        Parameters
+        ----------
+        pairs : all pairs that may have results
+        plan_pair : gives the jobs that are wanted of a pair
+        selected : names of the pairs that are to be worked on
+        redo, exhaustive : see `with_results`; `redo` counts for the selected pairs
+        """
+        survey, names = Survey(), set()
+        for pair in pairs:
+            names.add(pair.pair_id)
+            if pair.pair_id not in self.contents or pair.pair_id in self.failures:
+                continue
+            survey.usable.append(pair)
+            is_selected = pair.pair_id in selected
+            plan, unwanted = with_results(
+                plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive
+            )
+            survey.unwanted |= unwanted
+            if is_selected and plan.todo:
+                survey.todo.append(pair)
+                for job in plan.jobs:
+                    survey.n_jobs[job.stage.name] += 1
+                    survey.n_done[job.stage.name] += job.record is not None
+                sides_s, parts_s = seconds_of(plan, self._machines.policy.costs)
+                survey.seconds += sides_s + sum(parts_s.values())
+        for pair_id in list(self.folder.ledger.pair_ids()):
+            reason = "the input cannot be used" if pair_id in self.failures else "no longer in the dataset"
+            if pair_id not in names or pair_id in self.failures:
+                for record in self.folder.ledger.jobs(pair_id).values():
+                    survey.unwanted[record.name] = reason
+        return survey
+
+    def replace(self, survey: Survey, changes: Sequence[str] = (), stages: Sequence[str] = ()) -> None:
+        """Says what will be replaced or removed and why, and removes it.
+
+        Parameters
+        ----------
+        survey : what is there
+        changes : what has changed since the last time, in words
+        stages : in their order
+        """
+        for reason, names in _by_reason(survey.unwanted).items():
+            count = Counter(stage for stage, _, _ in names)
+            listed = ", ".join(stage for stage in dict.fromkeys((*stages, *count)) if stage in count)
+            n_pairs = len({pair_id for _, pair_id, _ in names})
+            why = f"{reason} ({'; '.join(changes) or 'the input files changed'})" if reason == "out of date" else reason
+            self.reporter.say(f"replacing {listed} of {n_pairs} pair{'s' * (n_pairs > 1)}: {why}")
+            for stage, pair_id, part in names:
+                record = self.folder.ledger.jobs(pair_id).get((stage, part))
+                if record is not None:
+                    self.folder.forget(record)
+        survey.unwanted.clear()
+        if n_strays := self.folder.remove_strays():
+            self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
+        self.folder.ledger.commit()
+
+    def make(self, survey: Survey, plan_pair: PlanPair) -> None:
+        """Makes the jobs that are not there, of the pairs that are to be worked on."""
+        if not survey.todo:
+            return
+        pool = self.pool
+        counts = {stage: (n, survey.n_done[stage]) for stage, n in survey.n_jobs.items()}
+        costs = self._machines.policy.costs
+        self.reporter.start(Work(len(survey.todo), survey.seconds, counts, costs))
+        plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
+        try:
+            Schedule(pool, plans, len(survey.todo), self, self._machines.policy).run()
+        finally:
+            self.reporter.stop()
+            self.folder.ledger.commit()
+        if self.failures:
+            self.folder.remove_strays()  # what a worker wrote before it died
+
+    def fail(self, name: str, reason: str) -> None:
+        """Something came to nothing, by pair_id or "pair_id, part"."""
+        self.failures[name] = reason
+        self.reporter.fail(f"pair {name}", reason)
+
+    def pair_begun(self, plan: PairPlan) -> None:
+        """See `Watcher`."""
+        self.reporter.pair_begun(plan)
+
+    def batch_done(self, result: BatchResult) -> None:
+        """See `Watcher`: the ledger learns of the finished jobs."""
+        for record in result.records:
+            self.folder.ledger.put_job(record)
+        self.n_made += len(result.records)
+        self.reporter.batch_done(result)
+
+    def objects_done(self, pair_id: str, n_keep: tuple[int, ...]) -> None:
+        """See `Watcher`."""
+        self.reporter.objects_done(pair_id, n_keep)
+
+    def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
+        """See `Watcher`: the ledger learns why a pair failed."""
+        self.reporter.pair_done(plan, failures)
+        of_parts = [failure for failure in failures if failure.part not in plan.job(_name(failure)).stage.parts]
+        for failure in of_parts:
+            self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
+        own = [failure for failure in failures if failure not in of_parts]
+        if own:
+            self.fail(plan.pair_id, failures_in_words(own))
+            facts = {"key": plan.job(_name(own[0])).key, "reason": self.failures[plan.pair_id]}
+            self.folder.ledger.put_failure(plan.pair_id, facts)
+        else:
+            self.folder.ledger.drop_failure(plan.pair_id)
+        for trace in [failure.trace for failure in failures if failure.trace]:
+            if trace not in self._traces:
+                self._traces.add(trace)
+                self.reporter.say(trace)
+
+    def _recall(self, pair: ScanPair, sides: Sequence[str]) -> dict[str, ScanFacts] | None:
+        """What a pair's files hold, if it is known from the last time and still so."""
+        facts = {}
+        for side in sides:
+            if pair.path(side) is None:
+                continue
+            scan = recall_scan(self.folder.ledger.input, pair, side, self.settings.input)
+            if scan is None:
+                return None
+            facts[side] = scan
+        return facts
+
+    def _judge(self, pair: ScanPair, facts: Mapping[str, ScanFacts], sides: Sequence[str], is_noted: bool) -> None:
+        """Keeps what is needed of a pair's files, and says what is wrong with them."""
+        facts = {side: scan for side, scan in facts.items() if side in sides}
+        faults = [scan.fault for scan in facts.values() if scan.fault]
+        if not faults:
+            self.contents[pair.pair_id] = {side: scan.content for side, scan in facts.items()}
+        lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
+        if fault := (pair.fault if lacks_scan else None) or "; ".join(faults):
+            self.fail(pair.pair_id, fault)
+            if is_noted:
+                self.folder.ledger.put_failure(pair.pair_id, {"key": "input", "reason": fault})
+        for text in pair_warnings(pair, dict(facts)):
+            self.reporter.warn(f"pair {pair.pair_id}: {text}")
+
+
+def current_records(folder: RunFolder, pair_ids: Iterable[str], stages: Iterable[str]) -> Iterator[JobRecord]:
+    """The finished jobs of some stages, pair by pair."""
+    wanted = set(stages)
+    for pair_id in pair_ids:
+        for record in folder.ledger.jobs(pair_id).values():
+            if record.stage in wanted:
+                yield record
+
+
+def modules_of(stages: Iterable[Stage]) -> tuple[str, ...]:
+    """The modules that the jobs of some stages are in, by name."""
+    return tuple(dict.fromkeys(stage.make.__module__ for stage in stages))
+
+
+def _by_reason(unwanted: Mapping[JobName, str]) -> dict[str, list[JobName]]:
+    reasons: dict[str, list[JobName]] = {}
+    for name, reason in unwanted.items():
+        reasons.setdefault(reason, []).append(name)
+    return reasons
+
+
+def _name(failure: JobFailure) -> tuple[str, str]:
+    return failure.stage, failure.part
