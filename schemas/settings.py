@@ -9,11 +9,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from .errors import SettingsError
+from .metrics import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
 
@@ -122,11 +123,10 @@ class SelectionSettings(_Group):
     t: Annotated[float, Field(gt=0, le=100, description="diffusion time of the heat kernel")] = 1.0
 
 
-#: The baselines in the order in which they are computed and shown.
-BaselineName = Literal[
-    "chamfer", "hausdorff", "f_score", "dcd", "emd", "sliced_wasserstein", "histogram", "icp", "netlsd", "r_h"
-]
-BASELINE_NAMES: tuple[BaselineName, ...] = get_args(BaselineName)
+if TYPE_CHECKING:
+    BaselineName = str
+else:
+    BaselineName = Literal[BASELINE_NAMES]  # one of the catalogue's; a type checker cannot know them
 
 
 class MetricsSettings(_Group):

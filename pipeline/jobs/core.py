@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ...schemas.columns import OBJECT_METRICS, SIDES
+from ...schemas.columns import SIDES
+from ...schemas.metrics import OBJECT_METRICS
 from ...schemas.tables import COMMUNITIES, GRAPH, GROUND, MATCHING, METRICS, OBJECTS, SELECTION
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan

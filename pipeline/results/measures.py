@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.columns import OBJECT_METRICS, SIDES
+from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, SettingsError
+from ...schemas.metrics import OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ... import __version__
-from ...schemas.columns import OBJECT_METRICS
+from ...schemas.metrics import OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...stages.summary import summarise_dataset
 from ..engine.plan import Stage, library_versions

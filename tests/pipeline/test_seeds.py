@@ -13,8 +13,9 @@ from fidpipe.pipeline.engine import schedule
 from fidpipe.pipeline.report.terminal.seeds import seeds_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
+from fidpipe.schemas.metrics import SEEDED_SCORES
 from fidpipe.schemas.settings import load
-from fidpipe.schemas.tables import SEEDED_SCORES, SEEDS
+from fidpipe.schemas.tables import SEEDS
 from runs import assert_same_tables, changed_files, command, marks, run, run_twice
 from scenes import write_dataset
 

@@ -3,7 +3,8 @@ import pytest
 from scipy.spatial.distance import pdist
 
 import fidpipe.stages.baselines.icp
-from fidpipe.schemas.settings import BASELINE_NAMES, GraphSettings, MetricsSettings, SelectionSettings
+from fidpipe.schemas.metrics import BASELINE_NAMES
+from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
 from fidpipe.stages.baselines import compare_objects, compare_points
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from ....schemas.columns import OBJECT_METRICS, SIDES
+from ....schemas.columns import SIDES
 from ....schemas.experiment_tables import ABLATE
+from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
 from ....stages.linalg.laplacian import Subgraph
 from ....stages.matching import match_communities

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ....schemas.columns import OBJECT_METRICS
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
+from ....schemas.metrics import OBJECT_METRICS
 from ....stages.arrays import FloatArray, IntArray
 from ....stages.baselines import compare_objects
 from ....stages.ground import MIN_OBJECT_POINTS
