@@ -1,7 +1,4 @@
-"""Scores a matched object: how far its geometry and its structure have drifted.
-
-Leaves to others: which nodes are compared (`selection`), what the scores of many objects say together.
-"""
+"""Scores a matched object: how far its geometry and its structure have drifted."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def show(
         typer.Argument(metavar="[OBJECT]", help="Object of the pair: 7 of the real side, sim:7 of the simulated one."),
     ] = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="The paper's claims beside what is found here, a line each.")
+        bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")] = False,
 ) -> None:
@@ -42,23 +42,22 @@ def show(
     from ..report.terminal.findings import claims_view
     from ..report.terminal.run import summary_view
     from ..report.terminal.show import object_view, pair_view
-    from ..results.finished import FinishedRun
-    from ..results.show import object_facts, pair_facts, run_facts
+    from ..results.finished import FinishedRun, object_facts, pair_facts, run_facts
 
     if paper and pair is not None:
         raise typer.BadParameter("--paper is about the whole run; leave out the pair")
     finished = FinishedRun(run)
     if paper:
-        claims = finished.record["findings"].get("claims", [])
-        print_json(claims) if as_json else print_view(claims_view(claims))
+        claims = finished.record.claims
+        print_json([claim.as_dict() for claim in claims]) if as_json else print_view(claims_view(claims))
     elif pair is None:
         print_json(run_facts(finished)) if as_json else print_view(summary_view(run, finished.rows, finished.record))
     elif object_ is None:
-        found = pair_facts(finished, pair)
-        print_json(found) if as_json else print_view(pair_view(found))
+        of_pair = pair_facts(finished, pair)
+        print_json(of_pair.as_dict()) if as_json else print_view(pair_view(of_pair))
     else:
-        found = object_facts(finished, pair, object_)
-        print_json(found) if as_json else print_view(object_view(found))
+        of_object = object_facts(finished, pair, object_)
+        print_json({"pair_id": pair, **of_object.as_dict()}) if as_json else print_view(object_view(pair, of_object))
 
 
 def gate(

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from time import perf_counter
 from typing import Any
 
+from ...schemas.results import Findings
 from ...schemas.settings import to_toml
 from ...schemas.tables import PAIRS, TIMINGS
 from ..datasets.pairs import Dataset, ScanPair
@@ -177,9 +178,9 @@ class Session:
         failed_extras = {pair_id: reason for pair_id, reason in self.failures.items() if pair_id in scored_ids}
         return RunOutcome(self.request.out, pairs, record, len(self.made), n_reused, failed_extras)
 
-    def _findings(self, scored: list[dict[str, Any]], key: str) -> dict[str, Any]:
+    def _findings(self, scored: list[dict[str, Any]], key: str) -> Findings | None:
         times = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
-        before = self.before.get("findings", {})
+        before = Findings.recorded(self.before.get("findings"))
         return run_findings(self.store, [row["pair_id"] for row in scored], times, summarise_pairs(scored), key, before)
 
     def close(self) -> None:

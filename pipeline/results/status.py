@@ -1,7 +1,4 @@
-"""How far a run is: stages by pairs, done, stale, failed, to do. Reads the run and its dataset, writes nothing.
-
-Leaves to others: what makes a result stale (`plan`), showing it (`report.terminal`).
-"""
+"""How far a run is: stages by pairs, done, stale, failed, to do. Reads the run and its dataset, writes nothing."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ STATES = ("done", "stale", "failed", "to do")
 
 @dataclass(frozen=True)
 class RunStatus:
-    """What was found.
+    """How far a run is.
 
     stages : by stage, how many pairs are in which state
     failures : why each failed pair failed
@@ -72,8 +69,8 @@ def run_status(folder: Path) -> RunStatus:
         for stage in in_force:
             stages[stage.name][_state(store, stage.name, pair.pair_id, task, pair.pair_id in failures)] += 1
     seconds = StageSeconds()
-    for of_job in session.standing.records():
-        seconds.add(of_job)
+    for job in session.standing.records():
+        seconds.add(job)
     return RunStatus(folder, dataset.folder, len(dataset.pairs), stages, failures, seconds.mean())
 
 
