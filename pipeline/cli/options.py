@@ -17,9 +17,12 @@ Assignments = Annotated[
 DatasetFolder = Annotated[
     Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
 ]
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one a core"),
+    typer.Option(
+        "--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one per core"
+    ),
 ]
 Scheduler = Annotated[
     str | None,

@@ -54,11 +54,9 @@ def remarks(comparison: Comparison) -> list[str]:
     lines += [f"left out: pair {name}: {why}" for name, why in list(comparison.left_out.items())[:5]]
     if len(comparison.left_out) > 5:
         lines.append(f"left out: {len(comparison.left_out) - 5} more pairs")
-    by_name = {score.name: score for score in comparison.scores}
-    if (
-        by_name[METRIC["r_lambda"].label].verdict == "better"
-        and by_name[METRIC["alignment_rms_m"].label].verdict == "worse"
-    ):
+    verdicts = {score.name: score.verdict for score in comparison.scores}
+    r_lambda, alignment = (verdicts[METRIC[name].label] for name in ("r_lambda", "alignment_rms_m"))
+    if r_lambda == "better" and alignment == "worse":
         lines.append("r_lambda fell while the alignment got worse: a bad alignment alone lowers r_lambda")
     return lines
 
@@ -121,10 +119,7 @@ def _objects(kind: str, objects: list[ObjectChange]) -> Table:
             str(change.real_id),
             number(change.range_m, 1),
             str(change.n_points),
-            *(
-                number(value)
-                for value in (change.cdc_before, change.cdc_after, change.r_lambda_before, change.r_lambda_after)
-            ),
+            *(number(getattr(change, f"{name}_{when}")) for name in SHARED_SCORES for when in ("before", "after")),
         )
     return table
 

@@ -53,13 +53,10 @@ def junit_xml(result: GateResult) -> bytes:
 
 
 def _told(judged: Judged) -> str:
-    found = (
-        judged.why
-        if judged.value is None
-        else f"{judged.criterion.measure} is {_value(judged)}, wanted {_bound(judged)}"
-    )
-    about = f"{judged.criterion.name}: {found}"
-    return f"{about} ({judged.criterion.reason})" if judged.criterion.reason else about
+    criterion = judged.criterion
+    told = judged.why if judged.value is None else f"{criterion.measure} is {_value(judged)}, wanted {_bound(judged)}"
+    about = f"{criterion.name}: {told}"
+    return f"{about} ({criterion.reason})" if criterion.reason else about
 
 
 def _value(judged: Judged) -> str:

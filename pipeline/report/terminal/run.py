@@ -1,4 +1,4 @@
-"""What the terminal shows of a dataset and of a run: rich renderables, printed by the command alone."""
+"""What the terminal shows of a run at its end: its pairs, its scores, its findings; printed by the command alone."""
 
 from __future__ import annotations
 
@@ -9,17 +9,14 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ....schemas.columns import SIDES, Row
+from ....schemas.columns import Row
 from ....schemas.metrics import HEADLINE_SCORES, metric_of
 from ....schemas.results import RunRecord, ScoreSummary
-from ...datasets.check import DatasetCheck
 from ...engine.request import RunOutcome
-from ...results.status import STATES, RunStatus
 from .baselines import baselines_view
 from .findings import claims_line, findings_view
 from .layout import narrow, number, plain_table
 from .seeds import seeds_view
-from .timings import timing_view
 
 _MOST_PAIRS = 20
 
@@ -57,40 +54,6 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
         if len(failures) > _MOST_PAIRS:
             parts.append(Text(f"  and {len(failures) - _MOST_PAIRS} more, see pairs.parquet"))
     return Group(*parts)
-
-
-def check_view(found: DatasetCheck) -> RenderableType:
-    """The pairs of a dataset with points, extents and dropped points, then warnings and faults."""
-    table = plain_table(f"{found.folder}: {len(found.pairs)} pairs")
-    for heading in ("pair", "side", "points", "clean", "extent x y z (m)", "dropped"):
-        table.add_column(heading, justify="right" if heading in ("points", "clean") else "left", overflow="fold")
-    for pair, sides in found.pairs:
-        for side in SIDES:
-            facts = sides.get(side)
-            name = Text(pair.pair_id if side == "real" else "")
-            if facts is None or facts.fault:
-                table.add_row(name, side, "-", "-", "", Text("cannot be used" if facts else "missing", style="red"))
-                continue
-            extent = "  ".join(f"{high - low:.1f}" for low, high in zip(facts.low, facts.high, strict=True))
-            dropped = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in facts.dropped.items() if n)
-            table.add_row(name, side, f"{facts.n_raw}", f"{facts.n_clean}", extent, dropped or "none")
-    lines = [Text(f"warning: {text}", style="yellow") for text in found.warnings]
-    lines += [Text(f"fault: {text}", style="red") for text in found.faults]
-    n_faulty = len({text.split(":")[0] for text in found.faults})
-    verdict = f"{len(found.pairs) - n_faulty} of {len(found.pairs)} pairs can be evaluated"
-    return Group(table, *lines, Text(verdict, style="red" if found.faults else "green"))
-
-
-def status_view(status: RunStatus) -> RenderableType:
-    """Stages by pairs."""
-    table = plain_table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}")
-    table.add_column("stage")
-    for state in STATES:
-        table.add_column(state, justify="right")
-    for stage, counts in status.stages.items():
-        table.add_row(stage, *(str(counts[state]) if counts[state] else "-" for state in STATES))
-    failures = [Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()]
-    return Group(table, *([timing_view(status.mean_seconds)] if status.mean_seconds else []), *failures)
 
 
 def _pairs_table(rows: Sequence[Row]) -> Table:

@@ -1,13 +1,27 @@
-"""Where the time of a pair goes, step by step, beside the paper's figures."""
+"""How far a run is in the terminal: stages by pairs, and where the time goes beside the paper's figures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from rich.console import Group, RenderableType
+from rich.text import Text
 
 from ....schemas.paper import TIMINGS
+from ...results.status import STATES, RunStatus
 from .layout import number, plain_table
+
+
+def status_view(status: RunStatus) -> RenderableType:
+    """Stages by pairs."""
+    table = plain_table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}")
+    table.add_column("stage")
+    for state in STATES:
+        table.add_column(state, justify="right")
+    for stage, counts in status.stages.items():
+        table.add_row(stage, *(str(counts[state]) if counts[state] else "-" for state in STATES))
+    failures = [Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()]
+    return Group(table, *([timing_view(status.mean_seconds)] if status.mean_seconds else []), *failures)
 
 
 def timing_view(mean: Mapping[str, Mapping[str, float]]) -> RenderableType:
