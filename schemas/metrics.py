@@ -354,3 +354,15 @@ def metric_of(column: str) -> Metric:
 def labels(columns: tuple[str, ...]) -> list[str]:
     """The headings of columns, each with its unit."""
     return [metric_of(column).label for column in columns]
+
+
+def to_markdown() -> str:
+    """A table of our own scores for people: name, column, range, best, the paper's mean, and what it is."""
+    rows = ["| score | column | range | better | paper | what |", "|---|---|---|---|---|---|"]
+    for metric in (METRIC["match_rate"], *OBJECT_SCORES):
+        high = "" if metric.high is None else f" to {metric.high:g}"
+        values = f"{metric.low:g}{high or ' and more'}" if metric.low is not None else "any"
+        paper = "" if metric.paper is None else f"{metric.paper}"
+        cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows) + "\n"

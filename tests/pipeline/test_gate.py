@@ -46,7 +46,7 @@ def judged(folder, *words):
 
 
 def test_measures_are_the_numbers_of_the_tables(finished):
-    of = Measures(FinishedRun(finished)).of
+    of = Measures(FinishedRun(finished)).named
     pairs = pd.read_parquet(finished / "pairs.parquet")
     metrics = pd.read_parquet(finished / "metrics")
     objects = pd.read_parquet(finished / "objects")
