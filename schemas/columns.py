@@ -1,11 +1,8 @@
-"""What a table is: named columns of fixed type, nullability, unit and meaning, and the columns that sort its rows.
-
-Leaves to others: which tables there are (`tables`, `experiment_tables`).
-"""
+"""What a table is: named columns of fixed type, nullability, unit and meaning, and the columns that sort its rows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -13,20 +10,16 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from .metrics import Metric
+
 SIDES = ("real", "sim")
+#: A row of a table, by column; the table says which columns there are and of which type.
+Row = dict[str, Any]
 _ROWS_AT_ONCE = 5000
 
-#: The object metrics whose mean and standard deviation stand in `pairs`, in that order.
-OBJECT_METRICS = (
-    "centroid_distance_m",
-    "cdc",
-    "r_lambda",
-    "r_gap",
-    "max_eigenvalue_shift",
-    "laplacian_change",
-    "eigenspectrum_distance",
-    "alignment_rms_m",
-)
+STRING, INT32, FLOAT64, BOOL = pa.string(), pa.int32(), pa.float64(), pa.bool_()
+#: Strings that are the same in all rows of a file: in memory a dictionary, in Parquet plain strings.
+CONSTANT = pa.dictionary(INT32, STRING)
 
 
 @dataclass(frozen=True)
@@ -50,7 +43,7 @@ class Table:
             raise ValueError(f"table {self.name}: columns {table.schema.names} found, {self.schema.names} wanted")
         for field in self.schema:
             column = table.column(field.name)
-            if column.type != field.type and not (field.type == SAME and column.type == pa.string()):
+            if column.type != field.type and not (field.type == CONSTANT and column.type == pa.string()):
                 raise ValueError(f"table {self.name}, column {field.name}: {column.type} found, {field.type} wanted")
             if not field.nullable and column.null_count:
                 raise ValueError(
@@ -58,7 +51,7 @@ class Table:
                 )
         return table
 
-    def build(self, columns: dict[str, Any], n_rows: int | None = None) -> pa.Table:
+    def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
         """A checked table from arrays; a single string, number or None fills its column for `n_rows` rows."""
         if n_rows is None:
             n_rows = next(len(value) for value in columns.values() if _is_column(value))
@@ -67,7 +60,7 @@ class Table:
             value = columns[field.name]
             if _is_column(value):
                 arrays.append(pa.array(value, type=field.type, from_pandas=False))
-            elif field.type == SAME:
+            elif field.type == CONSTANT:
                 arrays.append(pa.DictionaryArray.from_arrays(np.zeros(n_rows, dtype=np.int32), pa.array([value])))
             else:
                 arrays.append(pa.repeat(pa.scalar(value, type=field.type), n_rows))
@@ -76,14 +69,14 @@ class Table:
     @property
     def same(self) -> list[str]:
         """The columns that are dictionaries in memory."""
-        return [field.name for field in self.schema if field.type == SAME]
+        return [field.name for field in self.schema if field.type == CONSTANT]
 
     def plain(self, table: pa.Table) -> pa.Table:
         """The table with plain strings in place of dictionaries."""
-        plain = [field.with_type(pa.string()) if field.type == SAME else field for field in table.schema]
+        plain = [field.with_type(pa.string()) if field.type == CONSTANT else field for field in table.schema]
         return table.cast(pa.schema(plain))
 
-    def from_rows(self, rows: Iterable[dict[str, Any]]) -> pa.Table:
+    def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """A checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
         left = iter(rows)
         parts = [self.schema.empty_table()]
@@ -105,12 +98,15 @@ def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional:
     return pa.field(name, kind, nullable=optional, metadata=metadata)
 
 
-STRING, ID, REAL, FLAG, COUNT = pa.string(), pa.int32(), pa.float64(), pa.bool_(), pa.int32()
-#: Strings that are the same in all rows of a file: in memory a dictionary, in Parquet plain strings.
-SAME = pa.dictionary(pa.int32(), pa.string())
+def score_column(metric: Metric, *, optional: bool | None = None) -> pa.Field:
+    """The column of a score, as the catalogue describes it; `optional` where a table sees that otherwise."""
+    kind = INT32 if metric.is_count else FLOAT64
+    is_nullable = metric.is_nullable if optional is None else optional
+    return column(metric.column, kind, metric.meaning, metric.unit or "", is_nullable)
 
-PAIR = column("pair_id", SAME, "name of the scan pair")
-SIDE = column("side", SAME, "real or sim")
-POINT = column("point_id", ID, "row of the point in its input file, from 0")
-COMMUNITY = column("community_id", ID, "object of this side; 0 is the largest")
+
+PAIR = column("pair_id", CONSTANT, "name of the scan pair")
+SIDE = column("side", CONSTANT, "real or sim")
+POINT = column("point_id", INT32, "row of the point in its input file, from 0")
+COMMUNITY = column("community_id", INT32, "object of this side; 0 is the largest")
 LABEL = column("label", STRING, "semantic class, where the input has labels", optional=True)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-from .columns import COUNT, ID, OBJECT_METRICS, PAIR, REAL, STRING, Table, column
+from .columns import FLOAT64, INT32, PAIR, STRING, Table, column
+from .metrics import OBJECT_METRICS
 
 _LEVEL = [
     column("kind", STRING, "noise, dropout, rigid, hallucination or density"),
-    column("amount", REAL, "noise: m; dropout, hallucination: share of the points; rigid: degrees; density: factor"),
-    column("shift_m", REAL, "rigid: length of the translation; else 0", "m"),
+    column("amount", FLOAT64, "noise: m; dropout, hallucination: share of the points; rigid: degrees; density: factor"),
+    column("shift_m", FLOAT64, "rigid: length of the translation; else 0", "m"),
 ]
 _REPEAT = [
-    column("repeat", ID, "from 0"),
+    column("repeat", INT32, "from 0"),
     column("seed", pa.int64(), "of the random numbers of this repeat, derived from the job's name"),
 ]
 _UNDER_TEST = [
     PAIR.with_type(STRING),
-    column("community_id", ID, "object of the unaltered scan"),
+    column("community_id", INT32, "object of the unaltered scan"),
     column("object", STRING, "class of the object: its label or its shape, or its number"),
 ]
 
@@ -28,16 +29,16 @@ PERTURB_GLOBAL = Table(
             PAIR.with_type(STRING),
             *_LEVEL,
             *_REPEAT,
-            column("n_points", COUNT, "object points of the unaltered scan"),
-            column("n_points_altered", COUNT, "object points of the altered scan"),
-            column("n_communities", COUNT, "objects of the unaltered scan"),
-            column("n_communities_altered", COUNT, "objects of the altered scan", optional=True),
-            column("n_matched", COUNT, "objects that both have", optional=True),
-            column("n_identical", COUNT, "matched objects whose Laplacians do not differ", optional=True),
-            column("n_too_small", COUNT, "matched objects with fewer than 3 nodes", optional=True),
-            column("match_rate", REAL, "matched / max(communities of either)", optional=True),
+            column("n_points", INT32, "object points of the unaltered scan"),
+            column("n_points_altered", INT32, "object points of the altered scan"),
+            column("n_communities", INT32, "objects of the unaltered scan"),
+            column("n_communities_altered", INT32, "objects of the altered scan", optional=True),
+            column("n_matched", INT32, "objects that both have", optional=True),
+            column("n_identical", INT32, "matched objects whose Laplacians do not differ", optional=True),
+            column("n_too_small", INT32, "matched objects with fewer than 3 nodes", optional=True),
+            column("match_rate", FLOAT64, "matched / max(communities of either)", optional=True),
             *(
-                column(f"{name}_mean", REAL, f"mean of {name} over matched objects", optional=True)
+                column(f"{name}_mean", FLOAT64, f"mean of {name} over matched objects", optional=True)
                 for name in OBJECT_METRICS
             ),
             column("reason", STRING, "why nothing could be computed", optional=True),
@@ -53,10 +54,10 @@ PERTURB_OBJECTS = Table(
             *_UNDER_TEST,
             *_LEVEL,
             *_REPEAT,
-            column("n_points", COUNT, "points of the unaltered object"),
-            column("n_points_altered", COUNT, "points of the altered object"),
+            column("n_points", INT32, "points of the unaltered object"),
+            column("n_points_altered", INT32, "points of the altered object"),
             *(
-                column(name, REAL, "of the altered against the unaltered object, as in metrics", optional=True)
+                column(name, FLOAT64, "of the altered against the unaltered object, as in metrics", optional=True)
                 for name in OBJECT_METRICS
             ),
             column("status", STRING, "scored, identical or too_small"),
@@ -75,7 +76,7 @@ PERTURB_BASELINES = Table(
             *_REPEAT,
             column("baseline", STRING, "name of the distance, with its convention and unit, as in baselines"),
             column("unit", STRING, "of the value; null for a plain number", optional=True),
-            column("value", REAL, "of the altered against the unaltered object", optional=True),
+            column("value", FLOAT64, "of the altered against the unaltered object", optional=True),
             column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
         ]
     ),
@@ -90,19 +91,19 @@ PERTURB_SUMMARY = Table(
             column("object", STRING, "class of the object; null where global", optional=True),
             *_LEVEL,
             column("metric", STRING, "column of perturb_global or perturb_objects, or baseline of perturb_baselines"),
-            column("n", COUNT, "repeats, over all scans, in which the metric could be computed"),
-            column("mean", REAL, "over these", optional=True),
-            column("std", REAL, "standard deviation (n - 1) over these", optional=True),
+            column("n", INT32, "repeats, over all scans, in which the metric could be computed"),
+            column("mean", FLOAT64, "over these", optional=True),
+            column("std", FLOAT64, "standard deviation (n - 1) over these", optional=True),
         ]
     ),
     ("scope", "object", "kind", "shift_m", "amount", "metric"),
 )
 
 _ABLATED = [
-    column("k", COUNT, "graph.k"),
-    column("tau_m", REAL, "graph.tau_m", "m"),
-    column("delta_m", REAL, "matching.delta_m", "m"),
-    column("t", REAL, "selection.t"),
+    column("k", INT32, "graph.k"),
+    column("tau_m", FLOAT64, "graph.tau_m", "m"),
+    column("delta_m", FLOAT64, "matching.delta_m", "m"),
+    column("t", FLOAT64, "selection.t"),
 ]
 
 ABLATE = Table(
@@ -111,12 +112,12 @@ ABLATE = Table(
         [
             PAIR.with_type(STRING),
             *_ABLATED,
-            column("n_communities_real", COUNT, "objects of the real side"),
-            column("n_communities_sim", COUNT, "objects of the simulated side"),
-            column("n_matched", COUNT, "objects that both sides have"),
-            column("match_rate", REAL, "matched / max(communities of either side)"),
+            column("n_communities_real", INT32, "objects of the real side"),
+            column("n_communities_sim", INT32, "objects of the simulated side"),
+            column("n_matched", INT32, "objects that both sides have"),
+            column("match_rate", FLOAT64, "matched / max(communities of either side)"),
             *(
-                column(f"{name}_mean", REAL, f"mean of {name} over matched objects", optional=True)
+                column(f"{name}_mean", FLOAT64, f"mean of {name} over matched objects", optional=True)
                 for name in OBJECT_METRICS
             ),
         ]
@@ -130,9 +131,9 @@ ABLATE_SUMMARY = Table(
         [
             *_ABLATED,
             column("metric", STRING, "column of ablate"),
-            column("n_pairs", COUNT, "pairs in which the metric could be computed"),
-            column("mean", REAL, "over these", optional=True),
-            column("std", REAL, "standard deviation (n - 1) over these", optional=True),
+            column("n_pairs", INT32, "pairs in which the metric could be computed"),
+            column("mean", FLOAT64, "over these", optional=True),
+            column("std", FLOAT64, "standard deviation (n - 1) over these", optional=True),
         ]
     ),
     ("k", "tau_m", "delta_m", "t", "metric"),

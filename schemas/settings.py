@@ -1,4 +1,4 @@
-"""The settings of a run: one frozen class a stage, defaults and bounds beside each field.
+"""The settings of a run: one frozen class per stage, defaults and bounds beside each field.
 
 The defaults are those of the paper where it gives one. Nothing here touches a file but `load`,
 which layers a TOML file and `--set` words over the defaults and names the field that is wrong.
@@ -9,11 +9,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from .errors import SettingsError
+from .metrics import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
 
@@ -74,7 +75,7 @@ class GroundSettings(_Group):
     """How the road is cut away."""
 
     method: Literal["pca", "patchwork", "none"] = Field(
-        "pca", description="PCA Z-cut, patchwork++ (an extra), or no cut"
+        "pca", description='PCA Z-cut, patchwork++ (needs `pip install ".[patchwork]"`), or no cut'
     )
     prior_m: Annotated[float, Field(ge=0, le=5, description="a-priori threshold above the road's peak")] = 0.30
     max_variance_loss: Annotated[
@@ -122,11 +123,10 @@ class SelectionSettings(_Group):
     t: Annotated[float, Field(gt=0, le=100, description="diffusion time of the heat kernel")] = 1.0
 
 
-#: The baselines in the order in which they are computed and shown.
-BaselineName = Literal[
-    "chamfer", "hausdorff", "f_score", "dcd", "emd", "sliced_wasserstein", "histogram", "icp", "netlsd", "r_h"
-]
-BASELINE_NAMES: tuple[BaselineName, ...] = get_args(BaselineName)
+if TYPE_CHECKING:
+    BaselineName = str
+else:
+    BaselineName = Literal[BASELINE_NAMES]  # one of the catalogue's; a type checker cannot know them
 
 
 class MetricsSettings(_Group):
@@ -141,7 +141,7 @@ class MetricsSettings(_Group):
     ] = 1000.0
     projections: Annotated[int, Field(ge=1, le=10_000, description="sliced Wasserstein: random directions")] = 200
     histogram_points: Annotated[
-        int, Field(ge=2, le=10_000, description="histogram: points sampled a side, all pairs of which are measured")
+        int, Field(ge=2, le=10_000, description="histogram: points sampled per side, all pairs of which are measured")
     ] = 2000
     histogram_bins: Annotated[int, Field(ge=2, le=10_000, description="histogram: equal bins from 0 to 1")] = 100
     histogram_order: Annotated[float, Field(ge=1, description="histogram: order of the Minkowski distance")] = 2.0
@@ -255,6 +255,43 @@ def to_toml(settings: Settings) -> str:
     import tomli_w
 
     return tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True))
+
+
+def to_markdown() -> str:
+    """A table of all settings for people: name, default, what is allowed, and what it is for."""
+    rows = ["| setting | default | allowed | what |", "|---|---|---|---|"]
+    for group, field in Settings.model_fields.items():
+        settings: type[BaseModel] = type(field.default)
+        schema = settings.model_json_schema()["properties"]
+        for name, own in settings.model_fields.items():
+            default = _markdown(own.default)
+            rows.append(f"| `{group}.{name}` | {default} | {_allowed(schema[name])} | {own.description} |")
+    return "\n".join(rows) + "\n"
+
+
+def _markdown(value: Any) -> str:
+    if value is None or value == ():
+        return "none"
+    return f"`{str(value).lower() if isinstance(value, bool) else f'{value:g}' if isinstance(value, float) else value}`"
+
+
+def _allowed(schema: dict[str, Any]) -> str:
+    """The values that a field takes, in words, from its JSON schema."""
+    kinds = [kind for kind in schema.get("anyOf", [schema]) if kind.get("type") != "null"]
+    kind = kinds[0]
+    if "enum" in kind:
+        return ", ".join(f"`{value}`" for value in kind["enum"])
+    if kind["type"] == "array":
+        n, items = kind.get("maxItems"), kind.get("items", {})
+        if "enum" in items:
+            return "names, or `all`"
+        return f"{n} numbers" if n else "names"
+    if kind["type"] == "boolean":
+        return "`true`, `false`"
+    if {"minimum", "maximum"} <= kind.keys():
+        return f"{kind['minimum']:.10g} to {kind['maximum']:.10g}"
+    bounds = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+    return ", ".join(f"{words} {kind[name]:.10g}" for name, words in bounds.items() if name in kind)
 
 
 def _toml_value(text: str) -> Any:

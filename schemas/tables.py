@@ -1,8 +1,8 @@
 """The tables that fidpipe writes: columns, types, nullability, units, keys and versions.
 
 This is the contract with everybody who reads our Parquet. `Table.check` is called before a table is written and after
-it is read; a column's unit and meaning stand in the metadata of its field here. Leaves to others: what a table is
-(`columns`), the tables of perturb and ablate (`experiment_tables`).
+it is read; a column's unit and meaning stand in the metadata of its field here. Columns of scores come from `metrics`,
+the tables of perturb and ablate are in `experiment_tables`.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ from __future__ import annotations
 import pyarrow as pa
 
 from .columns import (
+    BOOL,
     COMMUNITY,
-    COUNT,
-    FLAG,
-    ID,
+    FLOAT64,
+    INT32,
     LABEL,
-    OBJECT_METRICS,
     PAIR,
     POINT,
-    REAL,
     SIDE,
     SIDES,
     STRING,
     Table,
     column,
+    score_column,
 )
 from .experiment_tables import EXPERIMENT_TABLES
+from .metrics import METRIC, OBJECT_METRICS, OBJECT_SCORES, PAIR_SCORES
 
 GROUND = Table(
     "ground",
@@ -34,12 +34,12 @@ GROUND = Table(
             PAIR,
             SIDE,
             POINT,
-            column("x", REAL, "forward, real sensor's frame", "m"),
-            column("y", REAL, "left, real sensor's frame", "m"),
-            column("z", REAL, "up, real sensor's frame", "m"),
-            column("height_m", REAL, "height along the ground axis, from the road's peak", "m"),
-            column("is_ground", FLAG, "below the ground threshold; only the others go on"),
-            column("intensity", REAL, "as in the input file", optional=True),
+            column("x", FLOAT64, "forward, real sensor's frame", "m"),
+            column("y", FLOAT64, "left, real sensor's frame", "m"),
+            column("z", FLOAT64, "up, real sensor's frame", "m"),
+            column("height_m", FLOAT64, "height along the ground axis, from the road's peak", "m"),
+            column("is_ground", BOOL, "below the ground threshold; only the others go on"),
+            column("intensity", FLOAT64, "as in the input file", optional=True),
             LABEL,
         ]
     ),
@@ -52,8 +52,8 @@ GRAPH = Table(
         [
             PAIR,
             SIDE,
-            column("src", ID, "point id, the smaller of the two"),
-            column("dst", ID, "point id, the larger of the two"),
+            column("src", INT32, "point id, the smaller of the two"),
+            column("dst", INT32, "point id, the larger of the two"),
             column("length_m", pa.float32(), "Euclidean distance: the weight of the edge", "m"),
         ]
     ),
@@ -69,17 +69,19 @@ OBJECTS = Table(
             PAIR,
             SIDE,
             COMMUNITY,
-            column("n_points", COUNT, "object points of the community"),
-            column("cx", REAL, "centroid: mean of the member points", "m"),
-            column("cy", REAL, "centroid", "m"),
-            column("cz", REAL, "centroid", "m"),
-            column("range_m", REAL, "distance of the centroid from the sensor", "m"),
-            column("extent_x", REAL, "axis-aligned size", "m"),
-            column("extent_y", REAL, "axis-aligned size", "m"),
-            column("extent_z", REAL, "axis-aligned size", "m"),
-            column("linearity", REAL, "(l1 - l2) / l1 of the covariance eigenvalues l1 >= l2 >= l3; 0 where l1 is 0"),
-            column("planarity", REAL, "(l2 - l3) / l1"),
-            column("scattering", REAL, "l3 / l1"),
+            column("n_points", INT32, "object points of the community"),
+            column("cx", FLOAT64, "centroid: mean of the member points", "m"),
+            column("cy", FLOAT64, "centroid", "m"),
+            column("cz", FLOAT64, "centroid", "m"),
+            column("range_m", FLOAT64, "distance of the centroid from the sensor", "m"),
+            column("extent_x", FLOAT64, "axis-aligned size", "m"),
+            column("extent_y", FLOAT64, "axis-aligned size", "m"),
+            column("extent_z", FLOAT64, "axis-aligned size", "m"),
+            column(
+                "linearity", FLOAT64, "(l1 - l2) / l1 of the covariance eigenvalues l1 >= l2 >= l3; 0 where l1 is 0"
+            ),
+            column("planarity", FLOAT64, "(l2 - l3) / l1"),
+            column("scattering", FLOAT64, "l3 / l1"),
             column("label", STRING, "most frequent label of the member points", optional=True),
         ]
     ),
@@ -91,9 +93,9 @@ MATCHING = Table(
     pa.schema(
         [
             PAIR,
-            column("real_id", ID, "community of the real side; null where hallucinated", optional=True),
-            column("sim_id", ID, "community of the simulated side; null where missing", optional=True),
-            column("centroid_distance_m", REAL, "between matched centroids", "m", optional=True),
+            column("real_id", INT32, "community of the real side; null where hallucinated", optional=True),
+            column("sim_id", INT32, "community of the simulated side; null where missing", optional=True),
+            column("centroid_distance_m", FLOAT64, "between matched centroids", "m", optional=True),
             column("status", STRING, "matched, missing (real only) or hallucinated (simulated only)"),
         ]
     ),
@@ -105,13 +107,13 @@ SELECTION = Table(
     pa.schema(
         [
             PAIR,
-            column("real_id", ID, "community of the real side"),
-            column("sim_id", ID, "community of the simulated side"),
-            column("rank", ID, "from 0, by decreasing real influence, ties by point id"),
-            column("real_point_id", ID, "kept node of the real side"),
-            column("sim_point_id", ID, "kept node of the simulated side that is aligned with it"),
-            column("real_influence", REAL, "row sum of the heat kernel, rounded to 1e-9"),
-            column("sim_influence", REAL, "the same of the simulated node"),
+            column("real_id", INT32, "community of the real side"),
+            column("sim_id", INT32, "community of the simulated side"),
+            column("rank", INT32, "from 0, by decreasing real influence, ties by point id"),
+            column("real_point_id", INT32, "kept node of the real side"),
+            column("sim_point_id", INT32, "kept node of the simulated side that is aligned with it"),
+            column("real_influence", FLOAT64, "row sum of the heat kernel, rounded to 1e-9"),
+            column("sim_influence", FLOAT64, "the same of the simulated node"),
         ]
     ),
     ("real_id", "sim_id", "rank"),
@@ -122,21 +124,12 @@ METRICS = Table(
     pa.schema(
         [
             PAIR,
-            column("real_id", ID, "community of the real side"),
-            column("sim_id", ID, "community of the simulated side"),
-            column("n_real", COUNT, "points of the real object"),
-            column("n_sim", COUNT, "points of the simulated object"),
-            column("n_keep", COUNT, "aligned nodes, the smaller of the two"),
-            column("centroid_distance_m", REAL, "between the centroids", "m"),
-            column("cdc", REAL, "density-aware Chamfer distance of the paper, 0 to 2"),
-            column("r_lambda", REAL, "max_eigenvalue_shift / laplacian_change, 0 to 1", optional=True),
-            column("r_gap", REAL, "change of the spectral gap / (2 laplacian_change), 0 to 0.5", optional=True),
-            column("max_eigenvalue_shift", REAL, "largest shift of an ordered eigenvalue", optional=True),
-            column("laplacian_change", REAL, "spectral norm of the difference of the Laplacians", optional=True),
-            column("eigenspectrum_distance", REAL, "Euclidean distance of the ordered spectra", optional=True),
-            column("gap_real", REAL, "second smallest eigenvalue less the smallest, real", optional=True),
-            column("gap_sim", REAL, "second smallest eigenvalue less the smallest, simulated", optional=True),
-            column("alignment_rms_m", REAL, "root mean square distance of aligned nodes, both sides centred", "m"),
+            column("real_id", INT32, "community of the real side"),
+            column("sim_id", INT32, "community of the simulated side"),
+            column("n_real", INT32, "points of the real object"),
+            column("n_sim", INT32, "points of the simulated object"),
+            column("n_keep", INT32, "aligned nodes, the smaller of the two"),
+            *map(score_column, OBJECT_SCORES),
             column("status", STRING, "scored, identical or too_small"),
             column("reason", STRING, "why a score is null", optional=True),
         ]
@@ -150,10 +143,10 @@ BASELINES = Table(
     pa.schema(
         [
             PAIR,
-            column("real_id", ID, "community of the real side; null for the whole scans", optional=True),
-            column("sim_id", ID, "community of the simulated side; null for the whole scans", optional=True),
+            column("real_id", INT32, "community of the real side; null for the whole scans", optional=True),
+            column("sim_id", INT32, "community of the simulated side; null for the whole scans", optional=True),
             column("baseline", STRING, "name of the distance, with its convention and unit"),
-            column("value", REAL, "in the unit beside it", optional=True),
+            column("value", FLOAT64, "in the unit beside it", optional=True),
             column("unit", STRING, "m or m2; null for a plain number", optional=True),
             column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
         ]
@@ -162,31 +155,15 @@ BASELINES = Table(
 )
 
 
-#: The scores of a pair that are repeated under other seeds.
-SEEDED_SCORES = (
-    "n_communities_real",
-    "n_communities_sim",
-    "n_matched",
-    "n_missing",
-    "n_hallucinated",
-    "match_rate",
-    *(f"{metric}_mean" for metric in OBJECT_METRICS),
-)
-
 SEEDS = Table(
     "seeds",
     pa.schema(
         [
             PAIR,
-            column("seed", ID, "of the communities; the first is that of the other tables"),
-            column("n_communities_real", COUNT, "objects of the real side"),
-            column("n_communities_sim", COUNT, "objects of the simulated side"),
-            column("n_matched", COUNT, "objects that both sides have"),
-            column("n_missing", COUNT, "real objects without a simulated one"),
-            column("n_hallucinated", COUNT, "simulated objects without a real one"),
-            column("match_rate", REAL, "matched / max(communities of either side)"),
+            column("seed", INT32, "of the communities; the first is that of the other tables"),
+            *(score_column(metric, optional=False) for metric in PAIR_SCORES),
             *(
-                column(f"{metric}_mean", REAL, f"mean of {metric} over the objects", optional=True)
+                column(f"{metric}_mean", FLOAT64, f"mean of {metric} over the objects", optional=True)
                 for metric in OBJECT_METRICS
             ),
         ]
@@ -199,10 +176,10 @@ def _pairs_schema() -> pa.Schema:
     """Columns of `pairs`: of a failed pair all but its name, status and reason may be null."""
 
     def count(name: str, meaning: str) -> pa.Field:
-        return column(name, COUNT, meaning, optional=True)
+        return column(name, INT32, meaning, optional=True)
 
-    def real(name: str, meaning: str, unit: str = "") -> pa.Field:
-        return column(name, REAL, meaning, unit, optional=True)
+    def number(name: str, meaning: str, unit: str = "") -> pa.Field:
+        return column(name, FLOAT64, meaning, unit, optional=True)
 
     fields = [
         PAIR.with_type(STRING),
@@ -214,29 +191,27 @@ def _pairs_schema() -> pa.Schema:
             count(f"n_{side}_raw", "points in the file"),
             count(f"n_{side}_clean", "points after cleaning"),
             count(f"n_{side}_points", "object points: clean and not ground"),
-            real(f"ground_{side}_peak_m", "height of the road along the ground axis", "m"),
-            real(f"ground_{side}_threshold_m", "points below this height are ground", "m"),
-            real(f"ground_{side}_loss", "variance loss at the threshold"),
+            number(f"ground_{side}_peak_m", "height of the road along the ground axis", "m"),
+            number(f"ground_{side}_threshold_m", "points below this height are ground", "m"),
+            number(f"ground_{side}_loss", "variance loss at the threshold"),
             count(f"ground_{side}_iterations", "how often the threshold was lowered"),
-            real(f"ground_{side}_removed_share", "ground points over clean points"),
-            real(f"ground_{side}_tilt_deg", "angle of the PCA axis to +Z; above 10 the cut uses +Z", "deg"),
+            number(f"ground_{side}_removed_share", "ground points over clean points"),
+            number(f"ground_{side}_tilt_deg", "angle of the PCA axis to +Z; above 10 the cut uses +Z", "deg"),
             count(f"n_communities_{side}", "objects of this side"),
         ]
     fields += [
-        count("n_matched", "objects that both sides have"),
-        count("n_missing", "real objects without a simulated one"),
-        count("n_hallucinated", "simulated objects without a real one"),
+        *(score_column(METRIC[name]) for name in ("n_matched", "n_missing", "n_hallucinated")),
         count("n_scored", "matched objects with spectral scores"),
         count("n_identical", "matched objects whose Laplacians do not differ"),
         count("n_too_small", "matched objects with fewer than 3 nodes"),
-        real("match_rate", "matched / max(communities of either side)"),
-        real("median_range_matched_m", "median distance of matched real objects from the sensor", "m"),
-        real("median_range_unmatched_m", "median distance of unmatched objects of both sides", "m"),
+        score_column(METRIC["match_rate"]),
+        number("median_range_matched_m", "median distance of matched real objects from the sensor", "m"),
+        number("median_range_unmatched_m", "median distance of unmatched objects of both sides", "m"),
     ]
     for metric in OBJECT_METRICS:
         fields += [
-            real(f"{metric}_mean", f"mean of {metric} over the objects"),
-            real(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
+            number(f"{metric}_mean", f"mean of {metric} over the objects"),
+            number(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
         ]
     return pa.schema(fields)
 
@@ -251,8 +226,8 @@ TIMINGS = Table(
             column("side", STRING, "real, sim, or null for a step of the pair", optional=True),
             column("stage", STRING, "ground, graph, communities, matching, selection, metrics, baselines or seeds"),
             column("step", STRING, "read, write, or a step of the method"),
-            column("seconds", REAL, "wall time of the step", "s"),
-            column("reused", FLAG, "the result was reused: the seconds are of the run that made it"),
+            column("seconds", FLOAT64, "wall time of the step", "s"),
+            column("reused", BOOL, "the result was reused: the seconds are of the run that made it"),
         ]
     ),
     ("pair_id", "stage", "side", "step"),

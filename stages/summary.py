@@ -1,7 +1,4 @@
-"""What the objects of a pair, and the pairs of a dataset, say together.
-
-Leaves to others: the scores themselves (`metrics`, `matching`).
-"""
+"""What the objects of a pair, and the pairs of a dataset, say together."""
 
 from __future__ import annotations
 
@@ -9,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..schemas.results import Number, ScoreSummary
 from .arrays import FloatArray
-
-Number = float | int | None
 
 
 def summarise_pair(
@@ -49,17 +45,17 @@ def summarise_pair(
     return summary
 
 
-def summarise_dataset(pair_means: Mapping[str, Sequence[Number]]) -> dict[str, dict[str, Number]]:
+def summarise_dataset(pair_means: Mapping[str, Sequence[Number]]) -> dict[str, ScoreSummary]:
     """Mean, standard deviation (n - 1) over pairs, and number of pairs, of each per-pair value; nulls are left out."""
     summary = {}
     for name, of_pairs in pair_means.items():
         values = np.array([np.nan if value is None else value for value in of_pairs], dtype=np.float64)
         mean, std = mean_and_std(values)
-        summary[name] = {"mean": mean, "std": std, "n_pairs": int(np.count_nonzero(~np.isnan(values)))}
+        summary[name] = ScoreSummary(mean=mean, std=std, n_pairs=int(np.count_nonzero(~np.isnan(values))))
     return summary
 
 
-def mean_and_std(values: FloatArray) -> tuple[Number, Number]:
+def mean_and_std(values: FloatArray) -> tuple[float | None, float | None]:
     """Mean and standard deviation (n - 1) of the values that are not NaN; None where there are too few."""
     known = values[~np.isnan(values)]
     mean = float(known.mean()) if len(known) else None
@@ -67,5 +63,5 @@ def mean_and_std(values: FloatArray) -> tuple[Number, Number]:
     return mean, std
 
 
-def _median(values: FloatArray) -> Number:
+def _median(values: FloatArray) -> float | None:
     return float(np.median(values)) if len(values) else None

@@ -1,4 +1,4 @@
-"""The commands of the paper's experiments: perturb and ablate. Parses, calls, prints, as `cli` does."""
+"""The commands of the paper's experiments: perturb and ablate."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ Assignments = Annotated[
 DatasetFolder = Annotated[
     Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
 ]
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)]
 Workers = Annotated[
     int | None,
     typer.Option(

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import JsonValue
+    from rich.console import RenderableType
 
 
-def print_view(view: Any) -> None:
+def print_view(view: RenderableType) -> None:
     """Prints a view: as wide as the terminal, unwrapped into a file or a pipe."""
     from rich.console import Console
 
     Console(soft_wrap=not sys.stdout.isatty(), highlight=False).print(view)
 
 
-def print_json(found: Any) -> None:
+def print_json(values: JsonValue) -> None:
     """Prints plain values as strict JSON, in ASCII, so that no terminal and no name can spoil it."""
-    sys.stdout.write(json.dumps(found, indent=1, allow_nan=False) + "\n")
+    sys.stdout.write(json.dumps(values, indent=1, allow_nan=False) + "\n")

@@ -1,4 +1,4 @@
-"""The commands that read finished runs: show, gate, compare. Parses, calls, prints, as `cli` does."""
+"""The commands that read finished runs: show, report, gate, compare."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_GATE_FAILED
+from .options import EXIT_GATE_FAILED, RunFolder
 from .output import print_json, print_view
-
-RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)]
 
 
 def show(
@@ -42,23 +40,51 @@ def show(
     from ..report.terminal.findings import claims_view
     from ..report.terminal.run import summary_view
     from ..report.terminal.show import object_view, pair_view
-    from ..results.finished import FinishedRun
-    from ..results.show import object_facts, pair_facts, run_facts
+    from ..results.finished import FinishedRun, object_facts, pair_facts, run_facts
 
     if paper and pair is not None:
         raise typer.BadParameter("--paper is about the whole run; leave out the pair")
     finished = FinishedRun(run)
     if paper:
-        claims = finished.record["findings"].get("claims", [])
-        print_json(claims) if as_json else print_view(claims_view(claims))
+        claims = finished.record.claims
+        print_json([claim.as_dict() for claim in claims]) if as_json else print_view(claims_view(claims))
     elif pair is None:
         print_json(run_facts(finished)) if as_json else print_view(summary_view(run, finished.rows, finished.record))
     elif object_ is None:
-        found = pair_facts(finished, pair)
-        print_json(found) if as_json else print_view(pair_view(found))
+        facts = pair_facts(finished, pair)
+        print_json(facts.as_dict()) if as_json else print_view(pair_view(facts))
     else:
-        found = object_facts(finished, pair, object_)
-        print_json(found) if as_json else print_view(object_view(found))
+        one = object_facts(finished, pair, object_)
+        print_json({"pair_id": pair, **one.as_dict()}) if as_json else print_view(object_view(pair, one))
+
+
+def report(
+    run: RunFolder,
+    pairs: Annotated[
+        str | None,
+        typer.Option("--pairs", metavar="PATTERN", help="Show pairs whose name matches in 3D, such as '0000*'."),
+    ] = None,
+    folder: Annotated[bool, typer.Option("--folder", help="One page per pair and an index, in RUN/report.")] = False,
+) -> None:
+    """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
+
+    RUN/report.html: verdict, scores, missing and invented objects, tables, the points of some pairs in 3D (the worst,
+    the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG and SVG.
+
+    Examples
+    --------
+    fidpipe report runs/dataset
+
+    fidpipe report runs/dataset --pairs '0007'
+
+    fidpipe report runs/dataset --folder
+    """
+    from ..report.page.page import write_report
+
+    made = write_report(run, pairs, one_page_a_pair=folder)
+    pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
+    print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
+    print(f"figures: {made.figures[0].parent} ({', '.join(path.stem for path in made.figures[::2])}; PNG and SVG)")
 
 
 def gate(
@@ -145,7 +171,7 @@ def compare(
 
     if len(runs) < 2:
         raise typer.BadParameter("one run is given, two or more are wanted")
-    found = compare_runs(runs, allow_different_settings=allow_different_settings)
+    comparisons = compare_runs(runs, allow_different_settings=allow_different_settings)
     if html:
-        write_whole(html, compare_page(found).encode())
-    print_json([of.as_dict() for of in found]) if as_json else print_view(compare_view(found))
+        write_whole(html, compare_page(comparisons).encode())
+    print_json([each.as_dict() for each in comparisons]) if as_json else print_view(compare_view(comparisons))

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.settings import BASELINE_NAMES, Settings
+from ...schemas.metrics import BASELINE_NAMES
+from ...schemas.settings import Settings
 from ...schemas.tables import BASELINES
 from ...stages.baselines import Baseline, compare_objects, compare_points
 from ...stages.baselines.icp import can_register

@@ -1,9 +1,7 @@
 """Decides what geometry and structure say together of an object: the four quadrants and their limits.
 
-The paper names the quadrants' meaning and gives examples, no limits. These are ours, fixed so that runs compare:
-
-CDC_LIMIT = 0.5: each side lies on average about half a metre from the other (1 - exp(-0.54^2) = 0.25, twice).
-R_LAMBDA_LIMIT = 0.4: what is usual for an object of a twin that was meshed from scans ends there (paper: mean 0.37).
+The paper names the quadrants' meaning and gives examples, no limits. They are fidpipe's, fixed so that runs compare,
+and stand with their reasons in the catalogue of metrics.
 """
 
 from __future__ import annotations
@@ -11,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...schemas.metrics import QUADRANT_LIMITS
 from ...stages.arrays import FloatArray
 
-CDC_LIMIT = 0.5
-R_LAMBDA_LIMIT = 0.4
+CDC_LIMIT, R_LAMBDA_LIMIT = QUADRANT_LIMITS["cdc"], QUADRANT_LIMITS["r_lambda"]
 
 #: Keys of the quadrants, best first, and how they are called.
 QUADRANTS = {

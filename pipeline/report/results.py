@@ -103,7 +103,7 @@ def read_results(folder: Path) -> RunResults:
     matching = _read(folder, _files(jobs, "matching"))
     return RunResults(
         folder=folder,
-        record=finished.record,
+        record=finished.record.as_dict(),
         pairs=pairs,
         failures=failures,
         matched=_matched(metrics, objects, names),

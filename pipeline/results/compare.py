@@ -1,8 +1,7 @@
 """Compares finished runs of the same real scans: simulator versions, the first one being the base of the others.
 
 Pairs are the same if they have the same name and the same real scan, by content. Objects are followed through the real
-side, whose communities are the same where scan and settings are; that too is checked by content. Leaves to others: the
-statistics (`stages.comparison`), showing (`report.compare_view`, `report.compare_page`).
+side, whose communities are the same where scan and settings are; that too is checked by content.
 """
 
 from __future__ import annotations
@@ -11,30 +10,31 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...schemas.errors import RunError
+from ...schemas.metrics import METRIC, metric_of
+from ...schemas.results import JsonObject
 from ...stages.arrays import FloatArray
 from ...stages.statistics.comparison import KINDS, Difference, judge, kinds_of_change, paired_difference
 from ...stages.statistics.spread import spread
 from ..run import STAGES
 from .finished import FinishedRun, PairObjects
 
-#: What is compared: column of `pairs`, its name, and whether more is better.
+#: What is compared: columns of `pairs`.
 SCORES = (
-    ("match_rate", "match rate", True),
-    ("n_missing", "missing objects", False),
-    ("n_hallucinated", "hallucinated objects", False),
-    ("cdc_mean", "CDC", False),
-    ("r_lambda_mean", "r_lambda", False),
-    ("r_gap_mean", "r_gap", False),
-    ("centroid_distance_m_mean", "offset (m)", False),
-    ("alignment_rms_m_mean", "alignment (m)", False),
+    "match_rate",
+    "n_missing",
+    "n_hallucinated",
+    "cdc_mean",
+    "r_lambda_mean",
+    "r_gap_mean",
+    "centroid_distance_m_mean",
+    "alignment_rms_m_mean",
 )
-#: The same over those objects alone that both runs have matched.
-SHARED_SCORES = (("cdc", "CDC (objects in both)"), ("r_lambda", "r_lambda (objects in both)"))
+#: Columns of `metrics` that are also compared over those objects alone that both runs have matched.
+SHARED_SCORES = ("cdc", "r_lambda")
 _PLACE = ("n_points", "cx", "cy", "cz")
 
 
@@ -113,10 +113,10 @@ class Comparison:
     @property
     def kinds(self) -> dict[str, int]:
         """How many real objects have become what."""
-        count = Counter(of.kind for of in self.objects)
+        count = Counter(change.kind for change in self.objects)
         return {kind: count[kind] for kind in KINDS}
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
         return asdict(self) | {"base": str(self.base), "other": str(self.other), "kinds": self.kinds}
 
@@ -130,7 +130,7 @@ def compare_runs(folders: Sequence[Path], *, allow_different_settings: bool = Fa
         A folder is no finished run, settings that change scores differ and that is not allowed, or no pair is common.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    found = []
+    comparisons = []
     for other in others:
         differing = _settings_changes(base, other)
         if differing and not allow_different_settings:
@@ -138,8 +138,8 @@ def compare_runs(folders: Sequence[Path], *, allow_different_settings: bool = Fa
                 f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(differing)}), so that a "
                 "difference need not be the simulator's; evaluate both alike, or give --allow-different-settings"
             )
-        found.append(_compare(base, other, differing))
-    return found
+        comparisons.append(_compare(base, other, differing))
+    return comparisons
 
 
 def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Comparison:
@@ -149,7 +149,7 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'none is scored'})")
     objects: list[ObjectChange] = []
-    shared: dict[str, dict[str, tuple[float, float]]] = {score: {} for score, _ in SHARED_SCORES}
+    shared: dict[str, dict[str, tuple[float, float]]] = {score: {} for score in SHARED_SCORES}
     unfollowed = []
     for name in names:
         before, after = base.objects(name), other.objects(name)
@@ -158,14 +158,16 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
             continue
         changes = _follow(name, before, after)
         objects += changes
-        for score, _ in SHARED_SCORES:
-            values = [(getattr(of, f"{score}_before"), getattr(of, f"{score}_after")) for of in changes]
+        for score in SHARED_SCORES:
+            values = [(getattr(change, f"{score}_before"), getattr(change, f"{score}_after")) for change in changes]
             known = [(a, b) for a, b in values if a is not None and b is not None]
             if known:
                 shared[score][name] = (float(np.mean([a for a, _ in known])), float(np.mean([b for _, b in known])))
-    scores = [_score_change(base, other, names, *of) for of in SCORES]
-    for score, heading in SHARED_SCORES:
-        scores.append(_change(heading, False, {name: shared[score].get(name, (None, None)) for name in names}))
+    scores = [_score_change(base, other, names, column) for column in SCORES]
+    for score in SHARED_SCORES:
+        metric = METRIC[score]
+        means: dict[str, tuple[float | None, float | None]] = dict.fromkeys(names, (None, None))
+        scores.append(_change(f"{metric.label} (objects in both)", metric.higher_is_better, means | shared[score]))
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -184,7 +186,7 @@ def _settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
     groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
     changes = []
     for group in groups:
-        a, b = (run.record["settings"].get(group, {}) for run in (base, other))
+        a, b = (run.record.settings.get(group, {}) for run in (base, other))
         changes += [
             f"{group}.{name} is {a.get(name)} and {b.get(name)}"
             for name in dict.fromkeys((*a, *b))
@@ -197,7 +199,7 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """What else differs and can change a number: stage code and libraries."""
     notes = []
     for what, name in (("stages", "code of stage"), ("libraries", "library")):
-        a, b = base.record[what], other.record[what]
+        a, b = getattr(base.record, what), getattr(other.record, what)
         notes += [f"{name} {key}: {a.get(key)} and {b.get(key)}" for key in {**a, **b} if a.get(key) != b.get(key)]
     return notes
 
@@ -207,13 +209,13 @@ def _not_comparable(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
     rows = [{row["pair_id"]: row for row in run.rows} for run in (base, other)]
     why = {}
     for name in sorted(rows[0].keys() | rows[1].keys()):
-        for run, of in zip((base, other), rows, strict=True):
-            if name not in of:
+        for run, own in zip((base, other), rows, strict=True):
+            if name not in own:
                 why[name] = f"not in {run.folder}"
-            elif of[name]["status"] != "scored":
+            elif own[name]["status"] != "scored":
                 why[name] = f"failed in {run.folder}"
         if name not in why:
-            a, b = (run.record["inputs"].get(name, {}).get("real") for run in (base, other))
+            a, b = (run.record.inputs.get(name, {}).get("real") for run in (base, other))
             if a is None or a != b:
                 why[name] = "the real scans differ"
     return why
@@ -221,14 +223,14 @@ def _not_comparable(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
 
 def _same_real_side(before: PairObjects, after: PairObjects) -> bool:
     """Whether the real communities are the same, by number of points and centroids."""
-    a, b = ([tuple(of[name] for name in _PLACE) for of in found.sides["real"]] for found in (before, after))
+    a, b = ([tuple(row[name] for name in _PLACE) for row in pair.sides["real"]] for pair in (before, after))
     return a == b
 
 
 def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[ObjectChange]:
     real = before.sides["real"]
-    scores = [{of["real_id"]: of for of in found.matched} for found in (before, after)]
-    is_matched = [np.array([i in of for i in range(len(real))], dtype=np.bool_) for of in scores]
+    scores = [{row["real_id"]: row for row in pair.matched} for pair in (before, after)]
+    is_matched = [np.array([i in own for i in range(len(real))], dtype=np.bool_) for own in scores]
 
     def column(run: int, name: str) -> FloatArray:
         return _floats([scores[run].get(i, {}).get(name) for i in range(len(real))])
@@ -243,26 +245,25 @@ def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[Objec
         ObjectChange(
             pair_id=pair_id,
             real_id=i,
-            label=of["label"],
-            range_m=of["range_m"],
-            n_points=of["n_points"],
+            label=row["label"],
+            range_m=row["range_m"],
+            n_points=row["n_points"],
             kind=str(kinds[i]),
             cdc_before=scores[0].get(i, {}).get("cdc"),
             cdc_after=scores[1].get(i, {}).get("cdc"),
             r_lambda_before=scores[0].get(i, {}).get("r_lambda"),
             r_lambda_after=scores[1].get(i, {}).get("r_lambda"),
         )
-        for i, of in enumerate(real)
+        for i, row in enumerate(real)
     ]
 
 
-def _score_change(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str, heading: str, higher_is_better: bool
-) -> ScoreChange:
+def _score_change(base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str) -> ScoreChange:
     values = {name: (base.row(name)[column], other.row(name)[column]) for name in names}
     a, b = (_seed_noise(run, names, column) for run in (base, other))
     noise = None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
-    return _change(heading, higher_is_better, values, noise)
+    metric = metric_of(column)
+    return _change(metric.label, metric.higher_is_better, values, noise)
 
 
 def _change(
@@ -271,7 +272,7 @@ def _change(
     values: dict[str, tuple[float | None, float | None]],
     seed_noise: float | None = None,
 ) -> ScoreChange:
-    difference = paired_difference(*(_floats([of[run] for of in values.values()]) for run in (0, 1)))
+    difference = paired_difference(*(_floats([both[run] for both in values.values()]) for run in (0, 1)))
     of_pairs = {name: None if a is None or b is None else b - a for name, (a, b) in values.items()}
     return ScoreChange(heading, higher_is_better, difference, judge(difference, higher_is_better), of_pairs, seed_noise)
 
@@ -280,10 +281,10 @@ def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | 
     """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
     records = [run.store.records.get(("seeds", name, "")) for name in names]
     repeats = [record.facts["scores"][column] for record in records if record is not None]
-    n_seeds = {len(of_pair) for of_pair in repeats}
+    n_seeds = {len(scores) for scores in repeats}
     if len(repeats) < len(names) or len(n_seeds) != 1:
         return None
-    return spread(np.array([_floats(of_pair) for of_pair in repeats])).least_dataset
+    return spread(np.array([_floats(scores) for scores in repeats])).least_dataset
 
 
 def _floats(values: Sequence[float | None]) -> FloatArray:

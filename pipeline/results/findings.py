@@ -1,7 +1,6 @@
 """The findings of a run: reads the objects and scores of its pairs, and keeps what they say together in `run.json`.
 
-Reads a few columns of three small files a pair, about a millisecond, and only when the results have changed.
-Leaves to others: the numbers (`stages.findings`), the paper's claims (`stages.claims`).
+Reads a few columns of three small files per pair, about a millisecond, and only when the results have changed.
 """
 
 from __future__ import annotations
@@ -13,8 +12,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
+from ...schemas.results import Findings, ScoreSummary
 from ...stages.arrays import IntArray
 from ...stages.statistics.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
@@ -29,11 +30,11 @@ def run_findings(
     folder: TableFolder,
     pair_ids: list[str],
     timestamps_s: Mapping[str, float | None],
-    summary: Mapping[str, Any],
+    summary: Mapping[str, ScoreSummary],
     tables_key: str,
-    before: Mapping[str, Any],
-) -> dict[str, Any]:
-    """What the scored pairs say together, {} where there are none.
+    before: Findings | None,
+) -> Findings | None:
+    """What the scored pairs say together, None where there are none.
 
     Taken from the last record where tables and timestamps are the same.
 
@@ -44,45 +45,41 @@ def run_findings(
     timestamps_s : by pair
     summary : mean and std over pairs by score
     tables_key : hash of all that the tables were made of
-    before : `findings` of the last record, or {}
+    before : the findings of the last record
     """
     if not pair_ids:
-        return {}
+        return None
     times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
     key = key_of(_VERSION, tables_key, pair_ids, times)
-    if before.get("key") == key:
-        return dict(before)
-    real, sim, matched = read_objects(folder, pair_ids)
-    findings = summarise_objects(real, sim, matched, times)
-    for scan in findings["scans"]["scans"]:
-        scan["pair"] = pair_ids[scan["pair"]]
-    claims = [claim.as_dict() for claim in check_claims(summary, findings)]
-    return {"key": key, **findings, "claims": claims}
+    if before is not None and before.key == key:
+        return before
+    findings = summarise_objects(*read_objects(folder, pair_ids), pair_ids, times)
+    return Findings(key=key, **vars(findings), claims=tuple(check_claims(summary, findings)))
 
 
 def read_objects(folder: TableFolder, pair_ids: list[str]) -> tuple[SideObjects, SideObjects, MatchedObjects]:
     """All objects of either side, and the matched ones, of the pairs; indices of pairs are places in `pair_ids`."""
     paths = [folder.path("metrics", pair_id) for pair_id in pair_ids]
     metrics, pair = _read(paths, ["real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap"])
-    sides, rows_of = [], []
+    sides, matched_rows = [], []
     for side in SIDES:
         paths = [folder.path("objects", pair_id, side) for pair_id in pair_ids]
-        objects, of_pair = _read(paths, ["range_m", "label"])
+        objects, pair_of_object = _read(paths, ["range_m", "label"])
         # The objects of a side are numbered from 0 in each pair, so that pair and id say the row.
-        first = np.concatenate([[0], np.cumsum(np.bincount(of_pair, minlength=len(pair_ids)))])
+        first = np.concatenate([[0], np.cumsum(np.bincount(pair_of_object, minlength=len(pair_ids)))])
         rows = first[pair] + metrics[f"{side}_id"]
-        is_matched = np.zeros(len(of_pair), dtype=np.bool_)
+        is_matched = np.zeros(len(pair_of_object), dtype=np.bool_)
         is_matched[rows] = True
         label = np.array([label or "" for label in objects["label"].tolist()], dtype=np.str_)
-        sides.append(SideObjects(of_pair, objects["range_m"], label, is_matched))
-        rows_of.append(rows)
+        sides.append(SideObjects(pair_of_object, objects["range_m"], label, is_matched))
+        matched_rows.append(rows)
     real, sim = sides
     scores = {name: metrics[name] for name in ("n_real", "n_sim", "cdc", "r_lambda", "r_gap")}
-    return real, sim, MatchedObjects(pair, real.range_m[rows_of[0]], real.label[rows_of[0]], **scores)
+    return real, sim, MatchedObjects(pair, real.range_m[matched_rows[0]], real.label[matched_rows[0]], **scores)
 
 
-def _read(paths: Iterable[Path], columns: list[str]) -> tuple[dict[str, Any], IntArray]:
-    """Columns of some files one after the other, nulls of numbers as NaN, and which file each row is of."""
+def _read(paths: Iterable[Path], columns: list[str]) -> tuple[dict[str, NDArray[Any]], IntArray]:
+    """Columns of some files one after the other, nulls of numbers as NaN, and which file each row comes from."""
     files = (pa.BufferReader(path.read_bytes()) for path in paths)  # in one read each: there are many, and small
     parts = [pq.ParquetFile(file).read(columns=columns, use_threads=False) for file in files]
     table = pa.concat_tables(parts)

@@ -1,25 +1,24 @@
 """A finished run as it is read again: its record, its pairs, and the objects of one pair; nothing is computed.
 
-What is read is checked against the run's index, so that a damaged table is named and not believed. Leaves to others:
-showing (`report`), judging (`gate`, `compare`).
+What is read is checked against the run's index, so that a damaged table is named and not believed. What `fidpipe show`
+tells of a run, a pair or an object stands below: the same values for the terminal and for JSON.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
+from ...schemas.results import JsonObject, RunRecord
 from ..storage.folder import RunFolder
 from ..storage.record import read_run
 from ..storage.tables import table_name
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -50,14 +49,16 @@ class FinishedRun:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.record = read_run(folder)
-        if not self.record or self.record.get("experiment", "run") != "run":
+        record = read_run(folder)
+        if not record or record.get("experiment", "run") != "run":
             raise RunError(f"run {folder}: no run.json of fidpipe run found; a folder written by fidpipe run is wanted")
-        if not {"summary", "findings"} <= self.record.keys():
+        try:
+            self.record = RunRecord.from_dict(record)
+        except ValueError as error:
             raise RunError(
                 f"run {folder}: the run has not ended, or an older fidpipe wrote it; "
-                f"finish it with: fidpipe run {self.record.get('dataset')} --out {folder}"
-            )
+                f"finish it with: fidpipe run {record.get('dataset')} --out {folder}"
+            ) from error
         self.store = RunFolder(folder)
         self.rows = self._read("pairs.parquet")
         self._row_of = {row["pair_id"]: row for row in self.rows}
@@ -90,8 +91,11 @@ class FinishedRun:
             raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
         sides = {side: self.side_objects(pair_id, side) for side in SIDES}
         matched = self._read(table_name("metrics", pair_id))
-        alone = [sorted({of["community_id"] for of in sides[s]} - {of[f"{s}_id"] for of in matched}) for s in SIDES]
-        return PairObjects(row, sides, matched, *alone)
+        missing, hallucinated = (
+            sorted({own["community_id"] for own in sides[side]} - {scores[f"{side}_id"] for scores in matched})
+            for side in SIDES
+        )
+        return PairObjects(row, sides, matched, missing, hallucinated)
 
     def side_objects(self, pair_id: str, side: str) -> list[Row]:
         """The objects of one side of a scored pair."""
@@ -107,5 +111,99 @@ class FinishedRun:
         if record is None or not self.store.is_whole(record):
             raise RunError(
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "
-                f"fidpipe run {self.record['dataset']} --out {self.folder}"
+                f"fidpipe run {self.record.dataset} --out {self.folder}"
             )
+
+
+@dataclass(frozen=True)
+class ObjectFacts:
+    """One object of a pair; without the columns that name pair and side.
+
+    status : matched, missing or hallucinated
+    real, sim : the rows of `objects`; None where the side does not have it
+    scores : the row of `metrics`; None where it is not matched
+    """
+
+    status: str
+    real: Row | None
+    sim: Row | None
+    scores: Row | None
+
+    def as_dict(self) -> JsonObject:
+        """Plain values, for JSON."""
+        return {"status": self.status, "real": self.real, "sim": self.sim, "scores": self.scores}
+
+
+@dataclass(frozen=True)
+class PairFacts:
+    """A pair: its row of `pairs`, and its objects; no objects where it failed."""
+
+    pair: Row
+    objects: tuple[ObjectFacts, ...]
+
+    def as_dict(self) -> JsonObject:
+        """Plain values, for JSON."""
+        return {"pair": self.pair, "objects": [each.as_dict() for each in self.objects]}
+
+
+def run_facts(run: FinishedRun) -> JsonObject:
+    """The record and the rows of all pairs of a run, for JSON."""
+    return {"folder": str(run.folder), "record": run.record.as_dict(), "pairs": list(run.rows)}
+
+
+def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
+    """A pair and its objects: matched ones by r_lambda, worst first, then the others; none if it failed.
+
+    Raises
+    ------
+    RunError
+        The run has no such pair, or a table is damaged.
+    """
+    row = run.row(pair_id)
+    if row["status"] != "scored":
+        return PairFacts(row, ())
+    pair = run.objects(pair_id)
+    worst_first = sorted(
+        pair.matched, key=lambda scores: (scores["r_lambda"] is None, -(scores["r_lambda"] or 0.0), scores["real_id"])
+    )
+    matched = [_matched(pair, scores) for scores in worst_first]
+    missing = [_alone(pair, "real", i) for i in pair.missing]
+    return PairFacts(row, (*matched, *missing, *(_alone(pair, "sim", i) for i in pair.hallucinated)))
+
+
+def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
+    """One object of a pair: `7` or `real:7` is the real object 7 with its partner, `sim:7` the simulated one.
+
+    Raises
+    ------
+    RunError
+        The pair failed, or it has no such object.
+    """
+    side, _, number = name.rpartition(":")
+    side = side or "real"
+    pair = run.objects(pair_id)
+    if side not in SIDES or not re.fullmatch("[0-9]{1,9}", number) or int(number) >= len(pair.sides[side]):
+        counts = " and ".join(f"{len(pair.sides[s])} {s}" for s in SIDES)
+        raise RunError(
+            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {counts} objects, numbered from 0: "
+            "7 is a real object, sim:7 a simulated one"
+        )
+    i = int(number)
+    scores = next((row for row in pair.matched if row[f"{side}_id"] == i), None)
+    return _alone(pair, side, i) if scores is None else _matched(pair, scores)
+
+
+def _matched(pair: PairObjects, scores: Row) -> ObjectFacts:
+    real, sim = (_own(pair.sides[side][scores[f"{side}_id"]]) for side in SIDES)
+    return ObjectFacts("matched", real, sim, _own(scores))
+
+
+def _alone(pair: PairObjects, side: str, i: int) -> ObjectFacts:
+    own = _own(pair.sides[side][i])
+    if side == "real":
+        return ObjectFacts("missing", own, None, None)
+    return ObjectFacts("hallucinated", None, own, None)
+
+
+def _own(row: Row) -> Row:
+    return {name: value for name, value in row.items() if name not in ("pair_id", "side")}

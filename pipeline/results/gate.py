@@ -2,7 +2,7 @@
 
 Three criteria are there unless the user gives another max for them: no pair failed, none is still to do, and none has
 scans, labels or T_real_sim other than those that were evaluated. A criterion on something that could not be computed
-fails. Leaves to others: what the measures are (`measures`), how results are shown and written (`report.gate_view`).
+fails. What can be measured is in `measures`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import SettingsError
+from ...schemas.results import JsonObject
 from .finished import FinishedRun
 from .measures import Measures
 
@@ -40,7 +41,7 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Judged:
-    """A criterion with what was found; `why` says why there is no value."""
+    """A criterion with the value in the run; `why` says why there is none."""
 
     criterion: Criterion
     value: float | None
@@ -60,9 +61,9 @@ class GateResult:
     @property
     def passed(self) -> bool:
         """Whether every criterion is met."""
-        return all(of.passed for of in self.judged)
+        return all(verdict.passed for verdict in self.judged)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> JsonObject:
         """Plain values, for `gate.json`."""
         return {
             "run": str(self.run),
@@ -71,16 +72,16 @@ class GateResult:
             "notes": list(self.notes),
             "criteria": [
                 {
-                    "name": of.criterion.name,
-                    "measure": of.criterion.measure,
-                    "bound": of.criterion.bound,
-                    "limit": of.criterion.limit,
-                    "reason": of.criterion.reason,
-                    "value": of.value,
-                    "passed": of.passed,
-                    "why": of.why,
+                    "name": verdict.criterion.name,
+                    "measure": verdict.criterion.measure,
+                    "bound": verdict.criterion.bound,
+                    "limit": verdict.criterion.limit,
+                    "reason": verdict.criterion.reason,
+                    "value": verdict.value,
+                    "passed": verdict.passed,
+                    "why": verdict.why,
                 }
-                for of in self.judged
+                for verdict in self.judged
             ],
         }
 
@@ -105,21 +106,18 @@ def judge_run(folder: Path, criteria: Iterable[Criterion]) -> GateResult:
     ]
     notes = []
     if measures.dataset_is_gone:
-        notes.append(
-            f"the dataset {run.record['dataset']} is not here: not checked whether it has changed since the run"
-        )
+        notes.append(f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run")
     else:
         own.append(
             Criterion("scans and labels are those that were evaluated", "pairs.changed", "max", 0, "else run it again")
         )
     judged = []
-    for criterion in [*(of for of in own if (of.measure, of.bound) not in given), *wanted]:
-        found = measures.of(criterion.measure)
-        met = found.value is not None and (
-            found.value <= criterion.limit if criterion.bound == "max" else found.value >= criterion.limit
-        )
-        judged.append(Judged(criterion, found.value, met, found.why and f"could not be computed: {found.why}"))
-    return GateResult(folder, run.record["dataset"], tuple(judged), tuple(notes))
+    for criterion in [*(each for each in own if (each.measure, each.bound) not in given), *wanted]:
+        measured = measures.named(criterion.measure)
+        value = measured.value
+        met = value is not None and (value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit)
+        judged.append(Judged(criterion, value, met, measured.why and f"could not be computed: {measured.why}"))
+    return GateResult(folder, run.record.dataset, tuple(judged), tuple(notes))
 
 
 def parse_word(word: str, bound: Bound) -> Criterion:
@@ -149,7 +147,7 @@ def read_criteria(path: Path) -> list[Criterion]:
         The file cannot be read, holds none, or a field is missing, unknown or of the wrong kind.
     """
     try:
-        found = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        file = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"criteria file {path}: cannot be read ({error})") from error
     except tomllib.TOMLDecodeError as error:
@@ -162,7 +160,7 @@ def read_criteria(path: Path) -> list[Criterion]:
             'name = "...", measure = "r_lambda.mean", max = 0.4 (or min), reason = "..."'
         ) from error
     criteria = []
-    for i, entry in enumerate(found.criterion):
+    for i, entry in enumerate(file.criterion):
         limits: tuple[tuple[Bound, float | None], ...] = (("max", entry.max), ("min", entry.min))
         bounds = [(bound, limit) for bound, limit in limits if limit is not None]
         if not bounds:

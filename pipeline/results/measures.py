@@ -1,7 +1,4 @@
-"""The numbers of a finished run by name, such as `r_lambda.mean` or `missing.within_20m`: what a gate can judge.
-
-Leaves to others: bounds and verdicts (`gate`), the numbers themselves (`stages.findings`).
-"""
+"""The numbers of a finished run by name, such as `r_lambda.mean` or `missing.within_20m`: what a gate can judge."""
 
 from __future__ import annotations
 
@@ -13,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.columns import OBJECT_METRICS, SIDES
+from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, SettingsError
+from ...schemas.metrics import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
@@ -24,7 +22,6 @@ from .finished import FinishedRun
 
 _OF_PAIRS = ("mean", "std", "min", "median", "max")
 _OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
-_OBJECT_SCORES = ("cdc", "r_lambda", "r_gap")
 _COUNTS = ("total", "mean", "max", "share")
 _PAIR_SCORES = ("match_rate", *OBJECT_METRICS)
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
@@ -35,7 +32,7 @@ _NO_PAIR = "no pair is scored"
 #: Every name that can be measured; words in capitals stand for many.
 KNOWN = (
     f"SCORE.{'|'.join(_OF_PAIRS)} over pairs ({', '.join(_PAIR_SCORES)})",
-    f"objects.SCORE.{'|'.join(_OF_OBJECTS)} and class.LABEL.SCORE.... over objects ({', '.join(_OBJECT_SCORES)})",
+    f"objects.SCORE.{'|'.join(_OF_OBJECTS)} and class.LABEL.SCORE.... over objects ({', '.join(DISTRIBUTED)})",
     f"missing.{'|'.join(_COUNTS)}, hallucinated...., class.LABEL.missing....",
     "missing.within_20m and missing.within_20m.share (any distance)",
     "matched.total|mean|min",
@@ -57,7 +54,7 @@ class Measures:
     def __init__(self, run: FinishedRun) -> None:
         self.run = run
 
-    def of(self, name: str) -> Measured:
+    def named(self, name: str) -> Measured:
         """The number of that name.
 
         Raises
@@ -75,7 +72,7 @@ class Measures:
     def dataset_is_gone(self) -> bool:
         """Whether the dataset's folder is not on this machine; one that is there but broken is not gone."""
         try:
-            Path(self.run.record["dataset"]).stat()
+            Path(self.run.record.dataset).stat()
         except (FileNotFoundError, NotADirectoryError):
             return True
         except OSError:
@@ -83,7 +80,7 @@ class Measures:
         return False
 
     def _of_pairs(self, score: str, stat: str) -> Measured:
-        column = score if score == "match_rate" else f"{score}_mean"
+        column = METRIC[score].mean_column if score in OBJECT_METRICS else score
         values = np.array([np.nan if row[column] is None else row[column] for row in self.run.scored], dtype=float)
         return _statistic(values, stat, "pair", score)
 
@@ -104,7 +101,7 @@ class Measures:
         chosen: BoolArray = np.ones(len(side.pair), dtype=np.bool_)
         if label is not None:
             chosen &= side.label == label
-            if not any((of.label == label).any() for of in self._sides):
+            if not any((objects.label == label).any() for objects in self._sides):
                 return Measured(
                     None, f"no object has the class {label}; classes are {', '.join(self._labels) or 'none'}"
                 )
@@ -128,22 +125,22 @@ class Measures:
         if state != "to_do":
             return Measured(float(sum(row["status"] == state for row in self.run.rows)))
         if self.dataset_is_gone:
-            return Measured(float(self.run.record["pairs"]["to_do"]))
+            return Measured(float(self.run.record.pairs.to_do))
         if isinstance(self._dataset, str):
             return Measured(None, self._dataset)
         return Measured(
-            float(len({of.pair_id for of in self._dataset.pairs} - {row["pair_id"] for row in self.run.rows}))
+            float(len({pair.pair_id for pair in self._dataset.pairs} - {row["pair_id"] for row in self.run.rows}))
         )
 
     def _changed(self) -> Measured:
         """Pairs of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset."""
         if self.dataset_is_gone:
-            return Measured(None, f"the dataset {self.run.record['dataset']} is not here")
+            return Measured(None, f"the dataset {self.run.record.dataset} is not here")
         if isinstance(self._dataset, str):
             return Measured(None, self._dataset)
-        before = self.run.record["inputs"]
+        before = self.run.record.inputs
         if not all("content" in hashes for hashes in before.values()):
-            again = f"fidpipe run {self.run.record['dataset']} --out {self.run.folder}"
+            again = f"fidpipe run {self.run.record.dataset} --out {self.run.folder}"
             return Measured(
                 None, f"an older fidpipe wrote the run and did not note all that it is made of; run again: {again}"
             )
@@ -162,7 +159,7 @@ class Measures:
     def _dataset(self) -> Dataset | str:
         """The dataset of the run as it is now, or why it cannot be read."""
         try:
-            return read_dataset(Path(self.run.record["dataset"]))
+            return read_dataset(Path(self.run.record.dataset))
         except (DatasetError, OSError) as error:
             return str(error)
 
@@ -187,16 +184,16 @@ class Measures:
         return [label for label in labels if label]
 
 
-def _statistic(values: FloatArray, stat: str, of: str, score: str) -> Measured:
-    found = distribution(values)
-    if not found["n"]:
-        return Measured(None, f"no {of} has a {score}")
-    value = found[stat]
-    return Measured(None, f"only one {of} has a {score}") if value is None else Measured(float(value))
+def _statistic(values: FloatArray, stat: str, what: str, score: str) -> Measured:
+    spread = distribution(values)
+    if not spread.n:
+        return Measured(None, f"no {what} has a {score}")
+    value = getattr(spread, stat)
+    return Measured(None, f"only one {what} has a {score}") if value is None else Measured(float(value))
 
 
-def _counted(of_pairs: IndexArray, count: str) -> float:
-    numbers = {"total": of_pairs.sum(), "mean": of_pairs.mean(), "min": of_pairs.min(), "max": of_pairs.max()}
+def _counted(by_pair: IndexArray, count: str) -> float:
+    numbers = {"total": by_pair.sum(), "mean": by_pair.mean(), "min": by_pair.min(), "max": by_pair.max()}
     return float(numbers[count])
 
 
@@ -211,7 +208,7 @@ _MEASURES: tuple[tuple[re.Pattern[str], Callable[..., Measured]], ...] = tuple(
     for pattern, measure in (
         (rf"{_either('score', _PAIR_SCORES)}\.{_either('stat', _OF_PAIRS)}", Measures._of_pairs),
         (
-            rf"(?:objects\.|{_CLASS}){_either('score', _OBJECT_SCORES)}\.{_either('stat', _OF_OBJECTS)}",
+            rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', _OF_OBJECTS)}",
             Measures._of_objects,
         ),
         (rf"{_CLASS}?{_either('what', _UNMATCHED)}{_WITHIN}(?:\.{_either('count', _COUNTS)})?", Measures._unmatched),

@@ -110,7 +110,7 @@ def run_record(
     wall_s: Mapping[str, float],
     n_workers: int,
     seconds: Mapping[str, Any],
-    findings: Mapping[str, Any],
+    findings: Findings | None,
     n_to_do: int,
 ) -> dict[str, Any]:
     """What `run.json` holds at the end of a run.
@@ -132,14 +132,14 @@ def run_record(
         "workers": n_workers,
         "wall_s": dict(wall_s),
         "pairs": {"scored": len(scored), "failed": len(rows) - len(scored), "to_do": n_to_do},
-        "summary": summarise_pairs(rows),
-        "findings": dict(findings),
+        "summary": {name: score.as_dict() for name, score in summarise_pairs(rows).items()},
+        "findings": findings.as_dict() if findings else {},
         "seconds": dict(seconds),
         "inputs": {pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
     }
 
 
-def summarise_pairs(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+def summarise_pairs(rows: Iterable[Mapping[str, Any]]) -> dict[str, ScoreSummary]:
     """Mean and standard deviation over the scored pairs of each score."""
     scored = [row for row in rows if row["status"] == "scored"]
     return summarise_dataset({name: [row[name] for row in scored] for name in DATASET_VALUES})

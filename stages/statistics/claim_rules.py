@@ -7,15 +7,17 @@
   0 and 1: both share and error are taken with two unmatched and two matched objects added (Agresti and Coull, 1998).
 
 The rules were written before any of our results was seen, but for the two standard errors and the five objects, which
-came later and make it harder to hold. Leaves to others: the claims themselves (`claims`).
+came later and make it harder to hold.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ...schemas.metrics import PaperMean
+from ...schemas.results import Claim, ClassFindings, ScoreSummary, Unmatched
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -38,35 +40,22 @@ class Estimate:
 NOTHING = Estimate()
 
 
-@dataclass(frozen=True)
-class Claim:
-    """One claim: what the paper says, what is found here, by which rule, and whether it holds."""
-
-    claim: str
-    paper: str
-    here: str
-    rule: str
-    verdict: str
-
-    def as_dict(self) -> dict[str, str]:
-        """Plain values, for the run's record."""
-        return asdict(self)
-
-
 def judged(
     claim: str, paper: str, rule: str, pattern: str, values: list[float | None], holds: Callable[..., bool]
 ) -> Claim:
     """A claim with its verdict: `holds` of the values, or not checkable where one is missing."""
     if any(value is None for value in values):
-        return Claim(claim, paper, "-", rule, UNKNOWN)
-    return Claim(claim, paper, pattern.format(*values), rule, HOLDS if holds(*values) else FAILS)
+        return Claim(claim=claim, paper=paper, here="-", rule=rule, verdict=UNKNOWN)
+    verdict = HOLDS if holds(*values) else FAILS
+    return Claim(claim=claim, paper=paper, here=pattern.format(*values), rule=rule, verdict=verdict)
 
 
-def within_spread(claim: str, mean: float, std: float, here: Mapping[str, Any]) -> Claim:
+def within_spread(claim: str, paper: PaperMean, here: ScoreSummary) -> Claim:
     """That a mean over pairs lies within the paper's mean ± std."""
-    text = "{:.3f}" if here["std"] is None else f"{{:.3f}} ± {here['std']:.3f}"
-    rule = f"mean within {mean:g} ± {std:g}"
-    return judged(claim, f"{mean:g} ± {std:g}", rule, text, [here["mean"]], lambda value: abs(value - mean) <= std)
+    text = "{:.3f}" if here.std is None else f"{{:.3f}} ± {here.std:.3f}"
+    return judged(
+        claim, f"{paper}", f"mean within {paper}", text, [here.mean], lambda value: abs(value - paper.mean) <= paper.std
+    )
 
 
 def near_value(claim: str, paper: float, here: float | None) -> Claim:
@@ -94,26 +83,23 @@ def clearly_more(claim: str, paper: str, rule: str, larger: Estimate, smaller: E
     )
 
 
-def share_of(groups: Sequence[Mapping[str, Any]], what: str, side: str) -> Estimate:
-    """Share of unmatched objects in some groups together, with centre and error after Agresti and Coull."""
-    n = sum(group.get(f"n_{side}", 0) for group in groups)
+def share_of(groups: Sequence[Unmatched], side: str) -> Estimate:
+    """Share of unmatched objects of a side in some groups together, with centre and error after Agresti and Coull."""
+    n = sum(group.count(side) for group in groups)
     if n < LEAST_OBJECTS:
         return NOTHING
-    n_unmatched = sum(group[f"n_{what}"] for group in groups)
+    n_unmatched = sum(group.alone(side) for group in groups)
     centre = (n_unmatched + 2) / (n + 4)
     return Estimate(n_unmatched / n, centre, math.sqrt(centre * (1 - centre) / (n + 4)))
 
 
-def mean_of(classes: list[dict[str, Any]], score: str) -> Estimate:
+def mean_of(classes: Sequence[ClassFindings], score: str) -> Estimate:
     """Mean of a score over the objects of some classes together, and its standard error."""
-    rows = [row for row in classes if row[f"{score}_n"]]
-    n = sum(row[f"{score}_n"] for row in rows)
-    if n < LEAST_OBJECTS:
+    groups = [(group.n, group.mean, group.std or 0.0) for row in classes if (group := row.of_score(score)).n]
+    known = [(n, mean, std) for n, mean, std in groups if mean is not None]
+    n_all = sum(n for n, _, _ in known)
+    if n_all < LEAST_OBJECTS:
         return NOTHING
-    mean = sum(row[f"{score}_n"] * row[f"{score}_mean"] for row in rows) / n
-    squares = sum(
-        (row[f"{score}_n"] - 1) * (row[f"{score}_std"] or 0) ** 2
-        + row[f"{score}_n"] * (row[f"{score}_mean"] - mean) ** 2
-        for row in rows
-    )
-    return Estimate(mean, mean, math.sqrt(squares / (n - 1) / n))
+    mean_all = sum(n * mean for n, mean, _ in known) / n_all
+    squares = sum((n - 1) * std**2 + n * (mean - mean_all) ** 2 for n, mean, std in known)
+    return Estimate(mean_all, mean_all, math.sqrt(squares / (n_all - 1) / n_all))

@@ -2,18 +2,18 @@
 
 Each claim of the paper's section "Real experiments" (and of its remarks on density and classes) that a number can check
 is one line: claim, the paper's value, the value here, the rule, the verdict. Claims about single pictures are left out,
-as is what the perturbation experiment shows.
-
-Leaves to others: by which rules a claim holds (`claim_rules`), the numbers themselves (`findings`, `summary`).
+as is what the perturbation experiment shows. By which rules a claim holds is said in `claim_rules`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
-from .claim_rules import NOTHING, Claim, clearly_more, in_order, judged, mean_of, near_value, share_of, within_spread
+from ...schemas.metrics import metric_of
+from ...schemas.paper import MEDIAN_UNMATCHED_RANGE_M, N_MATCHED, N_PAIRS
+from ...schemas.results import Claim, ClassFindings, Distribution, ObjectFindings, Scans, ScoreSummary
+from .claim_rules import NOTHING, clearly_more, in_order, judged, mean_of, near_value, share_of, within_spread
 
 #: |Spearman's rho| below this is a weak rank correlation (Evans, Straightforward Statistics, 1996).
 WEAK_CORRELATION = 0.4
@@ -29,82 +29,78 @@ _FOLIAGE = ("tree", "vegetation")
 _IN_WORDS = "(in words)"  # the paper gives no number
 
 
-def check_claims(summary: Mapping[str, Any], findings: Mapping[str, Any]) -> list[Claim]:
+def check_claims(summary: Mapping[str, ScoreSummary], findings: ObjectFindings) -> list[Claim]:
     """Every claim with its verdict; `not checkable` where a number that it needs is missing.
 
     Parameters
     ----------
-    summary : mean and std over pairs by score, from `summarise_dataset`
+    summary : by column of `pairs`, from `summarise_dataset`
     findings : from `summarise_objects`
     """
     return [
         *_means(summary, findings),
         *_unmatched(findings),
         *_spreads(summary, findings),
-        *_classes(findings["classes"]),
+        *_classes(findings.classes),
     ]
 
 
-def _means(summary: Mapping[str, Any], findings: Mapping[str, Any]) -> Iterator[Claim]:
-    for column, name, mean, std in (
-        ("match_rate", "match rate", 0.594, 0.066),
-        ("cdc_mean", "CDC", 0.75, 0.02),
-        ("r_lambda_mean", "r_lambda", 0.37, 0.03),
-        ("r_gap_mean", "r_gap", 0.028, 0.014),
-    ):
-        yield within_spread(f"mean {name} over pairs", mean, std, summary[column])
-    n_pairs = findings["n_pairs"]
+def _means(summary: Mapping[str, ScoreSummary], findings: ObjectFindings) -> Iterator[Claim]:
+    for column in ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean"):
+        metric = metric_of(column)
+        if metric.paper is not None:
+            yield within_spread(f"mean {metric.heading} over pairs", metric.paper, summary[column])
+    n_pairs = findings.n_pairs
     yield near_value(
-        "matched objects a pair (the paper: 1,067 in 50)",
-        1067 / 50,
-        findings["n_matched"] / n_pairs if n_pairs else None,
+        f"matched objects a pair (the paper: {N_MATCHED:,} in {N_PAIRS})",
+        N_MATCHED / N_PAIRS,
+        findings.n_matched / n_pairs if n_pairs else None,
     )
 
 
-def _unmatched(findings: Mapping[str, Any]) -> Iterator[Claim]:
-    median = findings["range_m"]
-    yield near_value("median range of unmatched objects, m", 29.0, median["median_unmatched"])
+def _unmatched(findings: ObjectFindings) -> Iterator[Claim]:
+    found = findings.range_m
+    yield near_value("median range of unmatched objects, m", MEDIAN_UNMATCHED_RANGE_M, found.median_unmatched)
     yield in_order(
         "unmatched objects lie farther away than matched ones",
         _IN_WORDS,
         "median range unmatched > matched, m",
-        median["median_unmatched"],
-        median["median_matched"],
+        found.median_unmatched,
+        found.median_matched,
         "{:.1f} and {:.1f}",
     )
-    near, far = halves if len(halves := findings["range_m"]["halves"]) == 2 else ({}, {})
+    near, far = (found.halves[:1], found.halves[1:]) if len(found.halves) == 2 else ((), ())
     for what, side, name in (("missing", "real", "real"), ("hallucinated", "sim", "simulated")):
         yield clearly_more(
             f"more of the distant {name} objects are {what}",
             _IN_WORDS,
             "share beyond the median range > share nearer",
-            share_of([far], what, side),
-            share_of([near], what, side),
+            share_of(far, side),
+            share_of(near, side),
         )
-    ratio = findings["density_ratio"]
-    for name, paper, rule, bound, sign in (
-        ("min", "< 1/4", "smallest ratio < 0.25", 0.25, -1),
-        ("max", "> 4", "largest ratio > 4", 4.0, 1),
+    for value, paper, rule, bound, sign in (
+        (findings.density_ratio.min, "< 1/4", "smallest ratio < 0.25", 0.25, -1),
+        (findings.density_ratio.max, "> 4", "largest ratio > 4", 4.0, 1),
     ):
         yield judged(
             f"n_sim / n_real goes {'below a quarter' if sign < 0 else 'above four'}",
             paper,
             rule,
             "{:.2f}",
-            [ratio[name]],
+            [value],
             lambda value, bound=bound, sign=sign: sign * value > sign * bound,
         )
 
 
-def _spreads(summary: Mapping[str, Any], findings: Mapping[str, Any]) -> Iterator[Claim]:
-    cdc, r_lambda = (findings["distributions"][name] for name in ("cdc", "r_lambda"))
-    of_pairs = [summary[f"{name}_mean"] for name in ("cdc", "r_lambda")]
+def _spreads(summary: Mapping[str, ScoreSummary], findings: ObjectFindings) -> Iterator[Claim]:
+    cdc, r_lambda = findings.distributions.cdc, findings.distributions.r_lambda
+    over_pairs = [summary[f"{name}_mean"] for name in ("cdc", "r_lambda")]
     yield judged(
         "mean CDC is substantially larger than mean r_lambda",
         "0.75 and 0.37",
         "difference of the means > sum of their std over pairs",
         "{:.3f} and {:.3f}",
-        [of[name] for name in ("mean", "std") for of in of_pairs],
+        [*(score.mean for score in over_pairs), *(score.std for score in over_pairs)],
         lambda a, b, std_a, std_b: a - b > std_a + std_b,
     )
     for name, word in (("mean", "larger"), ("std", "more variable")):
@@ -112,76 +108,73 @@ def _spreads(summary: Mapping[str, Any], findings: Mapping[str, Any]) -> Iterato
             f"r_lambda is {word} than r_gap",
             {"mean": "0.37 and 0.028", "std": "0.03 and 0.014"}[name],
             f"{name} over pairs, r_lambda > r_gap",
-            summary["r_lambda_mean"][name],
-            summary["r_gap_mean"][name],
+            getattr(summary["r_lambda_mean"], name),
+            getattr(summary["r_gap_mean"], name),
         )
     yield judged(
         "CDC takes no value below 0.4",
         "0.40",
         "smallest CDC of an object >= 0.4",
         "{:.3f}",
-        [cdc["min"]],
+        [cdc.min],
         lambda a: a >= 0.4,
     )
     yield in_order(
         "r_lambda varies more than CDC relative to its mean",
         _IN_WORDS,
         "std / mean over objects, r_lambda > CDC",
-        r_lambda["cv"],
-        cdc["cv"],
+        r_lambda.cv,
+        cdc.cv,
     )
     yield in_order(
         "r_lambda spans a wider range than CDC",
         _IN_WORDS,
         "95 % less 5 % quantile over objects, r_lambda > CDC",
-        _span(r_lambda, "q05", "q95"),
-        _span(cdc, "q05", "q95"),
+        _less(r_lambda.q95, r_lambda.q05),
+        _less(cdc.q95, cdc.q05),
     )
     yield in_order(
         "the peak of CDC is higher and sharper than that of r_lambda",
         _IN_WORDS,
         "density of the fullest bin of 0.05, CDC > r_lambda",
-        cdc["peak_density"],
-        r_lambda["peak_density"],
+        cdc.peak_density,
+        r_lambda.peak_density,
     )
-    pairs = findings["within_pairs"]
+    pairs = findings.within_pairs
     yield judged(
         "within a scan r_lambda varies more than CDC, consistently",
         "50 of 50 scans",
         f"std over a pair's objects, r_lambda > CDC in {CONSISTENT_SHARE:.0%} of the pairs",
         "{} of {} scans",
-        [pairs["n_r_lambda_wider"], pairs["n_pairs"] or None],
+        [pairs.n_r_lambda_wider, pairs.n_pairs or None],
         lambda n_wider, n: n_wider >= CONSISTENT_SHARE * n,
     )
-    yield _four_scans(findings["scans"])
+    yield _four_scans(findings.scans)
     yield judged(
         "CDC and r_lambda are complementary, not redundant",
         _IN_WORDS,
         f"|Spearman's rho| over objects < {WEAK_CORRELATION}",
         "{:.2f}",
-        [findings["rank_correlation"]["spearman"]],
+        [findings.rank_correlation.spearman],
         lambda rho: abs(rho) < WEAK_CORRELATION,
     )
 
 
-def _four_scans(found: Mapping[str, Any]) -> Claim:
-    scans = found["scans"]
-    n_wider = sum(
-        (_span(scan["r_lambda"], "q25", "q75") or 0) > (_span(scan["cdc"], "q25", "q75") or 0) for scan in scans
-    )
+def _four_scans(found: Scans) -> Claim:
+    n_wider = sum((_quartile_range(scan.r_lambda) or 0) > (_quartile_range(scan.cdc) or 0) for scan in found.scans)
     return judged(
         "in four scans over a minute apart, r_lambda varies more than CDC",
         "4 of 4 scans",
         "interquartile range over a scan's objects, r_lambda > CDC in all",
         "{} of {} scans",
-        [n_wider, len(scans) if found["apart"] else None],
+        [n_wider, len(found.scans) if found.apart else None],
         lambda wider, n: wider == n,
     )
 
 
-def _classes(classes: list[dict[str, Any]]) -> Iterator[Claim]:
+def _classes(classes: Sequence[ClassFindings]) -> Iterator[Claim]:
     foliage, others, cars, walls, trees = (
-        [row for row in classes if row["label"] in labels]
+        [row for row in classes if row.label in labels]
         for labels in (_FOLIAGE, ("car", "wall"), ("car",), ("wall",), ("tree",))
     )
     for what, side, rule in (
@@ -192,16 +185,16 @@ def _classes(classes: list[dict[str, Any]]) -> Iterator[Claim]:
             f"trees and vegetation are {what} more often than cars and walls",
             _IN_WORDS,
             rule,
-            share_of(foliage, what, side),
-            share_of(others, what, side),
+            share_of(foliage, side),
+            share_of(others, side),
         )
     for score, name, paper in (("cdc", "CDC", "0.56 and 0.40"), ("r_lambda", "r_lambda", "0.27 and 0.13")):
-        means = [mean_of([row], score) for row in classes if row["label"] in ("car", *_FOLIAGE)]
+        means = [mean_of([row], score) for row in classes if row.label in ("car", *_FOLIAGE)]
         yield clearly_more(
             f"walls have the lowest {name} of the four classes",
             paper,
             "mean of the next class > mean of walls",
-            min(means, key=lambda of: math.inf if of.value is None else of.value, default=NOTHING),
+            min(means, key=lambda mean: math.inf if mean.value is None else mean.value, default=NOTHING),
             mean_of(walls, score),
         )
     yield clearly_more(
@@ -220,5 +213,9 @@ def _classes(classes: list[dict[str, Any]]) -> Iterator[Claim]:
     )
 
 
-def _span(of: Mapping[str, Any], low: str, high: str) -> float | None:
-    return None if of[low] is None else of[high] - of[low]
+def _less(high: float | None, low: float | None) -> float | None:
+    return None if high is None or low is None else high - low
+
+
+def _quartile_range(scores: Distribution) -> float | None:
+    return _less(scores.q75, scores.q25)

@@ -1,7 +1,4 @@
-"""Two simulator versions on the same real scans: which scores differ, and which objects got better or worse.
-
-Leaves to others: the scores themselves (`metrics`, `summary`), whether two runs may be compared (`pipeline.compare`).
-"""
+"""Two simulator versions on the same real scans: which scores differ, and which objects got better or worse."""
 
 from __future__ import annotations
 

@@ -1,20 +1,33 @@
 """What the objects of all pairs say together: the numbers of the paper's section "Real experiments".
 
-Counts and distributions pool the objects of all pairs. Leaves to others: means over pairs (`summary`), what the paper
-claims (`claims`), where the arrays come from (`pipeline.findings`).
+Counts and distributions pool the objects of all pairs. Means over pairs are in `summary`, the claims in `claims`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...schemas.results import (
+    ClassFindings,
+    DensityRatio,
+    Distribution,
+    Number,
+    ObjectFindings,
+    RangeBand,
+    RangeFindings,
+    RankCorrelation,
+    ScanFindings,
+    Scans,
+    ScoreDistributions,
+    Unmatched,
+    WithinPairs,
+)
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..summary import Number, mean_and_std
+from ..summary import mean_and_std
 
 #: Edges of the range bands, metres; the last band has no end.
 BAND_EDGES_M = (0.0, 10.0, 20.0, 30.0, 50.0)
@@ -64,37 +77,44 @@ class MatchedObjects:
 
 
 def summarise_objects(
-    real: SideObjects, sim: SideObjects, matched: MatchedObjects, timestamps_s: Sequence[float | None]
-) -> dict[str, Any]:
-    """Distributions, ranges, classes, density ratios, correlation, and the four scans; plain numbers, None for null.
+    real: SideObjects,
+    sim: SideObjects,
+    matched: MatchedObjects,
+    pair_ids: Sequence[str],
+    timestamps_s: Sequence[float | None],
+) -> ObjectFindings:
+    """Distributions, ranges, classes, density ratios, correlation, and the four scans; None for what has no value.
 
     Parameters
     ----------
     real, sim : the objects of each side
     matched : those that both sides have
+    pair_ids : by pair, its name
     timestamps_s : by pair, when the scan was taken; None where unknown
     """
-    return {
-        "n_pairs": len(timestamps_s),
-        "n_matched": len(matched.pair),
-        "distributions": {name: distribution(getattr(matched, name)) for name in ("cdc", "r_lambda", "r_gap")},
-        "rank_correlation": rank_correlation(matched.cdc, matched.r_lambda),
-        "density_ratio": density_ratio(matched.n_real, matched.n_sim),
-        "range_m": {
-            "median_matched": distribution(real.range_m[real.is_matched])["median"],
-            "median_unmatched": distribution(
-                np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
-            )["median"],
-            "bands": by_range(real, sim),
-            "halves": by_range(real, sim, (0.0, _median(np.concatenate([real.range_m, sim.range_m])))),
-        },
-        "classes": by_class(real, sim, matched),
-        "within_pairs": within_pairs(matched, len(timestamps_s)),
-        "scans": compare_scans(matched, timestamps_s),
-    }
+    median_m = _median(np.concatenate([real.range_m, sim.range_m]))
+    unmatched_m = np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
+    return ObjectFindings(
+        n_pairs=len(pair_ids),
+        n_matched=len(matched.pair),
+        distributions=ScoreDistributions(
+            cdc=distribution(matched.cdc), r_lambda=distribution(matched.r_lambda), r_gap=distribution(matched.r_gap)
+        ),
+        rank_correlation=rank_correlation(matched.cdc, matched.r_lambda),
+        density_ratio=density_ratio(matched.n_real, matched.n_sim),
+        range_m=RangeFindings(
+            median_matched=_median(real.range_m[real.is_matched]),
+            median_unmatched=_median(unmatched_m),
+            bands=by_range(real, sim),
+            halves=by_range(real, sim, (0.0,) if median_m is None else (0.0, median_m)),
+        ),
+        classes=by_class(real, sim, matched),
+        within_pairs=within_pairs(matched, len(pair_ids)),
+        scans=compare_scans(matched, pair_ids, timestamps_s),
+    )
 
 
-def distribution(values: FloatArray) -> dict[str, Number]:
+def distribution(values: FloatArray) -> Distribution:
     """Number, quantiles, mean, standard deviation (n - 1), coefficient of variation and tallest bin of some values.
 
     The coefficient of variation is standard deviation / mean: a score that varies more relative to its mean tells
@@ -103,57 +123,57 @@ def distribution(values: FloatArray) -> dict[str, Number]:
 
     Examples
     --------
-    >>> distribution(np.array([1.0, np.nan, 3.0]))["median"]
+    >>> distribution(np.array([1.0, np.nan, 3.0])).median
     2.0
     """
     known = values[~np.isnan(values)]
     mean, std = mean_and_std(known)
-    found: dict[str, Number] = {"n": len(known)}
-    found |= {name: float(np.quantile(known, q)) if len(known) else None for name, q in _QUANTILES.items()}
-    found |= {"mean": mean, "std": std, "cv": std / mean if mean and std is not None else None}
     bins = np.unique(np.floor(known / PEAK_BIN), return_counts=True)[1]
-    found["peak_density"] = float(bins.max() / len(known) / PEAK_BIN) if len(known) else None
-    return found
+    return Distribution(
+        n=len(known),
+        **_quantiles(known),
+        mean=mean,
+        std=std,
+        cv=std / mean if mean and std is not None else None,
+        peak_density=float(bins.max() / len(known) / PEAK_BIN) if len(known) else None,
+    )
 
 
-def rank_correlation(a: FloatArray, b: FloatArray) -> dict[str, Number]:
+def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
     """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores."""
     from scipy import stats
 
     both = ~(np.isnan(a) | np.isnan(b))
     a, b = a[both], b[both]
     if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
-        return {"n": len(a), "spearman": None, "kendall": None}
-    return {
-        "n": len(a),
-        "spearman": float(stats.spearmanr(a, b).statistic),
-        "kendall": float(stats.kendalltau(a, b).statistic),
-    }
+        return RankCorrelation(n=len(a), spearman=None, kendall=None)
+    return RankCorrelation(
+        n=len(a), spearman=float(stats.spearmanr(a, b).statistic), kendall=float(stats.kendalltau(a, b).statistic)
+    )
 
 
-def density_ratio(n_real: IntArray, n_sim: IntArray) -> dict[str, Number]:
-    """Quantiles of n_sim / n_real, and the shares below a quarter and above four."""
+def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
+    """Quantiles of n_sim / n_real, and the shares below a quarter and above four; None of no object."""
     ratio = n_sim / n_real
-    found = {name: value for name, value in distribution(ratio).items() if name in {"n", *_QUANTILES}}
-    found["share_below_quarter"] = float(np.mean(ratio < SPARSE_RATIO)) if len(ratio) else None
-    found["share_above_four"] = float(np.mean(ratio > DENSE_RATIO)) if len(ratio) else None
-    return found
+    return DensityRatio(
+        n=len(ratio),
+        **_quantiles(ratio),
+        share_below_quarter=float(np.mean(ratio < SPARSE_RATIO)) if len(ratio) else None,
+        share_above_four=float(np.mean(ratio > DENSE_RATIO)) if len(ratio) else None,
+    )
 
 
-def by_range(
-    real: SideObjects, sim: SideObjects, edges_m: Sequence[float | None] = BAND_EDGES_M
-) -> list[dict[str, Number]]:
-    """Missing and hallucinated objects by distance from the sensor, each of its own side."""
-    bands: list[dict[str, Number]] = []
-    known = [edge for edge in edges_m if edge is not None]
-    for low, high in zip(known, [*known[1:], None], strict=True):
-        inside = [(of.range_m >= low) & (of.range_m < (np.inf if high is None else high)) for of in (real, sim)]
-        bands.append({"from_m": low, "to_m": high} | _unmatched(real, sim, *inside))
-    return bands
+def by_range(real: SideObjects, sim: SideObjects, edges_m: Sequence[float] = BAND_EDGES_M) -> tuple[RangeBand, ...]:
+    """Missing and hallucinated objects by distance from the sensor, each of its own side; the last band has no end."""
+    bands = []
+    for low, high in zip(edges_m, [*edges_m[1:], None], strict=True):
+        inside = [(side.range_m >= low) & (side.range_m < (np.inf if high is None else high)) for side in (real, sim)]
+        bands.append(RangeBand(from_m=low, to_m=high, **vars(_unmatched(real, sim, *inside))))
+    return tuple(bands)
 
 
-def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> list[dict[str, Any]]:
-    """Missing, hallucinated and scores by class, the class with most objects first; [] without labels.
+def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> tuple[ClassFindings, ...]:
+    """Missing, hallucinated and scores by class, the class with most objects first; () without labels.
 
     A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
     objects. `cdc_excess` is cdc less r_lambda; `r_lambda_near` and `r_lambda_far` are of the matched objects nearer
@@ -165,11 +185,10 @@ def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> li
         if not label:
             continue
         own = matched.label == label
-        row: dict[str, Any] = {"label": label} | _unmatched(real, sim, real.label == label, sim.label == label)
-        row["n_matched"] = int(np.count_nonzero(own))
         cdc, r_lambda = matched.cdc[own], matched.r_lambda[own]
         middle = _median(matched.range_m[own])
         is_near = matched.range_m[own] < (np.inf if middle is None else middle)
+        scores: dict[str, Number] = {}
         for name, values in (
             ("cdc", cdc),
             ("r_lambda", r_lambda),
@@ -178,22 +197,25 @@ def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> li
             ("r_lambda_near", r_lambda[is_near]),
             ("r_lambda_far", r_lambda[~is_near]),
         ):
-            row[f"{name}_mean"], row[f"{name}_std"] = mean_and_std(values)
-            row[f"{name}_n"] = int(np.count_nonzero(~np.isnan(values)))
-        row["spearman"] = rank_correlation(cdc, r_lambda)["spearman"]
-        rows.append(row)
-    return rows
+            scores[f"{name}_mean"], scores[f"{name}_std"] = mean_and_std(values)
+            scores[f"{name}_n"] = int(np.count_nonzero(~np.isnan(values)))
+        counted = vars(_unmatched(real, sim, real.label == label, sim.label == label))
+        n_matched, spearman = int(np.count_nonzero(own)), rank_correlation(cdc, r_lambda).spearman
+        rows.append(
+            ClassFindings.from_dict({"label": label, **counted, "n_matched": n_matched, **scores, "spearman": spearman})
+        )
+    return tuple(rows)
 
 
-def within_pairs(matched: MatchedObjects, n_pairs: int) -> dict[str, Number]:
+def within_pairs(matched: MatchedObjects, n_pairs: int) -> WithinPairs:
     """In how many pairs r_lambda varies more than CDC over the objects of the pair (standard deviation)."""
-    spread = [_std_by_pair(getattr(matched, score), matched.pair, n_pairs) for score in ("cdc", "r_lambda")]
+    spread = [_std_by_pair(scores, matched.pair, n_pairs) for scores in (matched.cdc, matched.r_lambda)]
     both = ~(np.isnan(spread[0]) | np.isnan(spread[1]))
     wider = spread[1][both] > spread[0][both]
-    return {"n_pairs": int(np.count_nonzero(both)), "n_r_lambda_wider": int(np.count_nonzero(wider))}
+    return WithinPairs(n_pairs=int(np.count_nonzero(both)), n_r_lambda_wider=int(np.count_nonzero(wider)))
 
 
-def compare_scans(matched: MatchedObjects, timestamps_s: Sequence[float | None]) -> dict[str, Any]:
+def compare_scans(matched: MatchedObjects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
     """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
 
     Where fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are taken instead, and
@@ -203,18 +225,16 @@ def compare_scans(matched: MatchedObjects, timestamps_s: Sequence[float | None])
     apart = len(chosen) > 1
     if not apart:
         chosen = _evenly(range(len(timestamps_s)))
-    return {
-        "apart": apart,
-        "scans": [
-            {
-                "pair": i,
-                "timestamp_s": timestamps_s[i],
-                "cdc": distribution(matched.cdc[matched.pair == i]),
-                "r_lambda": distribution(matched.r_lambda[matched.pair == i]),
-            }
-            for i in chosen
-        ],
-    }
+    scans = [
+        ScanFindings(
+            pair=pair_ids[i],
+            timestamp_s=timestamps_s[i],
+            cdc=distribution(matched.cdc[matched.pair == i]),
+            r_lambda=distribution(matched.r_lambda[matched.pair == i]),
+        )
+        for i in chosen
+    ]
+    return Scans(apart=apart, scans=tuple(scans))
 
 
 def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
@@ -239,12 +259,23 @@ def _evenly(items: Sequence[int]) -> list[int]:
     return [items[i] for i in np.linspace(0, len(items) - 1, N_SCANS).round().astype(int).tolist()]
 
 
-def _unmatched(real: SideObjects, sim: SideObjects, of_real: BoolArray, of_sim: BoolArray) -> dict[str, Number]:
-    counts: dict[str, Number] = {}
-    for side, what, of, inside in (("real", "missing", real, of_real), ("sim", "hallucinated", sim, of_sim)):
-        n, n_unmatched = int(np.count_nonzero(inside)), int(np.count_nonzero(inside & ~of.is_matched))
-        counts |= {f"n_{side}": n, f"n_{what}": n_unmatched, f"{what}_share": n_unmatched / n if n else None}
-    return counts
+def _unmatched(real: SideObjects, sim: SideObjects, in_real: BoolArray, in_sim: BoolArray) -> Unmatched:
+    """Objects inside a group of each side, and those of them that the other side lacks."""
+    n_real, n_sim = int(np.count_nonzero(in_real)), int(np.count_nonzero(in_sim))
+    n_missing = int(np.count_nonzero(in_real & ~real.is_matched))
+    n_hallucinated = int(np.count_nonzero(in_sim & ~sim.is_matched))
+    return Unmatched(
+        n_real=n_real,
+        n_missing=n_missing,
+        missing_share=n_missing / n_real if n_real else None,
+        n_sim=n_sim,
+        n_hallucinated=n_hallucinated,
+        hallucinated_share=n_hallucinated / n_sim if n_sim else None,
+    )
+
+
+def _quantiles(values: FloatArray) -> dict[str, float | None]:
+    return {name: float(np.quantile(values, q)) if len(values) else None for name, q in _QUANTILES.items()}
 
 
 def _std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:

@@ -1,37 +1,15 @@
-"""How much a score depends on the seed, and how much on the pair: which differences are more than chance.
-
-Leaves to others: the scores under each seed.
-"""
+"""How much a score depends on the seed, and how much on the pair: which differences are more than chance."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...schemas.results import Spread
 from ..arrays import FloatArray
 from ..summary import mean_and_std
 
 #: Two values of equal noise differ by more than this many standard deviations in 5 % of the cases: 1.96 sqrt(2).
 _STDS_OF_A_DIFFERENCE = 1.959963984540054 * 2**0.5
-
-
-@dataclass(frozen=True)
-class Spread:
-    """The spread of one score over seeds and pairs; None where there are too few values.
-
-    mean : over pairs, of each pair's mean over seeds
-    std_pairs : standard deviation (n - 1) over pairs of each pair's mean over seeds
-    std_seeds : standard deviation over seeds within a pair: root mean square of those (n - 1) of all pairs
-    least_pair, least_dataset : two evaluations of a pair (of all pairs) under seeds of their own that differ only by
-        chance are nearer than this in 95 % of the cases
-    """
-
-    mean: float | None
-    std_pairs: float | None
-    std_seeds: float | None
-    least_pair: float | None
-    least_dataset: float | None
 
 
 def spread(values: FloatArray) -> Spread:
@@ -56,7 +34,13 @@ def spread(values: FloatArray) -> Spread:
     stds = np.array([std for _, std in of_pairs if std is not None], dtype=np.float64)
     mean, std_pairs = mean_and_std(means)
     if not len(stds):
-        return Spread(mean, std_pairs, None, None, None)
+        return Spread(mean=mean, std_pairs=std_pairs, std_seeds=None, least_pair=None, least_dataset=None)
     std_seeds = float(np.sqrt(np.mean(stds**2)))
     least = _STDS_OF_A_DIFFERENCE * std_seeds
-    return Spread(mean, std_pairs, std_seeds, least, float(least / np.sqrt(len(means))))
+    return Spread(
+        mean=mean,
+        std_pairs=std_pairs,
+        std_seeds=std_seeds,
+        least_pair=least,
+        least_dataset=float(least / np.sqrt(len(means))),
+    )

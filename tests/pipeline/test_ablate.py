@@ -16,9 +16,9 @@ from fidpipe.pipeline.experiments import partition
 from fidpipe.pipeline.experiments.ablate.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
 from fidpipe.pipeline.experiments.ablate.choice import choose, influences
 from fidpipe.pipeline.report.figures.ablate import draw_ablation
-from fidpipe.schemas.columns import OBJECT_METRICS
 from fidpipe.schemas.errors import DatasetError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
+from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from runs import command
 from scenes import write_dataset

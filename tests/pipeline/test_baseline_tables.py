@@ -202,7 +202,8 @@ def test_no_stage_of_the_scores_depends_on_their_settings():
 
 def test_the_terminal_shows_each_baseline_with_its_time(compared):
     shown = io.StringIO()
-    Console(width=100, file=shown).print(baselines_view(compared[1].record["baselines"]))
+    rows = [BaselineSummary.from_dict(row) for row in compared[1].record["baselines"]]
+    Console(width=100, file=shown).print(baselines_view(rows))
     text = shown.getvalue()
     for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h"):
         assert name in text

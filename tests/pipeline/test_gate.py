@@ -46,7 +46,7 @@ def judged(folder, *words):
 
 
 def test_measures_are_the_numbers_of_the_tables(finished):
-    of = Measures(FinishedRun(finished)).of
+    of = Measures(FinishedRun(finished)).named
     pairs = pd.read_parquet(finished / "pairs.parquet")
     metrics = pd.read_parquet(finished / "metrics")
     objects = pd.read_parquet(finished / "objects")
@@ -72,11 +72,11 @@ def test_measures_are_the_numbers_of_the_tables(finished):
 )
 def test_an_unknown_measure_is_named_with_those_that_are_known(finished, name):
     with pytest.raises(SettingsError, match=r"no such measure; known are SCORE\.mean.*pairs\.scored"):
-        Measures(FinishedRun(finished)).of(name)
+        Measures(FinishedRun(finished)).named(name)
 
 
 def test_bounds_are_inclusive(finished):
-    value = Measures(FinishedRun(finished)).of("r_lambda.mean").value
+    value = Measures(FinishedRun(finished)).named("r_lambda.mean").value
     result = judge_run(
         finished,
         [

@@ -13,8 +13,10 @@ from fidpipe.pipeline.engine import schedule
 from fidpipe.pipeline.report.terminal.seeds import seeds_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
+from fidpipe.schemas.metrics import SEEDED_SCORES
+from fidpipe.schemas.results import SeedSummary
 from fidpipe.schemas.settings import load
-from fidpipe.schemas.tables import SEEDED_SCORES, SEEDS
+from fidpipe.schemas.tables import SEEDS
 from runs import assert_same_tables, changed_files, command, marks, run, run_twice
 from scenes import write_dataset
 
@@ -127,7 +129,7 @@ def test_two_workers_give_the_same_table(dataset, repeated, tmp_path, monkeypatc
 
 def test_the_terminal_shows_the_spread(repeated):
     shown = io.StringIO()
-    Console(width=80, file=shown).print(seeds_view(repeated[1].record["seeds"]))
+    Console(width=80, file=shown).print(seeds_view(SeedSummary.from_dict(repeated[1].record["seeds"])))
     text = shown.getvalue()
     assert "How stable the scores are (3 seeds, 2 pairs)" in text
     for word in ("match rate", "r_lambda", "real above", "000", "001"):

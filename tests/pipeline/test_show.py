@@ -8,8 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.results.finished import FinishedRun
-from fidpipe.pipeline.results.show import object_facts, pair_facts
+from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
 from fidpipe.schemas.errors import RunError
 from runs import command, run
 from scenes import drifted, street, write_bin
@@ -60,20 +59,20 @@ def test_the_terminal_shows_any_name_as_it_is(finished, name):
 
 def test_every_object_of_either_side_stands_in_its_pair_once(finished):
     run_ = FinishedRun(finished)
-    found = pair_facts(run_, HOSTILE[0])["objects"]
+    found = pair_facts(run_, HOSTILE[0]).objects
     objects = pd.read_parquet(finished / "objects").query("pair_id == @HOSTILE[0]")
     for side in ("real", "sim"):
-        ids = sorted(of[side]["community_id"] for of in found if of[side])
+        ids = sorted(getattr(of, side)["community_id"] for of in found if getattr(of, side))
         assert ids == sorted(objects[objects.side == side].community_id)
 
 
 def test_an_object_is_named_by_its_side_and_number(finished):
     run_ = FinishedRun(finished)
     real = object_facts(run_, HOSTILE[0], "0")
-    partner = real["sim"]["community_id"]
+    partner = real.sim["community_id"]
     assert object_facts(run_, HOSTILE[0], f"sim:{partner}") == real == object_facts(run_, HOSTILE[0], "real:0")
-    alone = next(of for of in pair_facts(run_, HOSTILE[0])["objects"] if of["status"] == "missing")
-    assert object_facts(run_, HOSTILE[0], str(alone["real"]["community_id"]))["scores"] is None
+    alone = next(of for of in pair_facts(run_, HOSTILE[0]).objects if of.status == "missing")
+    assert object_facts(run_, HOSTILE[0], str(alone.real["community_id"])).scores is None
 
 
 @pytest.mark.parametrize("name", ["99", "sim:99", "nose:1", "-1", "٣", ""])

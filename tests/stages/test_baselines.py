@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from fidpipe.schemas.settings import BASELINE_NAMES, GraphSettings, MetricsSettings, SelectionSettings
+from fidpipe.schemas.metrics import BASELINE_NAMES
+from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
 from fidpipe.stages.baselines import BASELINES, compare_objects, compare_points
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register

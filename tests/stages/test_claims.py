@@ -1,8 +1,7 @@
-import copy
-
 import numpy as np
 import pytest
 
+from fidpipe.schemas.results import ScoreDistributions, ScoreSummary
 from fidpipe.stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
 from fidpipe.stages.statistics.claims import check_claims
 from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
@@ -27,9 +26,10 @@ def dataset(seed=0, labels=("tree", "vegetation", "car", "wall"), times=True):
     n_real = rng.integers(50, 100, len(of)).astype(np.int32)
     n_sim = (n_real * np.exp(rng.uniform(-1.8, 1.8, len(of)))).astype(np.int32)
     both = MatchedObjects(pair[of], range_m[of], label[of], n_real, n_sim, cdc, r_lambda, r_lambda / 10)
-    findings = summarise_objects(side, side, both, [100.0 * i if times else None for i in range(n_pairs)])
+    times_s = [100.0 * i if times else None for i in range(n_pairs)]
+    findings = summarise_objects(side, side, both, [f"{i:02}" for i in range(n_pairs)], times_s)
     values = zip(SCORES, (0.594, 0.75, 0.37, 0.028), (0.066, 0.02, 0.03, 0.014), strict=True)
-    return {name: {"mean": mean, "std": std} for name, mean, std in values}, findings
+    return {name: ScoreSummary(mean=mean, std=std, n_pairs=n_pairs) for name, mean, std in values}, findings
 
 
 def verdicts(summary, findings):
@@ -46,19 +46,16 @@ def test_what_looks_like_the_paper_bears_out_its_orders():
 
 def test_a_mean_beyond_the_papers_spread_does_not_hold():
     summary, findings = dataset()
-    summary["r_lambda_mean"]["mean"] = 0.401
-    assert verdicts(summary, findings)["mean r_lambda over pairs"] == FAILS
-    summary["r_lambda_mean"]["mean"] = 0.399
-    assert verdicts(summary, findings)["mean r_lambda over pairs"] == HOLDS
+    for mean, verdict in ((0.401, FAILS), (0.399, HOLDS)):
+        summary["r_lambda_mean"] = summary["r_lambda_mean"].model_copy(update={"mean": mean})
+        assert verdicts(summary, findings)["mean r_lambda over pairs"] == verdict
 
 
 def test_the_opposite_order_does_not_hold():
     summary, findings = dataset()
-    turned = copy.deepcopy(findings)
-    turned["distributions"] = {
-        "cdc": findings["distributions"]["r_lambda"],
-        "r_lambda": findings["distributions"]["cdc"],
-    }
+    known = findings.distributions
+    swapped = ScoreDistributions(cdc=known.r_lambda, r_lambda=known.cdc, r_gap=known.r_gap)
+    turned = findings.model_copy(update={"distributions": swapped})
     found = verdicts(summary, turned)
     for claim in (
         "r_lambda varies more than CDC relative to its mean",
@@ -69,11 +66,14 @@ def test_the_opposite_order_does_not_hold():
         assert found[claim] == FAILS, claim
 
 
+def with_every_class(findings, **values):
+    return findings.model_copy(update={"classes": tuple(row.model_copy(update=values) for row in findings.classes)})
+
+
 def test_a_difference_within_chance_does_not_hold():
     summary, findings = dataset()
-    for row in findings["classes"]:
-        row["r_lambda_near_mean"], row["r_lambda_far_mean"] = 0.400, 0.401
-    assert verdicts(summary, findings)["near trees keep their structure, distant ones less"] == FAILS
+    found = with_every_class(findings, r_lambda_near_mean=0.400, r_lambda_far_mean=0.401)
+    assert verdicts(summary, found)["near trees keep their structure, distant ones less"] == FAILS
 
 
 SHARES = "trees and vegetation are missing more often than cars and walls"
@@ -81,10 +81,12 @@ SHARES = "trees and vegetation are missing more often than cars and walls"
 
 def with_missing(findings, tree, car):
     """The findings with (missing, all) real objects of the classes tree and car, and no other class."""
-    rows = {row["label"]: dict(row) for row in findings["classes"]}
-    for label, (n_missing, n_real) in (("tree", tree), ("car", car)):
-        rows[label] |= {"n_missing": n_missing, "n_real": n_real}
-    return findings | {"classes": [rows["tree"], rows["car"]]}
+    rows = {row.label: row for row in findings.classes}
+    counted = [
+        rows[label].model_copy(update={"n_missing": n_missing, "n_real": n_real})
+        for label, (n_missing, n_real) in (("tree", tree), ("car", car))
+    ]
+    return findings.model_copy(update={"classes": tuple(counted)})
 
 
 @pytest.mark.parametrize(
@@ -113,10 +115,13 @@ def test_the_error_of_a_share_worked_out_by_hand():
 @pytest.mark.parametrize(("n", "verdict"), [(2, UNKNOWN), (4, UNKNOWN), (5, HOLDS)])
 def test_means_of_a_few_equal_values_are_not_checkable(n, verdict):
     summary, findings = dataset()
-    for row in findings["classes"]:
-        for name, mean in (("r_lambda_near", 0.1), ("r_lambda_far", 0.2)):
-            row |= {f"{name}_mean": mean, f"{name}_std": 0.0, f"{name}_n": n}
-    assert verdicts(summary, findings)["near trees keep their structure, distant ones less"] == verdict
+    equal = {}
+    for name, mean in (("r_lambda_near", 0.1), ("r_lambda_far", 0.2)):
+        equal |= {f"{name}_mean": mean, f"{name}_std": 0.0, f"{name}_n": n}
+    assert (
+        verdicts(summary, with_every_class(findings, **equal))["near trees keep their structure, distant ones less"]
+        == verdict
+    )
 
 
 def test_without_labels_and_timestamps_those_claims_are_not_checkable():
@@ -129,5 +134,5 @@ def test_without_labels_and_timestamps_those_claims_are_not_checkable():
 @pytest.mark.parametrize("name", SCORES)
 def test_a_mean_that_is_null_is_not_checkable(name):
     summary, findings = dataset()
-    summary[name] = {"mean": None, "std": None}
+    summary[name] = ScoreSummary(mean=None, std=None, n_pairs=0)
     assert UNKNOWN in verdicts(summary, findings).values()

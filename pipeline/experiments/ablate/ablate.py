@@ -19,9 +19,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ....schemas.columns import OBJECT_METRICS
 from ....schemas.errors import SettingsError
 from ....schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
+from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings, parse
 from ....stages.summary import mean_and_std
 from ...engine.costs import object_seconds

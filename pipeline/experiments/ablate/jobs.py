@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
-from ....schemas.columns import OBJECT_METRICS, SIDES
+from ....schemas.columns import SIDES
 from ....schemas.experiment_tables import ABLATE
+from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
 from ....stages.method import Memo, compare, partition
 from ...engine.task import PairTask

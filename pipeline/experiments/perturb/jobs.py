@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ....schemas.columns import OBJECT_METRICS
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray, IntArray

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
-from ....schemas.columns import OBJECT_METRICS
+from ....schemas.metrics import METRIC, OBJECT_METRICS
 from ....stages.sensing.perturbations import Perturbation
 from .claims import Means
 
@@ -19,9 +19,6 @@ OWN_METRICS = (
     "eigenspectrum_distance",
     "cdc",
 )
-
-#: Metrics that are 1 for equal objects; all others are 0.
-ONE_IF_EQUAL = ("f_score", "icp_fitness")
 
 
 @dataclass(frozen=True)
@@ -51,9 +48,9 @@ def react(summary: pa.Table, levels: Sequence[Perturbation]) -> list[Reaction]:
     for metric in (*OWN_METRICS, *sorted(swept - set(OBJECT_METRICS))):
         values = []
         for level in strongest:
-            object_means = [value for name in means.objects for value in means.series(name, [level], metric)]
-            values.append(sum(object_means) / len(object_means) if object_means else None)
-        equal = 1.0 if metric in ONE_IF_EQUAL else 0.0
+            of_objects = [value for name in means.objects for value in means.series(name, [level], metric)]
+            values.append(sum(of_objects) / len(of_objects) if of_objects else None)
+        equal = METRIC[metric].equal or 0.0
         moved = {level: abs(v - equal) for level, v in zip(strongest, values, strict=True) if v is not None}
         most = max(moved, key=lambda level: moved[level]) if any(moved.values()) else None
         reactions.append(Reaction(metric, tuple(values), most))

@@ -10,8 +10,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ....schemas.columns import OBJECT_METRICS
 from ....schemas.experiment_tables import PERTURB_SUMMARY
+from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.tables import TABLES
 from ....stages.summary import mean_and_std
 from ...storage.ledger import JobRecord

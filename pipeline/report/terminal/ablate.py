@@ -7,11 +7,14 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from ....schemas.metrics import metric_of
+from ....schemas.paper import CHOSEN, INFLUENCES
 from ....stages.arrays import FloatArray
 from ....stages.summary import mean_and_std
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
 from ...experiments.ablate.choice import RULE, Influence, along, choose, influences
 from .experiments import sweep_lines
+from .layout import narrow
 
 WORDS = {
     "k": "graph.k: nearest neighbours of each point",
@@ -19,14 +22,13 @@ WORDS = {
     "delta_m": "matching.delta_m: centroids nearer than this match, metres",
     "t": "selection.t: diffusion time of the heat kernel",
 }
-_PAPER = {"k": 90, "tau_m": 0.2, "delta_m": 5.0}
-_COLUMNS = (
-    ("match_rate", "match rate"),
-    ("r_lambda_mean", "r_lambda"),
-    ("max_eigenvalue_shift_mean", "shift"),
-    ("laplacian_change_mean", "change"),
-    ("alignment_rms_m_mean", "align m"),
-    ("cdc_mean", "CDC"),
+_SCORES = (
+    "match_rate",
+    "r_lambda_mean",
+    "max_eigenvalue_shift_mean",
+    "laplacian_change_mean",
+    "alignment_rms_m_mean",
+    "cdc_mean",
 )
 
 
@@ -48,25 +50,26 @@ def ablate_view(outcome: AblateOutcome) -> RenderableType:
             )
         )
     parts += sweep_lines(
-        outcome, "ablate_summary.parquet (means over pairs), ablate/ (a row a pair and choice of settings), ablate.png"
+        outcome,
+        "ablate_summary.parquet (means over pairs), ablate/ (one row per pair and choice of settings), ablate.png",
     )
     return Group(*parts)
 
 
 def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
     n_pairs = len(set(outcome.rows.column("pair_id").to_pylist()))
-    paper = f"; the paper chose {_PAPER[name]:g}" if name in _PAPER else ""
+    paper = f"; the paper chose {CHOSEN[name]:g}" if name in CHOSEN else ""
     table = _table(f"{WORDS[name]}; mean ± std over {n_pairs} pairs, * in force{paper}")
     table.add_column(name.removesuffix("_m"), justify="right", no_wrap=True)
     table.add_column("objects\nreal", justify="right", min_width=7)
     table.add_column("\nsim", justify="right")
-    for _, heading in _COLUMNS:
-        table.add_column(heading.replace(" ", "\n"), justify="right", no_wrap=True)
+    for heading in narrow(_SCORES):
+        table.add_column(heading, justify="right", no_wrap=True)
     rows = outcome.rows.to_pandas()
     for point in along(outcome, name):
         own = rows[(rows.k == point.k) & (rows.tau_m == point.tau_m) & (rows.delta_m == point.delta_m)]
         own = own[own.t == point.t]
-        cells = [_spread(own[column].to_numpy(dtype=float), i < 2) for i, (column, _) in enumerate(_COLUMNS)]
+        cells = [_spread(own[column].to_numpy(dtype=float), i < 2) for i, column in enumerate(_SCORES)]
         table.add_row(
             f"{'*' if point == outcome.base else ''}{getattr(point, name):g}",
             f"{own.n_communities_real.mean():.0f}",
@@ -83,25 +86,15 @@ def _influence_table(found: list[Influence]) -> Table:
     for heading in ("score", "moved by", "std over pairs", "verdict"):
         table.add_column(heading, justify="left" if heading in ("score", "verdict") else "right")
     table.add_column("the paper")
-    paper = {
-        ("k", "match_rate"): "main influence",
-        ("tau_m", "match_rate"): "main influence",
-        ("delta_m", "match_rate"): "affects it",
-        ("delta_m", "r_lambda_mean"): "no influence",
-        ("t", "match_rate"): "no influence",
-        ("t", "r_lambda_mean"): "negligible",
-    }
-    for of in found:
-        verdict = (
-            "does not move" if not of.range_of_means else "within the spread" if of.is_within_spread else "beyond it"
-        )
+    for influence in found:
+        verdict = "within the spread" if influence.is_within_spread else "beyond it"
         table.add_row(
-            of.name.removesuffix("_m"),
-            of.metric.removesuffix("_mean"),
-            f"{of.range_of_means:.3f}",
-            f"{of.std_over_pairs:.3f}",
-            verdict,
-            paper.get((of.name, of.metric), ""),
+            influence.name.removesuffix("_m"),
+            metric_of(influence.metric).label,
+            f"{influence.range_of_means:.3f}",
+            f"{influence.std_over_pairs:.3f}",
+            verdict if influence.range_of_means else "does not move",
+            INFLUENCES.get((influence.name, influence.metric), ""),
         )
     return table
 

@@ -8,8 +8,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from ....schemas.metrics import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS
-from ...results.compare import Comparison, ObjectChange, ScoreChange
+from ...results.compare import SHARED_SCORES, Comparison, ObjectChange, ScoreChange
 from .layout import number, plain_table
 
 _MOST_OBJECTS = 10
@@ -22,85 +23,86 @@ OBJECTS_NOTE = (
 FEW_PAIRS = 10
 
 
-def compare_view(found: Sequence[Comparison]) -> RenderableType:
+def compare_view(comparisons: Sequence[Comparison]) -> RenderableType:
     """Each comparison: scores, then what has become of the real objects."""
-    return Group(*(part for comparison in found for part in _parts(comparison)))
+    return Group(*(part for comparison in comparisons for part in _parts(comparison)))
 
 
-def verdict(found: Comparison) -> str:
+def verdict(comparison: Comparison) -> str:
     """In words, which scores are better and which are worse."""
-    named = {word: [of.name for of in found.scores if of.verdict == word] for word in ("better", "worse")}
+    named = {word: [score.name for score in comparison.scores if score.verdict == word] for word in ("better", "worse")}
     said = [f"{word}: {', '.join(names)}" for word, names in named.items() if names]
     return "; ".join(said) or "no score is decidedly better or worse"
 
 
-def remarks(found: Comparison) -> list[str]:
+def remarks(comparison: Comparison) -> list[str]:
     """What a reader must know beside the numbers."""
-    lines = [f"settings differ: {text}" for text in found.settings]
-    lines += [f"also other: {text}" for text in found.notes]
+    lines = [f"settings differ: {text}" for text in comparison.settings]
+    lines += [f"also other: {text}" for text in comparison.notes]
     undecided: dict[str, list[str]] = {}
-    for of in found.scores:
-        if of.difference.why:
-            undecided.setdefault(of.difference.why, []).append(of.name)
+    for score in comparison.scores:
+        if score.difference.why:
+            undecided.setdefault(score.difference.why, []).append(score.name)
     lines += [f"undecided: {', '.join(names)}: {why}" for why, names in undecided.items()]
-    if LEAST_PAIRS <= len(found.pairs) < FEW_PAIRS:
-        lines.append(f"{len(found.pairs)} pairs are few: the intervals are too narrow rather than too wide")
-    if found.unfollowed:
+    if LEAST_PAIRS <= len(comparison.pairs) < FEW_PAIRS:
+        lines.append(f"{len(comparison.pairs)} pairs are few: the intervals are too narrow rather than too wide")
+    if comparison.unfollowed:
         lines.append(
-            f"{len(found.unfollowed)} pairs have other real objects in the two runs: their objects are not followed"
+            f"{len(comparison.unfollowed)} pairs have other real objects in the two runs: "
+            "their objects are not followed"
         )
-    lines += [f"left out: pair {name}: {why}" for name, why in list(found.left_out.items())[:5]]
-    if len(found.left_out) > 5:
-        lines.append(f"left out: {len(found.left_out) - 5} more pairs")
-    by_name = {of.name: of for of in found.scores}
-    if by_name["r_lambda"].verdict == "better" and by_name["alignment (m)"].verdict == "worse":
+    lines += [f"left out: pair {name}: {why}" for name, why in list(comparison.left_out.items())[:5]]
+    if len(comparison.left_out) > 5:
+        lines.append(f"left out: {len(comparison.left_out) - 5} more pairs")
+    verdicts = {score.name: score.verdict for score in comparison.scores}
+    r_lambda, alignment = (verdicts[METRIC[name].label] for name in ("r_lambda", "alignment_rms_m"))
+    if r_lambda == "better" and alignment == "worse":
         lines.append("r_lambda fell while the alignment got worse: a bad alignment alone lowers r_lambda")
     return lines
 
 
-def changed(found: Comparison) -> list[ObjectChange]:
+def changed(comparison: Comparison) -> list[ObjectChange]:
     """The objects that have changed: vanished ones, then those that got worse, most first, then the others."""
     order = {"vanished": 0, "worse": 1, "mixed": 2, "better": 3, "appeared": 4}
-    objects = [of for of in found.objects if of.kind in order]
-    return sorted(objects, key=lambda of: (order[of.kind], -abs(of.change), -of.n_points, of.pair_id, of.real_id))
+    objects = [change for change in comparison.objects if change.kind in order]
+    return sorted(
+        objects, key=lambda each: (order[each.kind], -abs(each.change), -each.n_points, each.pair_id, each.real_id)
+    )
 
 
-def _parts(found: Comparison) -> list[RenderableType]:
-    parts: list[RenderableType] = [_scores(found)]
-    if found.objects:
+def _parts(comparison: Comparison) -> list[RenderableType]:
+    parts: list[RenderableType] = [_scores(comparison)]
+    if comparison.objects:
         kinds = plain_table("Real objects", "what has become of them", "objects", "share")
-        for kind, n in found.kinds.items():
-            kinds.add_row(Text(kind, style=COLOURS.get(kind, "")), str(n), f"{100 * n / len(found.objects):.0f} %")
+        for kind, n in comparison.kinds.items():
+            kinds.add_row(Text(kind, style=COLOURS.get(kind, "")), str(n), f"{100 * n / len(comparison.objects):.0f} %")
         parts.append(kinds)
-        objects = changed(found)
-        for title, chosen in (
-            ("vanished", [of for of in objects if of.kind == "vanished"]),
-            ("worse", [of for of in objects if of.kind == "worse"]),
-            ("better", [of for of in objects if of.kind == "better"]),
-            ("appeared", [of for of in objects if of.kind == "appeared"]),
-        ):
+        objects = changed(comparison)
+        for kind in ("vanished", "worse", "better", "appeared"):
+            chosen = [change for change in objects if change.kind == kind]
             if chosen:
-                parts.append(_objects(title, chosen))
+                parts.append(_objects(kind, chosen))
         parts.append(Text(OBJECTS_NOTE))
-    parts += [Text(f"note: {text}", style="yellow") for text in remarks(found)]
-    parts.append(Text(f"{found.other} against {found.base}: {verdict(found)}\n", style="bold"))
+    parts += [Text(f"note: {text}", style="yellow") for text in remarks(comparison)]
+    parts.append(Text(f"{comparison.other} against {comparison.base}: {verdict(comparison)}\n", style="bold"))
     return parts
 
 
-def _scores(found: Comparison) -> Table:
+def _scores(comparison: Comparison) -> Table:
     table = plain_table(
-        f"{found.other} less {found.base}: {len(found.pairs)} pairs, means and 95 % intervals (paired bootstrap)",
+        f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, "
+        "means and 95 % intervals (paired bootstrap)",
         *("score", "before", "after", "change", "from", "to"),
     )
     table.add_column("verdict")
-    with_seeds = has_seeds(found)
+    with_seeds = has_seeds(comparison)
     if with_seeds:
         table.add_column("more than seeds make")
-    for of in found.scores:
-        d = of.difference
-        word = Text(of.verdict, style=COLOURS.get(of.verdict, ""))
+    for score in comparison.scores:
+        d = score.difference
+        word = Text(score.verdict, style=COLOURS.get(score.verdict, ""))
         cells = [number(d.before), number(d.after), signed(d.difference), signed(d.low), signed(d.high)]
-        table.add_row(of.name, *cells, word, *([beyond_seeds(of)] if with_seeds else []))
+        table.add_row(score.name, *cells, word, *([beyond_seeds(score)] if with_seeds else []))
     return table
 
 
@@ -108,31 +110,30 @@ def _objects(kind: str, objects: list[ObjectChange]) -> Table:
     title = (
         f"{kind} ({len(objects)})" if len(objects) <= _MOST_OBJECTS else f"{kind} ({_MOST_OBJECTS} of {len(objects)})"
     )
-    table = plain_table(
-        title, *("pair", "class", "object", "range, m", "points", "CDC", "after", "r_lambda", "after"), words=2
-    )
-    for of in objects[:_MOST_OBJECTS]:
+    scores = (heading for column in SHARED_SCORES for heading in (METRIC[column].label, "after"))
+    table = plain_table(title, *("pair", "class", "object", "range (m)", "points"), *scores, words=2)
+    for change in objects[:_MOST_OBJECTS]:
         table.add_row(
-            Text(of.pair_id),
-            Text(of.label or "-"),
-            str(of.real_id),
-            number(of.range_m, 1),
-            str(of.n_points),
-            *(number(value) for value in (of.cdc_before, of.cdc_after, of.r_lambda_before, of.r_lambda_after)),
+            Text(change.pair_id),
+            Text(change.label or "-"),
+            str(change.real_id),
+            number(change.range_m, 1),
+            str(change.n_points),
+            *(number(getattr(change, f"{name}_{when}")) for name in SHARED_SCORES for when in ("before", "after")),
         )
     return table
 
 
-def has_seeds(found: Comparison) -> bool:
+def has_seeds(comparison: Comparison) -> bool:
     """Whether both runs were repeated under other seeds."""
-    return any(of.seed_noise is not None for of in found.scores)
+    return any(score.seed_noise is not None for score in comparison.scores)
 
 
-def beyond_seeds(of: ScoreChange) -> str:
+def beyond_seeds(score: ScoreChange) -> str:
     """Whether a difference is more than other Louvain seeds alone would make."""
-    if of.beyond_seeds is None:
+    if score.beyond_seeds is None:
         return "-"
-    return f"{'yes' if of.beyond_seeds else 'no'} ({number(of.seed_noise)})"
+    return f"{'yes' if score.beyond_seeds else 'no'} ({number(score.seed_noise)})"
 
 
 def signed(value: float | None) -> str:

@@ -7,25 +7,14 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from ....schemas.metrics import METRIC, PaperMean, labels
+from ....schemas.paper import TABLE_I, TABLE_I_SCORES
 from ....stages.sensing.perturbations import Perturbation
 from ...experiments.perturb.claims import Claim, Mean, Means, judge_claims
 from ...experiments.perturb.perturb import PerturbOutcome
 from ...experiments.perturb.reactions import OWN_METRICS, Reaction, react, strongest_levels
 from .experiments import sweep_lines
 
-#: Table I of the paper: match rate, d_cent (metres) and d_lambda, each mean and standard deviation over seeds.
-TABLE_I = {
-    Perturbation("noise", 1e-3): ((0.9593, 0.0130), (0.0202, 0.0323), (0.0087, 0.0062)),
-    Perturbation("noise", 1e-2): ((0.9533, 0.0400), (0.0334, 0.0271), (0.0209, 0.0038)),
-    Perturbation("noise", 1e-1): ((0.9529, 0.0338), (0.0733, 0.0586), (0.0435, 0.0112)),
-    Perturbation("dropout", 0.05): ((0.9150, 0.0528), (0.2349, 0.0765), (0.1003, 0.0176)),
-    Perturbation("dropout", 0.20): ((0.8837, 0.0730), (0.3753, 0.0945), (0.3001, 0.0228)),
-    Perturbation("dropout", 0.40): ((0.8543, 0.0233), (0.6269, 0.1101), (0.7855, 0.0572)),
-    Perturbation("rigid", 0.5, 0.0): ((1.0, 0.0), (0.2063, 0.0), (7.213e-6, 0.0)),
-    Perturbation("rigid", 1.0, 0.0): ((1.0, 0.0), (0.4126, 0.0), (1.576e-7, 0.0)),
-    Perturbation("rigid", 2.0, 0.05): ((1.0, 0.0), (0.8299, 0.0049), (4.494e-6, 5.511e-6)),
-}
-_TABLE_I_METRICS = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
 _SHORT = {
     "noise": "noise\n{:g} m",
     "dropout": "drop\n{:.0%}",
@@ -39,13 +28,8 @@ _VERDICTS = {
     None: Text("not checkable", style="yellow"),
 }
 _ROUNDING = 1e-12
-_DETAILS = (
-    ("max_eigenvalue_shift", "shift"),
-    ("laplacian_change", "change"),
-    ("eigenspectrum_distance", "d_lambda"),
-    ("cdc", "CDC"),
-    ("alignment_rms_m", "alignment m"),
-)
+#: What r_lambda is made of, and what else moves.
+_DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
 
 
 def perturb_view(outcome: PerturbOutcome) -> RenderableType:
@@ -57,11 +41,7 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         if any(means.get(None, level, "match_rate").n for level in outcome.levels):
             parts.append(_table_i(outcome, means, scans))
         parts.append(_chosen_table(outcome))
-        for metric, reading in (
-            ("r_lambda", "structure: 0 best, 1 worst"),
-            ("r_gap", "overall connectivity: 0 best, 0.5 worst"),
-        ):
-            parts.append(_object_table(outcome, means, metric, reading))
+        parts += [_object_table(outcome, means, metric) for metric in ("r_lambda", "r_gap")]
         parts.append(_detail_table(outcome, means))
         reactions = react(outcome.summary, outcome.levels)
         if len(reactions) > len(OWN_METRICS):
@@ -70,7 +50,8 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         if claims:
             parts.append(_claims_table(claims))
     parts += sweep_lines(
-        outcome, "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (a row a repeat), perturb.png"
+        outcome,
+        "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (one row per repeat), perturb.png",
     )
     return Group(*parts)
 
@@ -91,31 +72,31 @@ def _table_i(outcome: PerturbOutcome, means: Means, scans: str) -> Table:
     n = max((means.get(None, level, "match_rate").n for level in outcome.levels), default=0)
     table = _table(f"Whole scan, {scans}: mean ± std over {n} repeats; in grey the paper's Table I")
     table.add_column("altered by", no_wrap=True)
-    for name in ("match rate", "d_cent, m", "d_lambda"):
-        table.add_column(name, justify="right", min_width=len(name.split()[-1]))
+    for heading in labels(TABLE_I_SCORES):
+        table.add_column(heading, justify="right", min_width=len(heading.split()[-1]))
         table.add_column("paper", justify="right", style="bright_black")
     for level in outcome.levels:
         cells = []
-        for i, metric in enumerate(_TABLE_I_METRICS):
-            paper = TABLE_I.get(level)
-            cells += [_spread(means.get(None, level, metric)), _spread(Mean(*paper[i], 0)) if paper else ""]
+        paper = TABLE_I.get((level.kind, level.amount, level.shift_m))
+        for i, metric in enumerate(TABLE_I_SCORES):
+            cells += [_spread(means.get(None, level, metric)), _spread(paper[i]) if paper else ""]
         table.add_row(level_words(level), *cells, end_section=_is_last(level, outcome))
     return table
 
 
 def _chosen_table(outcome: PerturbOutcome) -> Table:
     table = _table("The chosen objects")
-    for heading in ("object", "scan", "id", "points", "range m", "chosen as"):
-        table.add_column(heading, justify="right" if heading in ("id", "points", "range m") else "left")
+    for heading in ("object", "scan", "id", "points", "range (m)", "chosen as"):
+        table.add_column(heading, justify="right" if heading in ("id", "points", "range (m)") else "left")
     for of in outcome.objects:
         table.add_row(of.name, Text(of.pair_id), f"{of.community_id}", f"{of.n_points}", f"{of.range_m:.1f}", of.why)
     return table
 
 
-def _object_table(outcome: PerturbOutcome, means: Means, metric: str, reading: str) -> Table:
+def _object_table(outcome: PerturbOutcome, means: Means, metric: str) -> Table:
     names = list(dict.fromkeys(of.name for of in outcome.objects))
     n = max((means.get(name, level, metric).n for name in names for level in outcome.levels), default=0)
-    table = _table(f"{metric} of single objects ({reading}), mean ± std over {n} repeats")
+    table = _table(f"{METRIC[metric].label} of single objects ({METRIC[metric].scale}), mean ± std over {n} repeats")
     table.add_column("altered by", no_wrap=True)
     for name in names:
         table.add_column(name, justify="right")
@@ -128,11 +109,11 @@ def _object_table(outcome: PerturbOutcome, means: Means, metric: str, reading: s
 def _detail_table(outcome: PerturbOutcome, means: Means) -> Table:
     table = _table("What r_lambda is made of (shift / change) and what else moves: means over these objects")
     table.add_column("altered by", no_wrap=True)
-    for _, heading in _DETAILS:
+    for heading in labels(_DETAILS):
         table.add_column(heading, justify="right")
     for level in outcome.levels:
         cells = []
-        for metric, _ in _DETAILS:
+        for metric in _DETAILS:
             values = [value for name in means.objects for value in means.series(name, [level], metric)]
             cells.append(_number(sum(values) / len(values)) if values else "-")
         table.add_row(level_words(level), *cells, end_section=_is_last(level, outcome))
@@ -167,12 +148,12 @@ def _is_last(level: Perturbation, outcome: PerturbOutcome) -> bool:
     return level == of_kind[-1]
 
 
-def _spread(of: Mean) -> str:
-    if of.mean is None:
+def _spread(score: Mean | PaperMean) -> str:
+    if score.mean is None:
         return "-"
-    if of.std is None:
-        return _number(of.mean)
-    return f"{_number(of.mean)} ± {_number(of.std if of.std > _ROUNDING else 0.0)}"
+    if score.std is None:
+        return _number(score.mean)
+    return f"{_number(score.mean)} ± {_number(score.std if score.std > _ROUNDING else 0.0)}"
 
 
 def _number(value: float) -> str:

@@ -1,0 +1,126 @@
+"""The commands around a run: check what it would read, make it, ask how far it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import (
+    EXIT_PAIRS_FAILED,
+    EXIT_WRONG_INPUT,
+    Assignments,
+    DatasetFolder,
+    RunFolder,
+    Scheduler,
+    SettingsFile,
+    Workers,
+    check_machines,
+)
+from .output import print_view
+
+
+def check(
+    dataset: DatasetFolder,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+) -> None:
+    """Show what would be read from a dataset, and what is wrong with it; computes nothing.
+
+    Exits with 1 if anything is wrong.
+
+    Example:  fidpipe check dataset/ --set input.min_range_m=3
+    """
+    from ...schemas.settings import load
+    from ..datasets.check import check_dataset
+    from ..report.terminal.dataset import check_view
+
+    dataset_check = check_dataset(dataset, load(settings, assignments or []))
+    print_view(check_view(dataset_check))
+    raise typer.Exit(EXIT_WRONG_INPUT if dataset_check.faults else 0)
+
+
+def run(
+    dataset: DatasetFolder,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the run.", show_default="runs/NAME_OF_DATASET")
+    ] = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    from_stage: Annotated[
+        str | None, typer.Option("--from", metavar="STAGE", help="Make this stage and those after it again.")
+    ] = None,
+    pairs: Annotated[
+        str | None,
+        typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            "--seeds", min=1, help="Repeat communities to metrics with so many seeds; tells how stable scores are."
+        ),
+    ] = None,
+) -> None:
+    """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
+
+    What is there already and still right is not computed again. Exits with 0 if all pairs are scored, 3 if some failed.
+
+    Examples
+    --------
+    fidpipe run dataset/                         results go to runs/dataset
+
+    fidpipe run dataset/ --set matching.delta_m=3    only matching and what follows is made again
+
+    fidpipe run dataset/ --from metrics --pairs '0001*' --workers 8
+
+    fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
+    """
+    from ...schemas.settings import load
+    from ..engine import prefork
+    from ..engine.cluster import cpu_count
+
+    check_machines(workers, scheduler)
+    repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
+    in_force = load(settings, [*(assignments or []), *repeats])
+    out = out or Path("runs") / (dataset.resolve().name or "dataset")
+    if scheduler is None and (workers or cpu_count()) > 1 and dataset.is_dir() and not out.exists():
+        prefork.start(needed=False)  # a new run: workers will be wanted when all else is imported
+
+    from ..engine.progress import Reporter
+    from ..engine.request import RunRequest
+    from ..report.terminal.run import outcome_view
+    from ..run import run_dataset, stages_of
+
+    stage_names = [stage.name for stage in stages_of(in_force)]
+    if from_stage is not None and from_stage not in stage_names:
+        raise typer.BadParameter(
+            f"{from_stage!r} is no stage; one of {', '.join(stage_names)} is wanted", param_hint="--from"
+        )
+    request = RunRequest(
+        dataset=dataset,
+        out=out,
+        settings=in_force,
+        workers=workers,
+        scheduler=scheduler,
+        from_stage=from_stage,
+        pattern=pairs,
+    )
+    outcome = run_dataset(request, Reporter())
+    print_view(outcome_view(outcome))
+    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+def status(
+    run: RunFolder,
+) -> None:
+    """Show how far a run is: for each stage, how many pairs are done, stale, failed or to do.
+
+    Example:  fidpipe status runs/dataset
+    """
+    from ..report.terminal.status import status_view
+    from ..results.status import run_status
+
+    print_view(status_view(run_status(run)))

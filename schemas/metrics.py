@@ -1,0 +1,368 @@
+"""The catalogue of scores: what each is called, its unit and bounds, which way is better, and what it means.
+
+The columns of the tables, the headings of every view, the names that a gate knows, the limits of the report's quadrants
+and the list of baselines all come from here. To add a score: a row here and the function that computes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+_METHOD_SECTION = 'paper, section "Graph-Based Validation Metrics"'
+
+
+@dataclass(frozen=True)
+class PaperMean:
+    """A mean over the paper's pairs with its standard deviation."""
+
+    mean: float
+    std: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:g} ± {self.std:g}"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One score.
+
+    column : name in the tables, with the unit where there is one
+    heading : short name for table headings, without the unit
+    meaning : one sentence: what the column holds
+    reading : one sentence for people: how to read a value
+    unit : "m", "m2", or None for a plain number
+    low, high : bounds; None where there is none
+    better : which way is better; None for a number that says nothing of the quality
+    equal : value for two identical objects (or scans); None where that depends on the object
+    source : where the definition comes from
+    paper : what the paper measured on its 50 pairs
+    is_count : whether values are whole numbers
+    is_nullable : whether a finished job may have no value
+    has_mean : whether `pairs` has mean and standard deviation over the objects
+    method : which word of the setting metrics.baselines asks for it; "" for our own scores
+    """
+
+    column: str
+    heading: str
+    meaning: str
+    reading: str = ""
+    unit: str | None = None
+    low: float | None = 0.0
+    high: float | None = None
+    better: Literal["lower", "higher"] | None = "lower"
+    equal: float | None = 0.0
+    source: str = ""
+    paper: PaperMean | None = None
+    is_count: bool = False
+    is_nullable: bool = True
+    has_mean: bool = True
+    method: str = ""
+
+    @property
+    def label(self) -> str:
+        """Heading with the unit, as it stands over a column: `offset (m)`."""
+        return f"{self.heading} ({unit_words(self.unit)})" if self.unit else self.heading
+
+    @property
+    def mean_column(self) -> str:
+        """The column of `pairs` with the mean over the objects of a pair."""
+        return f"{self.column}_mean"
+
+    @property
+    def higher_is_better(self) -> bool:
+        """Whether more is better."""
+        return self.better == "higher"
+
+    @property
+    def scale(self) -> str:
+        """Best and worst value, where there are such: `0 best, 1 worst`."""
+        best, worst = (self.high, self.low) if self.higher_is_better else (self.low, self.high)
+        ends = [f"{value:g} {word}" for value, word in ((best, "best"), (worst, "worst")) if value is not None]
+        return ", ".join(ends) if self.better else ""
+
+
+def unit_words(unit: str | None) -> str:
+    """A unit as people write it; "" for a plain number."""
+    return {"m2": "m²", None: ""}.get(unit, unit or "")
+
+
+#: The scores of a matched object, in the order of the columns of `metrics`.
+OBJECT_SCORES = (
+    Metric(
+        "centroid_distance_m",
+        "offset",
+        "between the centroids",
+        "distance between the centroids of matched objects",
+        unit="m",
+        source='paper, section "Controlled Perturbation Analysis", d_cent',
+        is_nullable=False,
+    ),
+    Metric(
+        "cdc",
+        "CDC",
+        "density-aware Chamfer distance of the paper, 0 to 2",
+        "geometry: 0 the same points, 2 nothing near",
+        high=2.0,
+        source='paper, equation "cdc"',
+        paper=PaperMean(0.75, 0.02),
+        is_nullable=False,
+    ),
+    Metric(
+        "r_lambda",
+        "r_lambda",
+        "max_eigenvalue_shift / laplacian_change, 0 to 1",
+        "structure: share of the Laplacian's change that shifts its spectrum; 0 best, 1 worst",
+        high=1.0,
+        source=_METHOD_SECTION,
+        paper=PaperMean(0.37, 0.03),
+    ),
+    Metric(
+        "r_gap",
+        "r_gap",
+        "change of the spectral gap / (2 laplacian_change), 0 to 0.5",
+        "structure: change of the overall connectivity; 0 best, 0.5 worst",
+        high=0.5,
+        source=_METHOD_SECTION,
+        paper=PaperMean(0.028, 0.014),
+    ),
+    Metric(
+        "max_eigenvalue_shift",
+        "shift",
+        "largest shift of an ordered eigenvalue",
+        "largest shift of an ordered eigenvalue: the numerator of r_lambda",
+        high=2.0,
+        source=_METHOD_SECTION,
+    ),
+    Metric(
+        "laplacian_change",
+        "change",
+        "spectral norm of the difference of the Laplacians",
+        "spectral norm of the difference of the Laplacians: the denominator of r_lambda",
+        high=2.0,
+        source=_METHOD_SECTION,
+    ),
+    Metric(
+        "eigenspectrum_distance",
+        "d_lambda",
+        "Euclidean distance of the ordered spectra",
+        "Euclidean distance of the ordered spectra; grows with the number of nodes",
+        source='paper, section "Controlled Perturbation Analysis", d_lambda',
+    ),
+    Metric(
+        "gap_real",
+        "gap, real",
+        "second smallest eigenvalue less the smallest, real",
+        "second smallest eigenvalue of the real object",
+        high=2.0,
+        better=None,
+        equal=None,
+        source=_METHOD_SECTION,
+        has_mean=False,
+    ),
+    Metric(
+        "gap_sim",
+        "gap, sim",
+        "second smallest eigenvalue less the smallest, simulated",
+        "second smallest eigenvalue of the simulated object",
+        high=2.0,
+        better=None,
+        equal=None,
+        source=_METHOD_SECTION,
+        has_mean=False,
+    ),
+    Metric(
+        "alignment_rms_m",
+        "alignment",
+        "root mean square distance of aligned nodes, both sides centred",
+        "distance of aligned nodes; large: r_lambda is to be mistrusted",
+        unit="m",
+        source="fidpipe; the cost of the paper's one-to-one alignment",
+        is_nullable=False,
+    ),
+)
+
+#: What is said of a pair as a whole, in the order of the columns of `seeds` and then of `pairs`.
+PAIR_SCORES = (
+    Metric("n_communities_real", "real objects", "objects of the real side", better=None, equal=None, is_count=True),
+    Metric(
+        "n_communities_sim",
+        "simulated objects",
+        "objects of the simulated side",
+        better=None,
+        equal=None,
+        is_count=True,
+    ),
+    Metric("n_matched", "matched objects", "objects that both sides have", better="higher", equal=None, is_count=True),
+    Metric(
+        "n_missing",
+        "missing objects",
+        "real objects without a simulated one",
+        "real objects without a simulated counterpart",
+        is_count=True,
+    ),
+    Metric(
+        "n_hallucinated",
+        "hallucinated objects",
+        "simulated objects without a real one",
+        "simulated objects without a real counterpart",
+        is_count=True,
+    ),
+    Metric(
+        "match_rate",
+        "match rate",
+        "matched / max(communities of either side)",
+        "objects that both sides have, over those of the side with more; 1 is best",
+        high=1.0,
+        better="higher",
+        equal=1.0,
+        source="paper, Algorithm 1",
+        paper=PaperMean(0.594, 0.066),
+    ),
+)
+
+#: The distances of others, in the order in which they are computed and shown.
+BASELINES = (
+    Metric(
+        "chamfer_mean_m",
+        "chamfer_mean_m",
+        "mean distance to the nearest point of the other side, from both sides, added; not squared",
+        unit="m",
+        method="chamfer",
+    ),
+    Metric(
+        "chamfer_squared_m2",
+        "chamfer_squared_m2",
+        "mean squared distance to the nearest point of the other side, from both sides, added",
+        unit="m2",
+        method="chamfer",
+    ),
+    Metric(
+        "chamfer_one_way_sum_m",
+        "chamfer_one_way_sum_m",
+        "sum over real points of the distance to the nearest simulated point",
+        unit="m",
+        source="paper, equation of the Chamfer distance",
+        method="chamfer",
+    ),
+    Metric(
+        "hausdorff_m",
+        "hausdorff_m",
+        "largest distance of a point of either side to the other side",
+        unit="m",
+        method="hausdorff",
+    ),
+    Metric(
+        "f_score",
+        "f_score",
+        "harmonic mean of the shares of points nearer than metrics.f_score_distance_m to the other side",
+        high=1.0,
+        better="higher",
+        equal=1.0,
+        method="f_score",
+    ),
+    Metric(
+        "dcd",
+        "dcd",
+        "published density-aware Chamfer distance, the real object scaled to a bounding box of diagonal 1",
+        high=1.0,
+        source="Wu et al., Density-aware Chamfer Distance, NeurIPS 2021",
+        method="dcd",
+    ),
+    Metric(
+        "emd_mean_m", "emd_mean_m", "earth mover's distance of the kept nodes, mean per node", unit="m", method="emd"
+    ),
+    Metric(
+        "emd_centred_mean_m",
+        "emd_centred_mean_m",
+        "earth mover's distance of the kept nodes with both sides centred: the cost of the alignment",
+        unit="m",
+        method="emd",
+    ),
+    Metric(
+        "sliced_wasserstein_m",
+        "sliced_wasserstein_m",
+        "mean earth mover's distance along random lines",
+        unit="m",
+        method="sliced_wasserstein",
+    ),
+    Metric(
+        "histogram",
+        "histogram",
+        "Minkowski distance of the histograms of pairwise distances over their maximum",
+        method="histogram",
+    ),
+    Metric(
+        "icp_fitness",
+        "icp_fitness",
+        "share of simulated points within metrics.icp_distance_m of a real one after point-to-point ICP",
+        high=1.0,
+        better="higher",
+        equal=1.0,
+        method="icp",
+    ),
+    Metric("icp_rmse_m", "icp_rmse_m", "root mean square distance of these points", unit="m", method="icp"),
+    Metric(
+        "netlsd",
+        "netlsd",
+        "distance of the heat-trace signatures of both graphs, all nodes",
+        source="Tsitsulin et al., NetLSD, KDD 2018",
+        method="netlsd",
+    ),
+    Metric(
+        "r_h",
+        "r_h",
+        "change of the heat kernel over t times the change of the Laplacian, 0 to 1",
+        high=1.0,
+        source="source of the paper, not in its text",
+        method="r_h",
+    ),
+)
+
+#: Every score by its column.
+METRIC = {metric.column: metric for metric in (*OBJECT_SCORES, *PAIR_SCORES, *BASELINES)}
+
+#: The object scores whose mean and standard deviation stand in `pairs`, in that order.
+OBJECT_METRICS = tuple(metric.column for metric in OBJECT_SCORES if metric.has_mean)
+#: The object scores whose distributions over all objects a run tells.
+DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
+#: Where the report's quadrants part; the limit itself belongs to the better one. Fidpipe's, not the paper's. CDC: each
+#: side lies on average about half a metre from the other (1 - exp(-0.54^2) = 0.25, twice). r_lambda: what is usual for
+#: an object of a twin that was meshed from scans ends there (the paper's mean is 0.37).
+QUADRANT_LIMITS = {"cdc": 0.5, "r_lambda": 0.4}
+#: The scores of a pair that are repeated under other seeds.
+SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean_column for name in OBJECT_METRICS))
+#: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
+DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
+#: What a summary for people shows of each pair and of the dataset.
+HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
+#: What may be given to the setting metrics.baselines.
+BASELINE_NAMES = tuple(dict.fromkeys(metric.method for metric in BASELINES))
+
+
+def metric_of(column: str) -> Metric:
+    """The score that a column of any table holds: `cdc` for `cdc` and for its mean over a pair, `cdc_mean`.
+
+    Raises
+    ------
+    KeyError
+        The catalogue has no such score.
+    """
+    return METRIC[column] if column in METRIC else METRIC[column.removesuffix("_mean")]
+
+
+def labels(columns: tuple[str, ...]) -> list[str]:
+    """The headings of columns, each with its unit."""
+    return [metric_of(column).label for column in columns]
+
+
+def to_markdown() -> str:
+    """A table of our own scores for people: name, column, range, best, the paper's mean, and what it is."""
+    rows = ["| score | column | range | better | paper | what |", "|---|---|---|---|---|---|"]
+    for metric in (METRIC["match_rate"], *OBJECT_SCORES):
+        high = "" if metric.high is None else f" to {metric.high:g}"
+        values = f"{metric.low:g}{high or ' and more'}" if metric.low is not None else "any"
+        paper = "" if metric.paper is None else f"{metric.paper}"
+        cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows) + "\n"

@@ -1,0 +1,82 @@
+"""The catalogue of scores, against the tables, the functions that compute, and the README."""
+
+import numpy as np
+import pytest
+
+import readme
+from fidpipe.schemas.metrics import (
+    BASELINE_NAMES,
+    BASELINES,
+    METRIC,
+    OBJECT_METRICS,
+    OBJECT_SCORES,
+    PAIR_SCORES,
+    metric_of,
+)
+from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
+from fidpipe.schemas.tables import METRICS, PAIRS
+from fidpipe.stages.baselines import compare_objects
+from fidpipe.stages.communities import adjacency
+from fidpipe.stages.graph import build_graph
+from fidpipe.stages.linalg.laplacian import Subgraph
+from fidpipe.stages.metrics import score_object
+from fidpipe.stages.selection import select_nodes
+from scenes import box
+
+
+def test_no_column_stands_in_the_catalogue_twice():
+    assert len(METRIC) == len(OBJECT_SCORES) + len(PAIR_SCORES) + len(BASELINES)
+
+
+def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():
+    for metric in OBJECT_SCORES:
+        field = METRICS.schema.field(metric.column)
+        assert field.metadata[b"meaning"].decode() == metric.meaning
+        assert field.metadata.get(b"unit", b"").decode() == (metric.unit or "")
+
+
+def test_every_mean_of_a_pair_leads_back_to_its_score():
+    means = [name for name in PAIRS.schema.names if name.endswith("_mean")]
+    assert [metric_of(name).column for name in means] == list(OBJECT_METRICS)
+    with pytest.raises(KeyError):
+        metric_of("n_nothing")
+
+
+def test_a_heading_has_its_unit_and_a_scale_its_better_end_first():
+    assert METRIC["centroid_distance_m"].label == "offset (m)"
+    assert METRIC["cdc"].label == "CDC"
+    assert METRIC["chamfer_squared_m2"].label == "chamfer_squared_m2 (m²)"
+    assert METRIC["match_rate"].scale == "1 best, 0 worst"
+    assert METRIC["r_gap"].scale == "0 best, 0.5 worst"
+    assert METRIC["gap_real"].scale == ""
+
+
+@pytest.fixture(scope="module")
+def twice():
+    """An object, and its aligned nodes beside itself."""
+    points = box([5, 3, 0], [4, 2, 1.5], 120)
+    edges = build_graph(points, GraphSettings(k=8))
+    own = Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
+    return own, select_nodes(own, own, SelectionSettings())
+
+
+def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identical_objects_have_their_value(twice):
+    own, chosen = twice
+    found = compare_objects(own, own, chosen, 1.0, MetricsSettings(baselines=BASELINE_NAMES))
+    assert [(each.name, each.unit) for each in found] == [(metric.column, metric.unit) for metric in BASELINES]
+    for each in found:
+        if each.value is not None:
+            assert each.value == pytest.approx(METRIC[each.name].equal, abs=1e-6), each.name
+
+
+def test_identical_objects_have_the_value_of_the_catalogue_in_every_own_score(twice):
+    own, chosen = twice
+    scores = score_object(own, own, chosen)
+    for metric in OBJECT_SCORES:
+        if metric.equal is not None and hasattr(scores, metric.column):
+            assert getattr(scores, metric.column) == pytest.approx(metric.equal, abs=1e-9), metric.column
+
+
+def test_the_tables_of_the_readme_are_those_of_the_code():
+    text = readme.FILE.read_text(encoding="utf-8")
+    assert readme.with_tables(text) == text, "renew them with: python tests/readme.py"
