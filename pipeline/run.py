@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 
 from ..schemas.columns import Table
 from ..schemas.errors import DatasetError, RunError
+from ..schemas.results import Findings
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.pairs import Dataset, ScanPair, read_dataset
@@ -172,7 +173,7 @@ class _Run:
         self._start = self._phase_start = perf_counter()
         before = read_run(request.out)
         self._changes = what_changed(before, request.settings, self._versions)
-        self._findings_before = before.get("findings", {})
+        self._findings_before = Findings.recorded(before.get("findings"))
 
     def inspect(self, selected: Iterable[ScanPair]) -> None:
         """Reads every file once that is not known yet: of the wanted pairs, and of those with results."""
@@ -230,18 +231,18 @@ class _Run:
         times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
         scored_ids = [row["pair_id"] for row in scored]
         findings = run_findings(self._folder, scored_ids, times, summarise_pairs(scored), key, self._findings_before)
-        record = run_record(
+        told = run_record(
             self._header(), hashes, rows, self._wall_s, self._engine.n_workers, seconds.as_dict(), findings, n_to_do
         )
         for stage in self._stages:
             if stage.summarise:
                 own = current_records(self._folder, pair_ids, [stage.name])
-                record[stage.name] = stage.summarise(list(own), self._request.settings)
-        write_record(self._request.out, record, self._folder.check_token)
+                told[stage.name] = stage.summarise(list(own), self._request.settings)
+        write_record(self._request.out, told, self._folder.check_token)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
         n_made = self._engine.n_made
-        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras)
+        return RunOutcome(self._request.out, pairs, told, n_made, n_current - n_made, failed_extras)
 
     def _plan(self, pair: ScanPair) -> PairPlan:
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])

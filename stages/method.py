@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..schemas.columns import OBJECT_METRICS
+from ..schemas.metrics import OBJECT_METRICS
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray
 from .clean import CleanResult, clean_scan

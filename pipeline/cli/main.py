@@ -33,7 +33,6 @@ app = typer.Typer(
 def main() -> None:
     """Runs the command and exits with its code."""
     from ...schemas.errors import FidpipeError
-    from ..engine import prefork
 
     # A batch system that ends a job means what Ctrl-C means.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -53,7 +52,6 @@ def main() -> None:
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
         _complain("interrupted; run the same command again to go on")
     sys.stdout.flush()
-    prefork.stop()
     sys.exit(code)
 
 

@@ -33,7 +33,7 @@ def check(
     Example:  fidpipe check dataset/ --set input.min_range_m=3
     """
     from ...schemas.settings import load
-    from ..datasets.check import check_dataset
+    from ..datasets.scan_checks import check_dataset
     from ..report.terminal.dataset import check_view
 
     dataset_check = check_dataset(dataset, load(settings, assignments or []))
@@ -87,14 +87,15 @@ def run(
     in_force = load(settings, [*(assignments or []), *repeats])
     out = out or Path("runs") / (dataset.resolve().name or "dataset")
     if scheduler is None and (workers or cpu_count()) > 1 and dataset.is_dir() and not out.exists():
-        prefork.start(needed=False)  # a new run: workers will be wanted when all else is imported
+        prefork.start(["fidpipe.pipeline.jobs"])  # a new run: workers will be wanted when all else is imported
 
+    from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..engine.request import RunRequest
+    from ..jobs import stages_under
     from ..report.terminal.run import outcome_view
-    from ..run import run_dataset, stages_of
+    from ..run import RunRequest, run_dataset
 
-    stage_names = [stage.name for stage in stages_of(in_force)]
+    stage_names = [stage.name for stage in stages_under(in_force)]
     if from_stage is not None and from_stage not in stage_names:
         raise typer.BadParameter(
             f"{from_stage!r} is no stage; one of {', '.join(stage_names)} is wanted", param_hint="--from"
@@ -103,10 +104,9 @@ def run(
         dataset=dataset,
         out=out,
         settings=in_force,
-        workers=workers,
-        scheduler=scheduler,
         from_stage=from_stage,
         pattern=pairs,
+        machines=Machines(workers, scheduler),
     )
     outcome = run_dataset(request, Reporter())
     print_view(outcome_view(outcome))

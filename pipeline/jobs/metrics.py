@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...schemas.columns import OBJECT_METRICS, SIDES
+from ...schemas.columns import SIDES
+from ...schemas.metrics import OBJECT_METRICS
 from ...schemas.tables import METRICS
 from ...stages.arrays import FloatArray
 from ...stages.metrics import score_object

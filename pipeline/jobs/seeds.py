@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from ...schemas.columns import SIDES
+from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.settings import Settings
-from ...schemas.tables import SEEDED_SCORES, SEEDS
+from ...schemas.tables import SEEDS
 from ...stages.method import compare, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std

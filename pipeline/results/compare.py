@@ -19,7 +19,8 @@ from ...schemas.results import JsonObject
 from ...stages.arrays import FloatArray
 from ...stages.statistics.comparison import KINDS, Difference, judge, kinds_of_change, paired_difference
 from ...stages.statistics.spread import spread
-from ..run import STAGES
+from ..jobs import STAGES
+from ..storage.tables import table_name
 from .finished import FinishedRun, PairObjects
 
 #: What is compared: columns of `pairs`.
@@ -279,7 +280,7 @@ def _change(
 
 def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
     """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
-    records = [run.store.records.get(("seeds", name, "")) for name in names]
+    records = [run.store.ledger.job_of_file(table_name("seeds", name)) for name in names]
     repeats = [record.facts["scores"][column] for record in records if record is not None]
     n_seeds = {len(scores) for scores in repeats}
     if len(repeats) < len(names) or len(n_seeds) != 1:

@@ -13,7 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from ...schemas.columns import OBJECT_METRICS
+from ...schemas.metrics import OBJECT_METRICS
+from ...schemas.results import Findings, ScoreSummary
 from ...schemas.settings import Settings
 from ...stages.summary import summarise_dataset
 from .files import write_whole

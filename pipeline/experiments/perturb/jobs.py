@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
+from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray, IntArray
 from ....stages.baselines import compare_objects

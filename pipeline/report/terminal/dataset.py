@@ -6,7 +6,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ....schemas.columns import SIDES
-from ...datasets.check import DatasetCheck
+from ...datasets.scan_checks import DatasetCheck
 from .layout import plain_table
 
 

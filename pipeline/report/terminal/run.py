@@ -12,7 +12,7 @@ from rich.text import Text
 from ....schemas.columns import Row
 from ....schemas.metrics import HEADLINE_SCORES, metric_of
 from ....schemas.results import RunRecord, ScoreSummary
-from ...engine.request import RunOutcome
+from ...run import RunOutcome
 from .baselines import baselines_view
 from .findings import claims_line, findings_view
 from .layout import narrow, number, plain_table
