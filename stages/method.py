@@ -73,9 +73,10 @@ def partition(points: FloatArray, settings: Settings, *, edges: Edges | None = N
     settings : of the graph and the communities
     edges : the graph of these points, where it is known already; such as for another seed of the communities
     """
-    if edges is None:
-        edges = build_graph(points, settings.graph)  # "From Point Clouds to Graphs"
-    labels = find_communities(len(points), edges, settings.communities).labels  # "... Decomposition via Communities"
+    # "From Point Clouds to Graphs"
+    edges = build_graph(points, settings.graph) if edges is None else edges
+    # "Object-Level Decomposition via Communities"
+    labels = find_communities(len(points), edges, settings.communities).labels
     return PartitionedScan(points, edges, labels, describe_objects(points, labels))
 
 
@@ -89,7 +90,10 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
     memo : scores of objects of these two sides, to be taken instead of computing them, and to be added to; give the
         same dictionary to several calls with the same two sides and other settings
     """
-    matching = match_communities(real.objects.centroid, sim.objects.centroid, settings.matching)  # Algorithm 1
+    # "Community Matching", Algorithm 1
+    matching = match_communities(real.objects.centroid, sim.objects.centroid, settings.matching)
+
+    # "Heat-Kernel Node Selection", Algorithm 2, then CDC, r_gap and r_lambda of each object
     memo = {} if memo is None else memo
     unscored = [pair for pair in matching.pairs if (*pair, settings.selection) not in memo]
     real_graphs = real.subgraphs(real_id for real_id, _ in unscored)
@@ -98,11 +102,12 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
         scored = score(real_graphs[real_id], sim_graphs[sim_id], settings.selection)
         memo[real_id, sim_id, settings.selection] = scored
     objects = tuple(memo[*pair, settings.selection] for pair in matching.pairs)
+
     return PairScores(matching, objects, _summarise(real, sim, matching, objects))
 
 
 def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
-    """The nodes that stand for one object on both sides, aligned (Algorithm 2), and the scores of the object.
+    """The aligned nodes that stand for one object on both sides (Algorithm 2), and the scores of the object.
 
     Parameters
     ----------

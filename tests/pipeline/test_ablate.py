@@ -12,7 +12,6 @@ from rich.console import Console
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.experiments import partition
 from fidpipe.pipeline.experiments.ablate.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
 from fidpipe.pipeline.experiments.ablate.choice import choose, influences
 from fidpipe.pipeline.report.figures.ablate import draw_ablation
@@ -20,6 +19,7 @@ from fidpipe.schemas.errors import DatasetError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
+from fidpipe.stages import method
 from runs import command
 from scenes import write_dataset
 
@@ -54,10 +54,10 @@ def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp
 
     def counted(points, settings):
         built.append((len(points), settings.k, settings.tau_m))
-        return partition_graph(points, settings)
+        return build_graph(points, settings)
 
-    partition_graph = partition.build_graph
-    monkeypatch.setattr(partition, "build_graph", counted)
+    build_graph = method.build_graph
+    monkeypatch.setattr(method, "build_graph", counted)
     outcome = ablated(dataset, tmp_path / "run", grid=True)
     assert outcome.rows.num_rows == 2 * 2 * 2 * 2
     assert len(built) == len(set(built)) == 2 * 2 * 2  # pairs, sides, values of k

@@ -98,7 +98,7 @@ def test_all_seeds_differ(done):
 def test_an_object_is_rebuilt_from_its_points_alone(done, monkeypatch):
     sizes = []
     monkeypatch.setattr(
-        "fidpipe.pipeline.experiments.partition.build_graph",
+        "fidpipe.stages.method.build_graph",
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
     of = done.objects[0]

@@ -12,9 +12,9 @@ def test_the_alignment_is_the_best_of_all(seed):
     rng = np.random.default_rng(seed)
     real, sim = rng.normal(0, 1, (7, 3)), rng.normal(5, 1, (7, 3))
     total, best = textbook.align(real, sim)
-    found = align_nodes(real, sim)
-    assert total_distance(real, sim, found) == pytest.approx(total)
-    assert found.tolist() == list(best)
+    sim_of_real = align_nodes(real, sim)
+    assert total_distance(real, sim, sim_of_real) == pytest.approx(total)
+    assert sim_of_real.tolist() == list(best)
 
 
 def total_distance(real, sim, sim_of_real):
@@ -50,9 +50,9 @@ def test_a_large_alignment_is_the_hungarian_one(rng, shape, n):
 def test_a_large_alignment_of_many_ties_is_as_short_as_the_hungarian_one():
     grid = np.array([[x, y, 0] for x in range(22) for y in range(22)], dtype=float)
     for real, sim in ((grid, grid * 2), (np.zeros((450, 3)), np.ones((450, 3)))):
-        found = align_nodes(real, sim)
-        assert sorted(found) == list(range(len(real)))
-        assert total_distance(real, sim, found) == pytest.approx(total_distance(real, sim, hungarian(real, sim)))
+        sim_of_real = align_nodes(real, sim)
+        assert sorted(sim_of_real) == list(range(len(real)))
+        assert total_distance(real, sim, sim_of_real) == pytest.approx(total_distance(real, sim, hungarian(real, sim)))
 
 
 def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng):

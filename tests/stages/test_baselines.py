@@ -24,8 +24,8 @@ def subgraph(points):
 
 def compare(real, sim, settings=ALL):
     graphs = subgraph(real), subgraph(sim)
-    found = compare_objects(*graphs, select_nodes(*graphs, SelectionSettings()), 1.0, settings)
-    return {of.name: of for of in found}
+    values = compare_objects(*graphs, select_nodes(*graphs, SelectionSettings()), 1.0, settings)
+    return {baseline.name: baseline for baseline in values}
 
 
 @pytest.fixture
@@ -65,17 +65,17 @@ def test_large_sides_are_sampled_alike(rng):
 
 
 def test_icp_undoes_a_small_motion(car):
-    found = register(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], 1.0)
-    assert found.has_converged
-    assert found.fitness == 1
-    assert found.rmse_m == pytest.approx(0, abs=1e-5)
+    result = register(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], 1.0)
+    assert result.has_converged
+    assert result.fitness == 1
+    assert result.rmse_m == pytest.approx(0, abs=1e-5)
 
 
 def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
     far = np.array([[5.0, 60, 0]]) + np.random.default_rng(0).normal(0, 1, (40, 3))
-    found = register(car, np.vstack([car, far]), 0.5)
-    assert found.fitness == pytest.approx(120 / 160)
-    assert found.rmse_m == pytest.approx(0, abs=1e-9)
+    result = register(car, np.vstack([car, far]), 0.5)
+    assert result.fitness == pytest.approx(120 / 160)
+    assert result.rmse_m == pytest.approx(0, abs=1e-9)
     nowhere = register(car, far, 0.5)
     assert (nowhere.fitness, nowhere.rmse_m) == (0, None)
 
@@ -85,8 +85,8 @@ def test_the_settings_name_every_baseline_in_the_order_of_the_list():
 
 
 def test_an_object_compared_with_itself_is_perfect_in_every_baseline(car):
-    found = compare(car, car)
-    assert list(found) == [
+    values = compare(car, car)
+    assert list(values) == [
         "chamfer_mean_m",
         "chamfer_squared_m2",
         "chamfer_one_way_sum_m",
@@ -102,55 +102,62 @@ def test_an_object_compared_with_itself_is_perfect_in_every_baseline(car):
         "netlsd",
         "r_h",
     ]
-    for name, of in found.items():
-        assert of.value == pytest.approx(1 if name in ("f_score", "icp_fitness") else 0, abs=1e-9), name
-        assert of.reason is None
+    for name, baseline in values.items():
+        assert baseline.value == pytest.approx(1 if name in ("f_score", "icp_fitness") else 0, abs=1e-9), name
+        assert baseline.reason is None
 
 
 def test_a_shift_moves_the_distances_and_not_the_shapes(car):
-    found = compare(car, car + [0, 0, 0.3])
-    assert found["emd_mean_m"].value == pytest.approx(0.3)
+    values = compare(car, car + [0, 0, 0.3])
+    assert values["emd_mean_m"].value == pytest.approx(0.3)
     for name in ("emd_centred_mean_m", "histogram", "icp_rmse_m", "netlsd", "r_h"):
-        assert found[name].value == pytest.approx(0, abs=1e-5), name
-    assert found["hausdorff_m"].value == pytest.approx(0.3, abs=0.15)
+        assert values[name].value == pytest.approx(0, abs=1e-5), name
+    assert values["hausdorff_m"].value == pytest.approx(0.3, abs=0.15)
 
 
 def test_units_stand_beside_the_values(car):
-    found = compare(car, car[:100])
-    for name, of in found.items():
-        assert of.unit == ("m2" if name.endswith("_m2") else "m" if name.endswith("_m") else None)
+    values = compare(car, car[:100])
+    for name, baseline in values.items():
+        assert baseline.unit == ("m2" if name.endswith("_m2") else "m" if name.endswith("_m") else None)
 
 
 def test_unequal_sizes_are_said_where_dcd_was_cut(car):
-    found = compare(car, np.vstack([car[:60], car[:20] + 0.01]))
-    assert found["dcd"].value is not None
-    assert found["dcd"].reason.startswith("120 real and 80 simulated points: ")
-    assert found["dcd"].reason.endswith("of 200 count weights cut at 1")
+    values = compare(car, np.vstack([car[:60], car[:20] + 0.01]))
+    assert values["dcd"].value is not None
+    assert values["dcd"].reason.startswith("120 real and 80 simulated points: ")
+    assert values["dcd"].reason.endswith("of 200 count weights cut at 1")
 
 
 def test_what_cannot_be_computed_is_null_with_its_reason():
     two = np.array([[0.0, 0, 0], [0, 0, 1]])
-    found = compare(two, two[:1])
-    assert {name for name, of in found.items() if of.value is None} == {"histogram", "icp_fitness", "icp_rmse_m", "r_h"}
-    assert all(of.reason for of in found.values() if of.value is None)
-    assert found["r_h"].reason == "1 aligned nodes, at least 3 are needed"
+    values = compare(two, two[:1])
+    assert {name for name, baseline in values.items() if baseline.value is None} == {
+        "histogram",
+        "icp_fitness",
+        "icp_rmse_m",
+        "r_h",
+    }
+    assert all(baseline.reason for baseline in values.values() if baseline.value is None)
+    assert values["r_h"].reason == "1 aligned nodes, at least 3 are needed"
     single = compare(two[:1], two)
     assert (single["dcd"].value, single["dcd"].reason) == (None, "the real points have no extent to scale by")
 
 
 def test_objects_too_large_for_their_spectrum_are_left_out(car):
-    found = compare(car, car, ALL.model_copy(update={"heat_max_nodes": 100}))
-    assert (found["netlsd"].value, found["netlsd"].reason) == (None, "120 points, metrics.heat_max_nodes allows 100")
+    values = compare(car, car, ALL.model_copy(update={"heat_max_nodes": 100}))
+    assert (values["netlsd"].value, values["netlsd"].reason) == (None, "120 points, metrics.heat_max_nodes allows 100")
 
 
 def test_without_the_library_icp_is_null_with_its_reason(car, monkeypatch):
     monkeypatch.setitem(sys.modules, "small_gicp", None)
-    found = compare_points(car, car, MetricsSettings(baselines=("icp",)))
-    assert [(of.value, of.reason) for of in found] == [(None, 'small_gicp is not installed; pip install ".[icp]"')] * 2
+    values = compare_points(car, car, MetricsSettings(baselines=("icp",)))
+    assert [(baseline.value, baseline.reason) for baseline in values] == [
+        (None, 'small_gicp is not installed; pip install ".[icp]"')
+    ] * 2
 
 
 def test_two_point_sets_have_the_baselines_that_need_no_objects(car):
-    names = [of.name for of in compare_points(car, car, ALL)]
+    names = [baseline.name for baseline in compare_points(car, car, ALL)]
     assert not {"emd_mean_m", "netlsd", "r_h"} & set(names)
     assert len(names) == 10
 
@@ -159,5 +166,5 @@ def test_nodes_of_the_alignment_are_what_the_earth_is_moved_between(car):
     graphs = subgraph(car), subgraph(car + [1, 0, 0])
     nodes = np.arange(50)
     selection = Selection(nodes, nodes, np.ones(50), np.ones(50))
-    found = compare_objects(*graphs, selection, 1.0, MetricsSettings(baselines=("emd",)))
-    assert [of.value for of in found] == [pytest.approx(1), pytest.approx(0, abs=1e-12)]
+    values = compare_objects(*graphs, selection, 1.0, MetricsSettings(baselines=("emd",)))
+    assert [baseline.value for baseline in values] == [pytest.approx(1), pytest.approx(0, abs=1e-12)]

@@ -20,10 +20,10 @@ def clouds(rng):
 
 
 def test_chamfer_by_hand():
-    found = chamfer(REAL, SIM)
-    assert found.mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
-    assert found.squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
-    assert found.one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
+    distance = chamfer(REAL, SIM)
+    assert distance.mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
+    assert distance.squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
+    assert distance.one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
 
 
 def test_hausdorff_by_hand_is_the_worst_point_of_either_side():
@@ -48,8 +48,8 @@ def test_all_agree_with_full_distance_matrices(clouds):
     assert chamfer(*clouds).mean_m == pytest.approx(to_sim.mean() + to_real.mean())
     assert chamfer(*clouds).squared_m2 == pytest.approx((to_sim**2).mean() + (to_real**2).mean())
     assert hausdorff(*clouds) == pytest.approx(max(directed_hausdorff(a, b)[0] for a, b in (clouds, clouds[::-1])))
-    found = [sum(d < 0.5 for d in one) / len(one) for one in (to_sim, to_real)]
-    assert f_score(*clouds, 0.5) == pytest.approx(2 * found[0] * found[1] / sum(found))
+    shares = [sum(d < 0.5 for d in one) / len(one) for one in (to_sim, to_real)]
+    assert f_score(*clouds, 0.5) == pytest.approx(2 * shares[0] * shares[1] / sum(shares))
 
 
 def test_dcd_of_equal_sizes_by_hand():
@@ -57,23 +57,23 @@ def test_dcd_of_equal_sizes_by_hand():
     real, sim = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[-0.1, 0, 0], [0, 0.2, 0]])
     from_real = (1 - math.exp(-10 * 0.01) + 1 - math.exp(-10 * 1.04)) / 2  # to the first and to the second one
     from_sim = (1 - 0.5 * math.exp(-10 * 0.01) + 1 - 0.5 * math.exp(-10 * 0.04)) / 2
-    found = density_aware_chamfer(real, sim, 10)
-    assert found.dcd == pytest.approx((from_real + from_sim) / 2)
-    assert found.n_cut == 0
+    distance = density_aware_chamfer(real, sim, 10)
+    assert distance.dcd == pytest.approx((from_real + from_sim) / 2)
+    assert distance.n_cut == 0
 
 
 def test_dcd_of_unequal_sizes_cuts_the_weights_at_one_and_counts_them():
     # three real points for one simulated one: from the real side each weight is (3 / 1) / 3 = 1, from the simulated
     # side (1 / 3) / 1; with a second simulated point far off, its first neighbour weighs (3 / 2) / 3, the other none
     real = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0, 0]])
-    found = density_aware_chamfer(real, np.array([[0.5, 0, 0]]), 1.0)
+    distance = density_aware_chamfer(real, np.array([[0.5, 0, 0]]), 1.0)
     from_real = np.mean([1 - math.exp(-0.25), 1 - math.exp(-0.25), 0])
-    assert (found.dcd, found.n_cut) == (pytest.approx((from_real + 1 - 1 / 3) / 2), 0)
+    assert (distance.dcd, distance.n_cut) == (pytest.approx((from_real + 1 - 1 / 3) / 2), 0)
     # two of three real points at one simulated point, the third alone at the other: weights 3/4, 3/4 and 3/2, cut
-    found = density_aware_chamfer(real, np.array([[0.25, 0, 0], [1, 0, 0]]), 1.0)
+    distance = density_aware_chamfer(real, np.array([[0.25, 0, 0], [1, 0, 0]]), 1.0)
     from_real = np.mean([1 - 0.75 * math.exp(-0.0625), 1 - 0.75 * math.exp(-0.0625), 0])
     from_sim = np.mean([1 - 2 / 3 * math.exp(-0.0625), 1 - 2 / 3])
-    assert (found.dcd, found.n_cut) == (pytest.approx((from_real + from_sim) / 2), 1)
+    assert (distance.dcd, distance.n_cut) == (pytest.approx((from_real + from_sim) / 2), 1)
 
 
 def test_dcd_agrees_with_a_loop(clouds):
@@ -88,9 +88,9 @@ def test_dcd_agrees_with_a_loop(clouds):
             terms.append(1 - weight * math.exp(-1000 * (math.dist(x, ys[j]) / size) ** 2))
         return sum(terms) / len(terms)
 
-    found = density_aware_chamfer(real, sim, 1000)
-    assert found.dcd == pytest.approx((one_way(real, sim) + one_way(sim, real)) / 2)
-    assert found.n_cut > 0
+    distance = density_aware_chamfer(real, sim, 1000)
+    assert distance.dcd == pytest.approx((one_way(real, sim) + one_way(sim, real)) / 2)
+    assert distance.n_cut > 0
 
 
 def test_dcd_does_not_depend_on_the_unit_of_length(clouds):

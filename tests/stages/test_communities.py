@@ -36,25 +36,25 @@ def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backe
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_modularity_is_that_of_the_double_sum(three_boxes, backend):
     points, edges = three_boxes
-    found = find_communities(len(points), edges, CommunitySettings(backend=backend))
+    partition = find_communities(len(points), edges, CommunitySettings(backend=backend))
     A = adjacency(len(points), edges).toarray()
-    assert found.modularity == pytest.approx(textbook.modularity(A, found.labels), abs=1e-12)
+    assert partition.modularity == pytest.approx(textbook.modularity(A, partition.labels), abs=1e-12)
 
 
 def test_the_reference_backend_is_python_louvain_itself(three_boxes):
     points, edges = three_boxes
-    found = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
+    partition = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
     as_dict = {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
-    np.testing.assert_array_equal(found.labels, textbook.louvain(len(points), as_dict, seed=3))
+    np.testing.assert_array_equal(partition.labels, textbook.louvain(len(points), as_dict, seed=3))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_both_backends_reach_nearly_the_same_modularity(rng, backend):
     points = rng.normal(0, 3, (700, 3))
     edges = build_graph(points, GraphSettings(k=12))
-    found = find_communities(700, edges, CommunitySettings(backend=backend)).modularity
-    best = max(find_communities(700, edges, CommunitySettings(backend=of)).modularity for of in BACKENDS)
-    assert found > best - 0.01
+    reached = find_communities(700, edges, CommunitySettings(backend=backend)).modularity
+    best = max(find_communities(700, edges, CommunitySettings(backend=other)).modularity for other in BACKENDS)
+    assert reached > best - 0.01
 
 
 @pytest.mark.parametrize("seed", [0, 7])
@@ -81,9 +81,9 @@ def test_the_seed_fixes_the_partition(rng):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_without_edges_every_node_is_alone(backend):
     empty = np.empty(0, dtype=np.int32)
-    found = find_communities(4, Edges(empty, empty, empty.astype(np.float32)), CommunitySettings(backend=backend))
-    assert found.labels.tolist() == [0, 1, 2, 3]
-    assert found.modularity == 0
+    partition = find_communities(4, Edges(empty, empty, empty.astype(np.float32)), CommunitySettings(backend=backend))
+    assert partition.labels.tolist() == [0, 1, 2, 3]
+    assert partition.modularity == 0
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

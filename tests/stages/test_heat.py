@@ -52,9 +52,9 @@ def test_the_diffusion_change_agrees_with_the_dense_exponential(rng, n, t):
     a, b = random_laplacian(rng, n, 0.1), random_laplacian(rng, n, 0.1)
     kernels = [scipy.linalg.expm(-t * L.toarray()) for L in (a, b)]
     wanted = np.linalg.norm(kernels[1] - kernels[0], 2) / (t * np.linalg.norm((b - a).toarray(), 2))
-    found = diffusion_change(a, b, t, 1e-5)
-    assert found == pytest.approx(wanted, rel=1e-9)
-    assert 0 < found <= 1
+    change = diffusion_change(a, b, t, 1e-5)
+    assert change == pytest.approx(wanted, rel=1e-9)
+    assert 0 < change <= 1
 
 
 def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():

@@ -14,18 +14,18 @@ def pairs(matching):
 def test_greedy_agrees_with_the_textbook(seed):
     rng = np.random.default_rng(seed)
     real, sim = rng.uniform(0, 20, (12, 3)), rng.uniform(0, 20, (15, 3))
-    found = match_communities(real, sim, MatchingSettings(delta_m=8))
-    assert [pair[:2] for pair in pairs(found)] == [pair[:2] for pair in textbook.match_greedy(real, sim, 8)]
+    matching = match_communities(real, sim, MatchingSettings(delta_m=8))
+    assert [pair[:2] for pair in pairs(matching)] == [pair[:2] for pair in textbook.match_greedy(real, sim, 8)]
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_optimal_agrees_with_trying_all(seed):
     rng = np.random.default_rng(seed)
     real, sim = rng.uniform(0, 9, (4, 3)), rng.uniform(0, 9, (4, 3))
-    found = match_communities(real, sim, MatchingSettings(delta_m=4, method="optimal"))
+    matching = match_communities(real, sim, MatchingSettings(delta_m=4, method="optimal"))
     best = textbook.match_optimal(real, sim, 4)
-    assert len(found.real_ids) == len(best)
-    assert found.distance_m.sum() == pytest.approx(sum(d for _, _, d in best))
+    assert len(matching.real_ids) == len(best)
+    assert matching.distance_m.sum() == pytest.approx(sum(d for _, _, d in best))
 
 
 def test_greedy_takes_what_comes_first_and_optimal_what_is_best():
@@ -37,15 +37,15 @@ def test_greedy_takes_what_comes_first_and_optimal_what_is_best():
 
 
 def test_a_centroid_at_exactly_delta_does_not_match():
-    found = match_communities(np.zeros((1, 3)), np.array([[5.0, 0, 0]]), MatchingSettings(delta_m=5))
-    assert (found.missing.tolist(), found.hallucinated.tolist(), found.match_rate) == ([0], [0], 0.0)
+    matching = match_communities(np.zeros((1, 3)), np.array([[5.0, 0, 0]]), MatchingSettings(delta_m=5))
+    assert (matching.missing.tolist(), matching.hallucinated.tolist(), matching.match_rate) == ([0], [0], 0.0)
 
 
 def test_of_equally_near_centroids_the_smaller_id_is_taken():
-    found = match_communities(np.zeros((1, 3)), np.array([[0.0, 1, 0], [1, 0, 0]]), MatchingSettings())
-    assert found.sim_ids.tolist() == [0]
+    matching = match_communities(np.zeros((1, 3)), np.array([[0.0, 1, 0], [1, 0, 0]]), MatchingSettings())
+    assert matching.sim_ids.tolist() == [0]
 
 
 def test_the_match_rate_counts_the_side_that_has_more():
-    found = match_communities(np.zeros((1, 3)), np.array([[1.0, 0, 0], [50, 0, 0], [70, 0, 0]]), MatchingSettings())
-    assert found.match_rate == pytest.approx(1 / 3)
+    matching = match_communities(np.zeros((1, 3)), np.array([[1.0, 0, 0], [50, 0, 0], [70, 0, 0]]), MatchingSettings())
+    assert matching.match_rate == pytest.approx(1 / 3)

@@ -134,7 +134,7 @@ def scans():
         ["ground.shared=true", "ground.loss=total"],
         ["input.sim_flip_y=true", "matching.delta_m=40", "matching.method=optimal"],
         ["graph.edges=intersection", "graph.k=12", "graph.tau_m=0.6", "selection.t=0.3"],
-        ["communities.backend=python-louvain", "communities.seed=5", "ground.method=none"],
+        ["communities.backend=python-louvain", "communities.seed=5", "ground.method=none", "graph.k=8"],
     ],
     ids=" ".join,
 )

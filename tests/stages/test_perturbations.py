@@ -95,7 +95,7 @@ def test_the_same_seed_gives_the_same_points_and_the_argument_stays_as_it_was(ki
         Perturbation("hallucination", 0.0),
         Perturbation("density", 1.0),
     ],
-    ids=lambda of: of.kind,
+    ids=lambda nothing: nothing.kind,
 )
 def test_an_amount_of_nothing_changes_nothing(nothing, cloud):
     np.testing.assert_array_equal(perturb(cloud, nothing, seeded()), cloud)

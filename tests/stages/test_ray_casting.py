@@ -113,11 +113,11 @@ def test_first_hits_agree_with_one_triangle_after_the_other():
     triangles = rng.uniform(-20, 20, (20, 1, 3)) + rng.normal(0, 8, (20, 3, 3))
     directions = fire(VLP32C, step_deg=30.0).directions()
     hits = RayTarget(triangles.reshape(-1, 3), np.arange(60).reshape(-1, 3)).first_hits(directions)
-    found = dict(zip(hits.ray_ids.tolist(), hits.range_m.tolist(), strict=True))
+    range_by_ray = dict(zip(hits.ray_ids.tolist(), hits.range_m.tolist(), strict=True))
     by_hand = {ray: first_hit_by_hand(triangles, direction) for ray, direction in enumerate(directions)}
     wanted = {ray: range_m for ray, range_m in by_hand.items() if range_m is not None}
     assert len(wanted) > 100
-    assert found == pytest.approx(wanted, rel=1e-4)
+    assert range_by_ray == pytest.approx(wanted, rel=1e-4)
 
 
 @pytest.mark.parametrize("faces", [np.empty((0, 3), dtype=np.intp), np.array([[0, 1, 2]])])

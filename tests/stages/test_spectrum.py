@@ -26,8 +26,8 @@ def banded(symmetric, **options):
 def test_the_band_has_the_eigenvalues_of_the_matrix(rng, n):
     dense = rng.normal(0, 1, (n, n))
     dense += dense.T
-    found = banded(sparse.csr_matrix(dense))
-    np.testing.assert_allclose(found, np.linalg.eigvalsh(dense), atol=1e-12 * n)
+    values = banded(sparse.csr_matrix(dense))
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(dense), atol=1e-12 * n)
 
 
 @pytest.mark.parametrize("bandwidth", [1, 39, 40, 41, 90, 130])
@@ -36,8 +36,8 @@ def test_a_shuffled_band_matrix_has_the_eigenvalues_of_the_ordered_one(rng, band
     dense = np.triu(np.tril(rng.normal(0, 1, (n, n)), bandwidth), -bandwidth)
     dense += dense.T
     order = rng.permutation(n)
-    found = banded(sparse.csr_matrix(dense[np.ix_(order, order)]))
-    np.testing.assert_allclose(found, np.linalg.eigvalsh(dense), atol=1e-11)
+    values = banded(sparse.csr_matrix(dense[np.ix_(order, order)]))
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(dense), atol=1e-11)
 
 
 @pytest.mark.parametrize("half", [[2, 120, 5], [90, 3, 90, 1, 60], [0, 45, 0, 33]])
@@ -58,8 +58,8 @@ def test_any_width_of_the_band_gives_the_same(rng, width):
 
 def test_a_graph_in_pieces_has_a_zero_for_each(rng):
     piece = laplacian(rng.normal(0, 1, (60, 3)))
-    found = banded(sparse.block_diag([piece, piece, sparse.csr_matrix((1, 1))], format="csr"))
-    assert np.count_nonzero(np.abs(found) < 1e-12) == 3
+    values = banded(sparse.block_diag([piece, piece, sparse.csr_matrix((1, 1))], format="csr"))
+    assert np.count_nonzero(np.abs(values) < 1e-12) == 3
 
 
 def test_a_diagonal_matrix_keeps_its_diagonal():
