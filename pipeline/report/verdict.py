@@ -79,7 +79,7 @@ def _weakest(results: RunResults) -> str:
 
 def _numbers(results: RunResults) -> list[dict[str, Any]]:
     pairs = results.pairs
-    summary = results.record["summary"]
+    summary = results.run.record["summary"]
 
     def mean(column: str) -> str:
         value = summary[column]["mean"]

@@ -80,7 +80,7 @@ class FinishedRun:
     def check(self, pair_id: str) -> None:
         """Raises `RunError` if a table of objects or scores of a scored pair is damaged."""
         for job, name in self._jobs(pair_id):
-            self._record(job, name)
+            self.check_file(job, name)
 
     def objects(self, pair_id: str) -> PairObjects:
         """The objects of a scored pair; `RunError` if it failed or a table is damaged."""
@@ -105,11 +105,12 @@ class FinishedRun:
         return [*sides, (("metrics", pair_id, ""), self._name("metrics", pair_id))]
 
     def _read(self, job: JobName, name: str) -> list[Row]:
-        self._record(job, name)
+        self.check_file(job, name)
         rows: list[Row] = pq.read_table(self.folder / name, use_threads=False).to_pylist()
         return rows
 
-    def _record(self, job: JobName, name: str) -> None:
+    def check_file(self, job: JobName, name: str) -> None:
+        """Raises `RunError` if a file is not as the job wrote it, or gone."""
         record = self.store.records.get(job)
         if record is None or not self.store.is_whole(record):
             raise RunError(

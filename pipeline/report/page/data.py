@@ -43,7 +43,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
     )
     quadrants = matched.quadrant.value_counts()
     return {
-        "title": results.folder.resolve().name,
+        "title": results.run.folder.resolve().name,
         "verdict": verdict.sentence,
         "weakest": verdict.weakest,
         "numbers": verdict.numbers,
@@ -77,8 +77,8 @@ def page_data(results: RunResults) -> dict[str, Any]:
         "objects": _objects(results),
         "matched_columns": MATCHED_COLUMNS,
         "unmatched_columns": UNMATCHED_COLUMNS,
-        "settings": results.record["settings"],
-        "versions": _versions(results.record),
+        "settings": results.run.record["settings"],
+        "versions": _versions(results.run.record),
     }
 
 

@@ -116,7 +116,7 @@ def render(data: dict[str, Any], plotly: str, script_source: str = "") -> str:
 
 def _write_folder(results: RunResults, data: dict[str, Any], chosen: list[str]) -> tuple[Path, int]:
     """One page a pair and an index, with one plotly.js for all; pages of an earlier report go away."""
-    folder = results.folder / PAGES
+    folder = results.run.folder / PAGES
     plotly, source = f'<script src="{_PLOTLY}"></script>', " 'self' file:"
     write_whole(folder / _PLOTLY, _plotly().encode())
     links = {name: f"pair-{file_stem(name)}.html" for name in chosen}
