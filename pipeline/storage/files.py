@@ -12,6 +12,8 @@ from ...schemas.errors import RunError
 def write_whole(path: Path, content: bytes) -> None:
     """Puts a file in place of another, if any: written beside it under a dot name, flushed, renamed.
 
+    Folders that are not there are made. If it fails, the file that was there stays as it is.
+
     Raises
     ------
     RunError
@@ -32,7 +34,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def remove_stale(path: Path) -> None:
-    """Removes a file that an earlier report left, if it is there.
+    """Removes a file that is out of date, such as a page of an earlier report; one that is not there is no error.
 
     Raises
     ------
