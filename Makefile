@@ -12,7 +12,7 @@ FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 	--config-settings editable_mode=strict
 
-.PHONY: run test check fast bench clean setup browser
+.PHONY: run test check fast bench clean setup browser javascript
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -21,7 +21,7 @@ run: setup
 
 test: check
 
-check: setup browser
+check: setup browser javascript
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
@@ -40,6 +40,14 @@ bench: setup
 	$(BIN)/python benchmarks/growth.py
 	$(BIN)/python benchmarks/small_pairs.py 50
 	$(BIN)/python benchmarks/small_pairs.py 10000 300
+
+# The pages' JavaScript is formatted and linted by biome, as pinned in tests/javascript.
+javascript:
+	@if command -v npm > /dev/null; then \
+		cd tests/javascript && npm ci --silent && npm run --silent check; \
+	else \
+		echo "no npm: the JavaScript of the pages is not checked"; \
+	fi
 
 # The browser tests want Debian's Chromium; where it is absent and cannot be installed, they are skipped.
 browser:

@@ -1,6 +1,7 @@
-"""What is drawn of many objects at once: histograms, boxes, shares by range band, seconds by step. Plain numbers.
+"""What is drawn of many objects at once: histograms, quadrants, boxes, counts by range band, seconds by step.
 
-Counts and quantiles of finished scores, no new score. Leaves to others: drawing (`figures`, `assets/charts.js`).
+Plain numbers, counted once for the page (`charts`) and for the figures; counts and quantiles of finished scores, no new
+score.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import pandas as pd
 
 from ...stages.arrays import FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M
+from .quadrants import QUADRANTS, UNKNOWN
 from .results import RunResults
 
 #: The two scores that are drawn side by side: column, its name in words, and its upper bound.
@@ -24,21 +26,46 @@ _FEWEST_IN_BOX = 3
 
 
 def histograms(results: RunResults) -> dict[str, dict[str, Any]]:
-    """Of each score: counts in equal bins over its whole range, median, and how many objects have no score."""
-    found = {}
+    """Of each score: counts in equal bins over its whole range, median, and how many objects have no score.
+
+    Where no object has a score, all counts are 0 and the median is None.
+    """
+    by_score = {}
     for column, (name, bound) in SCORES.items():
         values = results.matched[column].dropna().to_numpy(dtype=float)
         counts, edges = np.histogram(values, bins=_BINS, range=(0, bound))
-        found[column] = {
+        by_score[column] = {
             "name": name,
             "bound": bound,
             "edges": edges.tolist(),
             "counts": counts.tolist(),
+            "shares": (counts / max(1, len(values))).tolist(),
             "median": float(np.median(values)) if len(values) else None,
             "n": len(values),
             "n_null": int(results.matched[column].isna().sum()),
         }
-    return found
+    return by_score
+
+
+def quadrants(results: RunResults) -> dict[str, dict[str, Any]]:
+    """Of each quadrant, and of the objects without a score: title, number and share of the matched objects."""
+    counts = results.matched.quadrant.value_counts()
+    return {
+        key: {"title": title, "n": int(counts.get(key, 0)), "share": counts.get(key, 0) / max(1, len(results.matched))}
+        for key, title in {**QUADRANTS, UNKNOWN: UNKNOWN}.items()
+    }
+
+
+def evenly(n: int, most: int) -> list[int]:
+    """Places of at most `most` of n things, evenly over their order, the first and the last among them.
+
+    Examples
+    --------
+    >>> evenly(9, 3), evenly(2, 3), evenly(0, 3)
+    ([0, 4, 8], [0, 1], [])
+    """
+    places: list[int] = np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)).tolist()
+    return places
 
 
 def boxes(results: RunResults, column: str, groups: Sequence[str]) -> list[dict[str, Any]]:
@@ -47,18 +74,23 @@ def boxes(results: RunResults, column: str, groups: Sequence[str]) -> list[dict[
     Parameters
     ----------
     column : of `RunResults.matched` to group by
-    groups : values of that column, in the order of the boxes
+    groups : values of that column, in the order of the boxes; one that no object has is left out
+
+    Returns
+    -------
+    list
+        `name`, `n`, and for each score q1, median, q3, low, high, outside; None for fewer than three values
     """
     by_group = dict(list(results.matched.groupby(column)))
-    found = []
+    made = []
     for group in groups:
         rows = by_group.get(group)
         if rows is None:
             continue
         box = {"name": group, "n": len(rows)}
         box |= {score: _box(rows[score].dropna().to_numpy(dtype=float)) for score in SCORES}
-        found.append(box)
-    return found
+        made.append(box)
+    return made
 
 
 def _box(values: FloatArray) -> dict[str, Any] | None:
@@ -90,7 +122,7 @@ def range_bands(results: RunResults) -> list[dict[str, Any]]:
     bands = []
     for low, high in pairwise((*BAND_EDGES_M, math.inf)):
         name = f"{low:.0f} to {high:.0f} m" if math.isfinite(high) else f"over {low:.0f} m"
-        counts = {fate: int(((of >= low) & (of < high)).sum()) for fate, of in ranges.items()}
+        counts = {fate: int(((range_m >= low) & (range_m < high)).sum()) for fate, range_m in ranges.items()}
         if sum(counts.values()):
             bands.append({"name": name, **counts})
     return bands
@@ -101,7 +133,7 @@ def stage_times(results: RunResults) -> list[dict[str, Any]]:
     times = results.timings[results.timings.pair_id.isin(results.pairs.pair_id)]
     per_pair = times.groupby(["stage", "step", "pair_id"], sort=False).seconds.sum()
     median = per_pair.groupby(["stage", "step"], sort=False).median().reset_index()
-    order = list(results.record["stages"])
+    order = list(results.run.record["stages"])
     rows = [dict(zip(median.columns, row, strict=True)) for row in plain_rows(median, median.columns.tolist())]
     return sorted(rows, key=lambda row: order.index(row["stage"]) if row["stage"] in order else len(order))
 

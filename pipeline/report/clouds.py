@@ -1,27 +1,26 @@
 """The points of one pair as a report draws them: object points of both sides with their communities, and the spectra.
 
-Reads the run's tables and nothing else. The spectra are the only thing that is computed anew, from the stored nodes,
-and only shown where their largest shift is the stored one. Leaves to others: thinning (`pair_view`), drawing.
+The spectra are the only thing that is computed anew, from the stored nodes, and only shown where their largest shift is
+the stored one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
-import pyarrow.compute as pc
+import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.linalg.laplacian import induced_laplacian
+from ...stages.graph import Edges
+from ...stages.linalg.laplacian import Subgraph, induced_laplacian, split_by_community
 from ...stages.linalg.spectrum import eigenvalues
-from ..datasets.pairs import ScanPair
 from ..engine.pool import one_blas_thread
-from ..engine.task import Job, PairTask
-from ..engine.workbench import Workbench, as_numpy
-from .results import RunResults, stage_of
+from ..results.tables import read_table
+from .results import RunResults
 
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
 MOST_SPECTRUM_NODES = 1500
@@ -52,48 +51,76 @@ class Spectra:
 
 
 class PairTables:
-    """The tables of one scored pair, read when first asked for."""
+    """The tables of one scored pair, each read when it is first asked for.
+
+    Raises
+    ------
+    RunError
+        From every method: a table is damaged or gone.
+    """
 
     def __init__(self, results: RunResults, pair_id: str) -> None:
         self.pair_id = pair_id
-        jobs = tuple(
-            Job(of.stage, of.side, of.key, stage_of(of).gives, stage_of(of).make, of.files, of.facts)
-            for of in results.jobs[pair_id]
-        )
-        task = PairTask(ScanPair(pair_id, None, None), results.settings, jobs, folder=results.folder)
-        self._bench = Workbench(task)
+        self._run = results.run
         self._matched = results.matched[results.matched.pair_id == pair_id]
+        self._clouds: dict[str, Cloud] = {}
 
     def cloud(self, side: str) -> Cloud:
         """The object points of a side."""
-        point_ids, points = self._bench.object_points(side)
-        return Cloud(point_ids, points, as_numpy(self._bench.table("communities", side), "community_id"))
+        if side not in self._clouds:
+            points = self._columns("ground", side, ["point_id", "x", "y", "z", "is_ground"])
+            points = points[~points.is_ground]
+            community = self._columns("communities", side, ["community_id"]).community_id
+            self._clouds[side] = Cloud(
+                points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), community.to_numpy()
+            )
+        return self._clouds[side]
+
+    @cached_property
+    def selection(self) -> pd.DataFrame:
+        """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
+        return self._columns("selection", "", ["real_id", "real_point_id", "sim_point_id"])
 
     def kept(self, side: str) -> IntArray:
-        """Ids of the points that stand for their object in the spectral scores, ascending."""
-        kept: IntArray = np.sort(as_numpy(self._bench.table("selection"), f"{side}_point_id"))
+        """Ids of the points that stand for their object in the spectral scores, (n,) int32, ascending."""
+        kept: IntArray = np.sort(self.selection[f"{side}_point_id"].to_numpy())
         return kept
 
     def spectra(self) -> Iterator[tuple[int, Spectra]]:
-        """The spectra of each matched object, by real id."""
+        """The spectra of each matched object, by real id; with a reason in their place where they are not drawn."""
+        graphs = {side: self._graphs(side) for side in SIDES}
+        nodes = dict(iter(self.selection.groupby("real_id")))
         with one_blas_thread():
             for row in self._matched.to_dict("records"):
-                yield row["real_id"], self._spectra_of(row)
+                if row["status"] == "too_small":
+                    yield row["real_id"], Spectra(reason="too few nodes for a spectrum")
+                else:
+                    pair = tuple(graphs[side][row[f"{side}_id"]] for side in SIDES)
+                    yield row["real_id"], _spectra_of(pair, nodes[row["real_id"]], row["max_eigenvalue_shift"])
 
-    def _spectra_of(self, row: Mapping[Any, Any]) -> Spectra:
-        selection = self._bench.table("selection")
-        own = selection.filter(pc.equal(selection.column("real_id"), row["real_id"]))
-        if row["status"] == "too_small":
-            return Spectra(reason="too few nodes for a spectrum")
-        if len(own) > MOST_SPECTRUM_NODES:
-            return Spectra(reason=f"{len(own):,} nodes: spectra are drawn of objects of up to {MOST_SPECTRUM_NODES:,}")
-        found: list[FloatArray] = []
-        for side, community in zip(SIDES, (row["real_id"], row["sim_id"]), strict=True):
-            graph = self._bench.subgraph(side, community)
-            nodes = np.searchsorted(graph.point_ids, as_numpy(own, f"{side}_point_id"))
-            found.append(eigenvalues(induced_laplacian(graph, nodes)))
-        shift = float(np.max(np.abs(found[1] - found[0])))
-        stored = row["max_eigenvalue_shift"]
-        if abs(shift - stored) > _AGREES:
-            return Spectra(reason=f"recomputed shift {shift:.6f} is not the stored {stored:.6f}: not drawn")
-        return Spectra(real=found[0], sim=found[1])
+    def _graphs(self, side: str) -> dict[int, Subgraph]:
+        """The graph of each matched object of a side, by the object's id."""
+        cloud = self.cloud(side)
+        graph = self._columns("graph", side, ["src", "dst", "length_m"])
+        src, dst = (np.searchsorted(cloud.point_ids, graph[end].to_numpy()).astype(np.int32) for end in ("src", "dst"))
+        edges = Edges(src, dst, graph.length_m.to_numpy())
+        wanted = self._matched[f"{side}_id"].tolist()
+        return split_by_community(cloud.point_ids, cloud.points, edges, cloud.community, wanted)
+
+    def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:
+        rows: pd.DataFrame = read_table(self._run, table, self.pair_id, side, columns).to_pandas()
+        return rows
+
+
+def _spectra_of(graphs: tuple[Subgraph, ...], nodes: pd.DataFrame, stored_shift: float) -> Spectra:
+    """Both spectra of one object from its graphs and its kept nodes, in aligned pairs."""
+    if len(nodes) > MOST_SPECTRUM_NODES:
+        return Spectra(reason=f"{len(nodes):,} nodes: spectra are drawn of objects of up to {MOST_SPECTRUM_NODES:,}")
+    real, sim = (
+        eigenvalues(induced_laplacian(graph, np.searchsorted(graph.point_ids, nodes[f"{side}_point_id"].to_numpy())))
+        for side, graph in zip(SIDES, graphs, strict=True)
+    )
+    shift = float(np.max(np.abs(sim - real)))
+    if abs(shift - stored_shift) > _AGREES:
+        return Spectra(reason=f"recomputed shift {shift:.6f} is not the stored {stored_shift:.6f}: not drawn")
+    return Spectra(real=real, sim=sim)

@@ -1,7 +1,4 @@
-"""The tables of a finished run as a report reads them: one frozen object, checked before anything is drawn.
-
-Leaves to others: the points of a pair (`clouds`), what the numbers say (`verdict`, `aggregates`).
-"""
+"""The tables of a finished run as a report reads them: one frozen object, checked before anything is drawn."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,13 +14,9 @@ import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...schemas.settings import Settings, parse
 from ...schemas.tables import PAIRS
-from ..engine.plan import Stage
 from ..results.finished import FinishedRun
-from ..run import STAGES
-from ..storage.ledger import JobRecord
-from ..storage.store import Store
+from ..results.tables import check_tables, read_table
 from .quadrants import quadrant_of
 
 SHAPES = ("linear", "planar", "scattered")
@@ -36,7 +28,7 @@ _PLACE = ["n_points", "range_m", "bearing_deg", "cx", "cy", "cz", "extent_x", "e
 class RunResults:
     """A finished run.
 
-    record : what `run.json` holds
+    run : its folder, its record (`run.json`), and where single tables are read from
     pairs : `pairs.parquet`, the scored pairs only, worst first
     failures : why each failed pair failed
     matched : `metrics` with place and class of the real object, `quadrant`, and the position of its pair; worst first
@@ -45,20 +37,13 @@ class RunResults:
     class_is : "label" where the scans are labelled, else "shape"
     """
 
-    folder: Path
-    record: dict[str, Any]
+    run: FinishedRun
     pairs: pd.DataFrame
     failures: dict[str, str]
     matched: pd.DataFrame
     unmatched: pd.DataFrame
     timings: pd.DataFrame
     class_is: str
-    jobs: dict[str, tuple[JobRecord, ...]]
-
-    @property
-    def settings(self) -> Settings:
-        """The settings that the run was made with."""
-        return parse(self.record["settings"])
 
     def select(self, pattern: str | None) -> list[str]:
         """Names of the scored pairs that match, worst first.
@@ -89,58 +74,33 @@ def read_results(folder: Path) -> RunResults:
     RunError
         The folder is no run, the run has not ended, a table is damaged, or no pair is scored.
     """
-    finished = FinishedRun(folder)
-    rows: pd.DataFrame = pa.Table.from_pylist(finished.rows, schema=PAIRS.schema).to_pandas()
+    run = FinishedRun(folder)
+    rows: pd.DataFrame = pa.Table.from_pylist(run.rows, schema=PAIRS.schema).to_pandas()
     is_scored = rows.status == "scored"
     failures = dict(zip(rows.pair_id[~is_scored], rows.reason[~is_scored], strict=True))
     if not is_scored.any():
         raise RunError(f"run {folder}: none of its {len(rows)} pairs is scored, so there is nothing to report")
     pairs = _worst_first(rows[is_scored], ("match_rate", "cdc_mean", "r_lambda_mean"))
     names = pairs.pair_id.tolist()
-    jobs = _jobs(finished.store, names)
-    objects = _with_place(_read(folder, _files(jobs, "objects")))
-    metrics = _read(folder, _files(jobs, "metrics"))
-    matching = _read(folder, _files(jobs, "matching"))
+    for name in names:
+        check_tables(run, name)
+    objects = _with_place(_read(run, "objects", names, SIDES))
     return RunResults(
-        folder=folder,
-        record=finished.record.as_dict(),
+        run=run,
         pairs=pairs,
         failures=failures,
-        matched=_matched(metrics, objects, names),
-        unmatched=_unmatched(matching, objects, names),
+        matched=_matched(_read(run, "metrics", names), objects, names),
+        unmatched=_unmatched(_read(run, "matching", names), objects, names),
         timings=pq.read_table(folder / "timings.parquet").to_pandas(),
         class_is="label" if objects.label.notna().any() else "shape",
-        jobs=jobs,
     )
 
 
-def _jobs(store: Store, names: Iterable[str]) -> dict[str, tuple[JobRecord, ...]]:
-    """The finished jobs of each pair in their order; every table must be as it was written."""
-    jobs = {}
-    for name in names:
-        found = [store.records.get((stage.name, name, side)) for stage in STAGES for side in stage.sides]
-        whole = [record for record in found if record is not None and store.is_whole(record)]
-        if len(whole) < len(found):
-            raise RunError(f"run {store.folder}, pair {name}: a table is damaged or gone; run fidpipe run again")
-        jobs[name] = tuple(whole)
-    return jobs
-
-
-def stage_of(record: JobRecord) -> Stage:
-    """The row of the pipeline that a job belongs to."""
-    return next(stage for stage in STAGES if stage.name == record.stage)
-
-
-def _files(jobs: dict[str, tuple[JobRecord, ...]], table: str) -> list[str]:
-    return [
-        name for records in jobs.values() for record in records for name in record.files if name.startswith(f"{table}/")
-    ]
-
-
-def _read(folder: Path, files: Iterable[str]) -> pd.DataFrame:
-    tables = [pq.read_table(folder / name, use_threads=False) for name in files]
-    found: pd.DataFrame = pa.concat_tables(tables).to_pandas()
-    return found
+def _read(run: FinishedRun, table: str, names: Iterable[str], sides: Iterable[str] = ("",)) -> pd.DataFrame:
+    """A table of all pairs, one pair after the other."""
+    tables = [read_table(run, table, name, side) for name in names for side in sides]
+    rows: pd.DataFrame = pa.concat_tables(tables).to_pandas()
+    return rows
 
 
 def _with_place(objects: pd.DataFrame) -> pd.DataFrame:

@@ -1,7 +1,4 @@
-"""What a run says in a sentence, in six numbers, and where the simulation is weakest.
-
-Leaves to others: the limits of the quadrants (`quadrants`), the scores.
-"""
+"""What a run says in a sentence, in six numbers, and where the simulation is weakest."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from .aggregates import range_bands
+from .aggregates import quadrants, range_bands
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
 from .results import RunResults
 
@@ -33,7 +30,7 @@ def verdict_of(results: RunResults) -> Verdict:
 
 
 def _sentence(results: RunResults) -> str:
-    quadrants = results.matched.quadrant.value_counts()
+    n_of = {key: counted["n"] for key, counted in quadrants(results).items()}
     n_missing = int((results.unmatched.status == "missing").sum())
     n_hallucinated = len(results.unmatched) - n_missing
     n_real = len(results.matched) + n_missing
@@ -43,15 +40,15 @@ def _sentence(results: RunResults) -> str:
         return f"{100 * n / n_real:.0f} %"
 
     parts = [
-        f"{share(quadrants.get('faithful', 0))} faithfully",
-        f"{share(quadrants.get('structure lost', 0))} with the right shape but lost structure",
-        f"{share(quadrants.get('displaced', 0))} with the right structure but displaced",
+        f"{share(n_of['faithful'])} faithfully",
+        f"{share(n_of['structure lost'])} with the right shape but lost structure",
+        f"{share(n_of['displaced'])} with the right structure but displaced",
     ]
-    unknown = quadrants.get(UNKNOWN, 0)
+    unknown = n_of[UNKNOWN]
     has = "object has" if n_hallucinated == 1 else "objects have"
     return (
         f"Of the {n_real:,} real objects in {n_pairs:,} pair{'s' * (n_pairs > 1)} of scans the simulation reproduces "
-        f"{', '.join(parts)}; {share(quadrants.get('failed', 0))} fail in both, {share(n_missing)} are missing"
+        f"{', '.join(parts)}; {share(n_of['failed'])} fail in both, {share(n_missing)} are missing"
         f"{f', {share(unknown)} are too small to judge' if unknown else ''}; "
         f"{n_hallucinated:,} simulated {has} no real counterpart."
     )
@@ -79,7 +76,7 @@ def _weakest(results: RunResults) -> str:
 
 def _numbers(results: RunResults) -> list[dict[str, Any]]:
     pairs = results.pairs
-    summary = results.record["summary"]
+    summary = results.run.record["summary"]
 
     def mean(column: str) -> str:
         value = summary[column]["mean"]
@@ -94,8 +91,8 @@ def _numbers(results: RunResults) -> list[dict[str, Any]]:
         ("CDC", "cdc_mean", "0 best, 2 worst", "geometry: how far the points of an object are from its counterpart"),
         ("r_lambda", "r_lambda_mean", "0 best, 1 worst", f"structure; {beside}"),
         ("r_gap", "r_gap_mean", "0 best, 0.5 worst", "structure: change of the overall connectivity"),
-        ("missing a pair", "n_missing", "0 best", "real objects without a simulated counterpart"),
-        ("hallucinated a pair", "n_hallucinated", "0 best", "simulated objects without a real counterpart"),
+        ("missing per pair", "n_missing", "0 best", "real objects without a simulated counterpart"),
+        ("hallucinated per pair", "n_hallucinated", "0 best", "simulated objects without a real counterpart"),
     )
     return [
         {

@@ -81,8 +81,8 @@ class FinishedRun:
     def check(self, pair_id: str) -> None:
         """Raises `RunError` if a table of objects or scores of a scored pair is damaged."""
         for side in SIDES:
-            self._check(table_name("objects", pair_id, side))
-        self._check(table_name("metrics", pair_id))
+            self.check_file(table_name("objects", pair_id, side))
+        self.check_file(table_name("metrics", pair_id))
 
     def objects(self, pair_id: str) -> PairObjects:
         """The objects of a scored pair; `RunError` if it failed or a table is damaged."""
@@ -102,11 +102,12 @@ class FinishedRun:
         return self._read(table_name("objects", pair_id, side))
 
     def _read(self, name: str) -> list[Row]:
-        self._check(name)
+        self.check_file(name)
         rows: list[Row] = pq.read_table(self.folder / name, use_threads=False).to_pylist()
         return rows
 
-    def _check(self, name: str) -> None:
+    def check_file(self, name: str) -> None:
+        """Raises `RunError` if a file is not as the job wrote it, or gone."""
         record = self.store.ledger.job_of_file(name)
         if record is None or not self.store.is_whole(record):
             raise RunError(

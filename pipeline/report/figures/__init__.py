@@ -1,1 +1,1 @@
-"""Figures as PNG and SVG."""
+"""Figures as PNG and SVG, drawn by matplotlib without a display."""

@@ -1,7 +1,4 @@
-"""The figure of `fidpipe ablate` (paper, Fig. "ablation"): r_lambda and match rate against each setting.
-
-Leaves to others: the numbers (`experiments.ablate`), how figures look (`figure_style`).
-"""
+"""The figure of `fidpipe ablate` (paper, Fig. "ablation"): r_lambda and match rate against each setting."""
 
 from __future__ import annotations
 
@@ -14,7 +11,8 @@ import pandas as pd
 from ....stages.summary import mean_and_std
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
 from ...experiments.ablate.choice import along
-from .style import BLUE, GREEN, new_figure
+from ..colours import BLUE, GREEN
+from .style import new_figure
 
 FIGURE = "ablate.png"
 _DPI = 120

@@ -1,7 +1,4 @@
-"""The figure of `fidpipe perturb` (paper, Fig. 3): the chosen objects drawn, and how r_lambda and r_gap answer.
-
-Leaves to others: the means (`experiments.perturb_summary`), how figures look (`figure_style`).
-"""
+"""The figure of `fidpipe perturb` (paper, Fig. 3): the chosen objects drawn, and how r_lambda and r_gap answer."""
 
 from __future__ import annotations
 
@@ -16,7 +13,8 @@ from ....stages.sensing.perturbations import Perturbation
 from ...experiments.perturb.claims import Means
 from ...experiments.perturb.jobs import object_points
 from ...experiments.perturb.perturb import PerturbOutcome
-from .style import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, new_figure, shown_name
+from ..colours import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
+from .style import new_figure, shown_name
 
 FIGURE = "perturb.png"
 _DPI = 115

@@ -1,7 +1,4 @@
-"""The figures of points: one scan's overview with its fidelity map, its unmatched objects, and four chosen objects.
-
-Leaves to others: figures of scores (`figures_scores`), which scan is shown (`figures`).
-"""
+"""The figures of points: one scan's overview with its fidelity map, its unmatched objects, and four chosen objects."""
 
 from __future__ import annotations
 
@@ -12,8 +9,9 @@ import numpy as np
 from ....schemas.columns import SIDES
 from ....stages.arrays import FloatArray
 from ..clouds import Cloud, PairTables
+from ..colours import FATE_COLOURS, GREY, SIDE_COLOURS
 from ..results import SHAPES, RunResults
-from .style import FATE_COLOURS, GREY, SIDE_COLOURS, community_colours, fidelity_colours, new_figure, save, shown_name
+from .style import community_colours, fidelity_colours, new_figure, save, shown_name
 
 _CLASSES = ("car", "vegetation", "tree", "wall")
 _DOT = {"linewidths": 0, "rasterized": True}
@@ -96,7 +94,7 @@ def draw_objects(results: RunResults, folder: Any) -> Any:
         return []
     with new_figure(2.9 * max(2, len(chosen)), 5.8) as figure:
         grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
-        for place, (of_class, index) in enumerate(chosen):
+        for place, (class_name, index) in enumerate(chosen):
             row = results.matched.iloc[index].to_dict()
             tables = PairTables(results, row["pair_id"])
             members = []
@@ -114,7 +112,7 @@ def draw_objects(results: RunResults, folder: Any) -> Any:
             words.text(
                 0.5,
                 1,
-                f"({'abcd'[place]}) {shown_name(of_class)}, {row['range_m']:.0f} m away\n"
+                f"({'abcd'[place]}) {shown_name(class_name)}, {row['range_m']:.0f} m away\n"
                 f"CDC {row['cdc']:.2f}   r_lambda {row['r_lambda']:.2f}\n"
                 f"r_gap {row['r_gap']:.3f}   nodes {row['n_keep']:,}\n"
                 f"pair {shown_name(row['pair_id'])}, object {row['real_id']}",

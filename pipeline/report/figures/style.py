@@ -1,6 +1,6 @@
-"""How the figures look: sizes, colours that colour-blind readers tell apart, names that cannot break a drawing; saving.
+"""How the figures look: sizes, colours of many, names that cannot break a drawing; and how they are saved.
 
-Leaves to others: what is drawn. matplotlib is imported by its first use here, with a backend that needs no display.
+matplotlib is imported by its first use here, with a backend that needs no display.
 """
 
 from __future__ import annotations
@@ -12,18 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...storage.files import write_whole
-from ..quadrants import QUADRANTS, UNKNOWN
-
-#: Okabe and Ito, Color Universal Design (2008).
-BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
-    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#999999",
-)  # fmt: skip
-SIDE_COLOURS = {"real": BLUE, "sim": VERMILLION}
-FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILLION}
-QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILLION, GREY), strict=True))
-
-#: Part of plasma that is seen on white: dark blue is faithful, orange is failed.
-_FIDELITY_PART = (0.0, 0.82)
+from ..colours import RAMPS
 
 _STYLE = {
     "font.size": 9,
@@ -64,7 +53,7 @@ def new_figure(width_in: float, height_in: float, **layout: Any) -> Iterator[Any
 
 
 def save(figure: Any, folder: Path, name: str) -> list[Path]:
-    """Writes a figure as PNG and as SVG; clouds of points are pictures inside the SVG."""
+    """Writes a figure as PNG and as SVG, in which clouds of points are pictures; `RunError` if it cannot."""
     paths = []
     for kind, metadata in KINDS.items():
         content = BytesIO()
@@ -77,11 +66,9 @@ def save(figure: Any, folder: Path, name: str) -> list[Path]:
 
 def fidelity_colours() -> Any:
     """Colours of r_lambda from 0 (dark blue) to 1 (orange)."""
-    import numpy as np
-    from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap
+    from matplotlib.colors import LinearSegmentedColormap
 
-    return ListedColormap(colormaps["plasma"](np.linspace(*_FIDELITY_PART, 256)))
+    return LinearSegmentedColormap.from_list("fidelity", RAMPS["light"])
 
 
 def community_colours(n: int) -> Any:

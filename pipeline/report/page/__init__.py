@@ -1,1 +1,1 @@
-"""The page of a run."""
+"""The HTML pages: the report of a run, and the comparison of runs."""

@@ -1,26 +1,33 @@
-"""What the page holds of a run, as plain numbers and strings: the one object that its charts and tables are drawn from.
-
-Leaves to others: points and spectra of a pair (`pair_view`), the page around it (`page`).
-"""
+"""What a page holds of a whole run: data for its JavaScript, and the words and numbers that its template shows."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
-
-from ..aggregates import boxes, groups_by_size, histograms, plain_rows, range_bands, stage_times
-from ..quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
+from ..aggregates import SCORES, plain_rows
+from ..charts import MOST_DOTS, MOST_SCANS, outlines, run_charts
+from ..colours import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, on_page
+from ..names import STEERING
 from ..results import RunResults
 from ..verdict import limits_in_words, verdict_of
-from .pair import MATCHED_COLUMNS, UNMATCHED_COLUMNS
+from .pair import FACTS, MATCHED_COLUMNS, UNMATCHED_COLUMNS
 
-#: More than these would make the page slow; the tables and charts then say what part they show.
-_MOST_DOTS = 3000
+#: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
-_MOST_SCANS, _MOST_CLASSES, _MOST_FAILURES = 16, 10, 5
+_MOST_FAILURES = 5
 _DIGITS = 6  # of the tables; the panel of an object has all
 
+#: Headings of the tables' columns; those of words, and one of which more is better.
+_TITLES = {
+    "pair_id": "pair", "object": "object", "quadrant": "quadrant", "status": "status", "n_matched": "matched",
+    "n_missing": "missing", "n_hallucinated": "hallucinated", "match_rate": "match rate", "range_m": "range m",
+    "n_real": "points real", "n_sim": "points sim", "n_keep": "nodes", "cdc": "CDC", "r_lambda": "r_lambda",
+    "r_gap": "r_gap", "max_eigenvalue_shift": "shift", "laplacian_change": "change", "alignment_rms_m": "alignment m",
+    "centroid_distance_m": "offset m",
+}  # fmt: skip
+_WORDS = ("pair_id", "object", "group", "quadrant", "status")
+_HIGH_IS_GOOD = "match_rate"
 _PAIR_COLUMNS = (
     "pair_id", "n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean",
     "max_eigenvalue_shift_mean", "laplacian_change_mean", "alignment_rms_m_mean", "centroid_distance_m_mean",
@@ -32,75 +39,60 @@ _OBJECT_COLUMNS = (
 
 
 def page_data(results: RunResults) -> dict[str, Any]:
-    """All that the page says of the whole run; no points."""
-    verdict = verdict_of(results)
-    matched, unmatched = results.matched, results.unmatched
-    dots = matched[matched.r_lambda.notna()]
-    dots = dots.iloc[np.unique(np.linspace(0, len(dots) - 1, min(len(dots), _MOST_DOTS)).round().astype(int))]
-    lone = unmatched.head(_MOST_DOTS)
-    lone_ids = zip(
-        lone.status, lone.range_m.round(2), lone.bearing_deg.round(1), lone.pair, lone.community_id, strict=True
-    )
-    quadrants = matched.quadrant.value_counts()
+    """What the page's JavaScript reads of the whole run: charts, colours, tables; no points."""
+    class_is = "class" if results.class_is == "label" else "shape"
     return {
-        "title": results.folder.resolve().name,
-        "verdict": verdict.sentence,
-        "weakest": verdict.weakest,
-        "numbers": verdict.numbers,
-        "failures": {"n": len(results.failures), "first": dict(list(results.failures.items())[:_MOST_FAILURES])},
+        "steering": STEERING,
         "names": results.pairs.pair_id.tolist(),
-        "n_matched": len(matched),
-        "class_is": results.class_is,
-        "limits": {"cdc": CDC_LIMIT, "r_lambda": R_LAMBDA_LIMIT, "words": limits_in_words()},
-        "quadrants": {
-            key: {"title": title, "n": int(quadrants.get(key, 0))}
-            for key, title in {**QUADRANTS, UNKNOWN: UNKNOWN}.items()
+        "charts": run_charts(results),
+        "outlines": outlines(),
+        "colours": {
+            "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
+            "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
+            "ramps": RAMPS,
+            "none": GREY,
         },
-        "histograms": histograms(results),
-        "scatter": {
-            "cdc": dots.cdc.round(4).tolist(),
-            "r_lambda": dots.r_lambda.round(4).tolist(),
-            "quadrant": dots.quadrant.tolist(),
-            "pair": dots.pair.tolist(),
-            "real_id": dots.real_id.tolist(),
-        },
-        "boxes": _boxes(results),
-        "fates": {fate: int((unmatched.status == fate).sum()) for fate in ("missing", "hallucinated")},
-        "unmatched_points": [list(row) for row in lone_ids],
-        "bands": range_bands(results),
-        "times": stage_times(results),
+        "scores": {score: {"name": name, "bound": bound} for score, (name, bound) in SCORES.items()},
         "pairs": {
-            "columns": _PAIR_COLUMNS,
+            "columns": _columns(_PAIR_COLUMNS, class_is),
             "rows": plain_rows(results.pairs.round(_DIGITS), _PAIR_COLUMNS),
             "note": "Worst first, by the mean of the ranks in match rate, CDC and r_lambda.",
         },
-        "objects": _objects(results),
+        "objects": _objects(results, class_is),
+        "facts": {**FACTS, "group": class_is},
         "matched_columns": MATCHED_COLUMNS,
         "unmatched_columns": UNMATCHED_COLUMNS,
-        "settings": results.record["settings"],
-        "versions": _versions(results.record),
     }
 
 
-def _boxes(results: RunResults) -> dict[str, Any]:
-    """Boxes of some scans, evenly over the order from worst to best, and of the most frequent classes."""
-    names = results.pairs.pair_id.tolist()
-    some = np.unique(np.linspace(0, len(names) - 1, min(len(names), _MOST_SCANS)).round().astype(int))
-    classes = groups_by_size(results)
-    kind = "class (label)" if results.class_is == "label" else "shape of the real object (the scans have no labels)"
-    whiskers = (
-        "Boxes: quartiles and median; whiskers to 1.5 times the quartile distance; in brackets, how many objects."
-    )
-    chosen = f", {len(some)} of {len(names)}, evenly from worst to best" if len(some) < len(names) else ", worst first"
+def page_words(results: RunResults) -> dict[str, Any]:
+    """What the page's template shows of the whole run."""
     return {
-        "scan": boxes(results, "pair_id", [names[i] for i in some]),
-        "scan_note": f"By scan{chosen}. {whiskers}",
-        "class": boxes(results, "group", classes[:_MOST_CLASSES]),
-        "class_note": f"By {kind}, the most frequent first. {whiskers}",
+        "title": results.run.folder.resolve().name,
+        "verdict": verdict_of(results),
+        "n_failures": len(results.failures),
+        "failures": list(results.failures.items())[:_MOST_FAILURES],
+        "notes": _notes(results),
+        "settings": results.run.record["settings"],
+        "versions": _versions(results.run.record),
     }
 
 
-def _objects(results: RunResults) -> dict[str, Any]:
+def _columns(keys: Iterable[str], class_is: str) -> list[dict[str, Any]]:
+    titles = {**_TITLES, "group": class_is}
+    return [
+        {
+            "key": key,
+            "title": titles[key.removesuffix("_mean")],
+            "text": key in _WORDS,
+            "up": key == _HIGH_IS_GOOD,
+            "digits": 1 if key == "range_m" else 3,
+        }
+        for key in keys
+    ]
+
+
+def _objects(results: RunResults, class_is: str) -> dict[str, Any]:
     """Rows of matched objects, worst first, then of unmatched ones, largest first."""
     matched = results.matched.head(_MOST_ROWS)
     matched = matched.assign(
@@ -119,14 +111,42 @@ def _objects(results: RunResults) -> dict[str, Any]:
     n_rows = len(matched) + len(lone)
     cut = f" The page holds {n_rows:,} of {n_all:,}; the rest is in the run's tables." if n_rows < n_all else ""
     return {
-        "columns": _OBJECT_COLUMNS,
+        "columns": _columns(_OBJECT_COLUMNS, class_is),
         "rows": plain_rows(matched.round(_DIGITS), _OBJECT_COLUMNS) + plain_rows(lone.round(_DIGITS), _OBJECT_COLUMNS),
         "note": "Worst first: matched objects by the mean of their ranks in CDC and r_lambda, then unmatched ones, "
         f"largest first.{cut}",
     }
 
 
+def _notes(results: RunResults) -> dict[str, str]:
+    """What stands under those charts that may show a part only."""
+    n_pairs, n_matched, n_unmatched = len(results.pairs), len(results.matched), len(results.unmatched)
+    n_scored = int(results.matched.r_lambda.notna().sum())
+    kind = "class (label)" if results.class_is == "label" else "shape of the real object (the scans have no labels)"
+    whiskers = (
+        "Boxes: quartiles and median; whiskers to 1.5 times the quartile distance; in brackets, how many objects."
+    )
+    chosen = f"{MOST_SCANS} of {n_pairs}, evenly from worst to best" if n_pairs > MOST_SCANS else "worst first"
+    return {
+        "quadrants": f"Limits: {limits_in_words()}."
+        + _drawn(
+            min(n_scored, MOST_DOTS), n_matched,
+            " objects are drawn, evenly over the order from worst to best; the counts are of all",
+        ),
+        "polar": "Unmatched objects of all pairs around the sensor, at their centroids, seen from above."
+        + _drawn(min(n_unmatched, MOST_DOTS), n_unmatched, " are drawn, largest first"),
+        "box_scan": f"By scan, {chosen}. {whiskers}",
+        "box_class": f"By {kind}, the most frequent first. {whiskers}",
+    }  # fmt: skip
+
+
+def _drawn(n: int, n_all: int, how: str) -> str:
+    """Which part is drawn, "" if all is."""
+    return f" {n:,} of {n_all:,}{how}." if n < n_all else ""
+
+
 def _versions(record: dict[str, Any]) -> dict[str, Any]:
+    """By group, what made the run."""
     run = {
         "fidpipe": record["fidpipe"],
         "written": record["written"],

@@ -1,7 +1,7 @@
 """What the page holds of one pair: points thinned for display, its objects with all their numbers, spectra as curves.
 
 Points are whole numbers of a small step, spectra 32-bit floats, both in base64: the page stays small and needs no other
-file. Leaves to others: reading (`clouds`), drawing (`assets/scene.js`).
+file.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from ..aggregates import plain_rows
 from ..clouds import Cloud, PairTables, Spectra
 from ..results import RunResults
 
-#: At most about so many points a side are drawn, and of each object at least `_FEWEST`, if it has them.
-POINTS_A_SIDE = 9000
+#: About so many points of a side are drawn at most, and of each object at least `_FEWEST`, if it has them.
+POINTS_PER_SIDE = 9000
 _FEWEST = 80
 _CURVE_POINTS = 200
 _STEPS = 32767
@@ -31,10 +31,20 @@ MATCHED_COLUMNS = (
     "alignment_rms_m", "centroid_distance_m", "reason",
 )  # fmt: skip
 UNMATCHED_COLUMNS = ("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points")
+#: What is told of a chosen object, and what it is called; the class has its name from the run.
+FACTS = {
+    "quadrant": "quadrant", "status": "status", "reason": "reason", "group": "", "range_m": "range (m)",
+    "bearing_deg": "bearing (°, left positive)", "n_points": "points", "n_real": "points, real",
+    "n_sim": "points, simulated", "n_keep": "nodes kept", "cdc": "CDC", "r_lambda": "r_lambda", "r_gap": "r_gap",
+    "max_eigenvalue_shift": "largest eigenvalue shift", "laplacian_change": "Laplacian change",
+    "eigenspectrum_distance": "eigenspectrum distance", "gap_real": "spectral gap, real",
+    "gap_sim": "spectral gap, simulated", "alignment_rms_m": "alignment r.m.s. (m)",
+    "centroid_distance_m": "centroid distance (m)",
+}  # fmt: skip
 
 
 def pair_view(results: RunResults, pair_id: str) -> dict[str, Any]:
-    """One pair for the page: points of both sides, objects, spectra."""
+    """One pair for the page: points of both sides, objects, spectra; `RunError` if one of its tables is damaged."""
     tables = PairTables(results, pair_id)
     clouds = {side: tables.cloud(side) for side in SIDES}
     step_m = max(float(np.abs(cloud.points).max()) for cloud in clouds.values()) / _STEPS
@@ -76,7 +86,7 @@ def base64_of(values: Any, dtype: str) -> str:
 
 
 def _encoded(cloud: Cloud, step_m: float, kept_ids: IntArray) -> dict[str, Any]:
-    shown = thinned(cloud.community, POINTS_A_SIDE)
+    shown = thinned(cloud.community, POINTS_PER_SIDE)
     is_kept = np.isin(cloud.point_ids[shown], kept_ids)
     return {
         "n": len(cloud.points),

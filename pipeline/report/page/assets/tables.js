@@ -1,108 +1,137 @@
-"use strict";
-// Tables that sort by any column and filter by text; rows come as they are, worst first.
+// Tables that sort by any column and filter by text; rows come as they are, worst first. Names from the data reach the
+// page only as text (textContent), and with the signs that would steer the text around them shown by their numbers.
+
+import { report } from "./draw.js";
 
 const ROWS_AT_ONCE = 100;
+export const NULL_SIGN = "–";
+const steering = new RegExp(report.steering, "g");
+export const shown = (text) =>
+  String(text).replace(steering, (sign) => `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`);
+export const shorten = (text, most = 22) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
+export const counted = (n) => n.toLocaleString("en");
 
-// columns: {key, title, text?: bool, digits?}; action(row) gives a function or an address, or null, for the first cell.
-function makeTable(place, what, columns, rows, action, note) {
-  const state = { sort: null, up: true, filter: "", shown: ROWS_AT_ONCE };
-  const texts = rows.map((row) => columns.filter((column) => column.text).map((column) => String(row[column.key] ?? "")).join(" ").toLowerCase());
-  const filter = element("input", null, { type: "search", "aria-label": `Filter ${what}`, placeholder: "words, or r_lambda > 0.5" });
-  const label = element("label", "Filter ");
-  label.append(filter);
-  const controls = element("div", null, { class: "controls" });
-  controls.append(label);
+export function number(value, digits = 3) {
+  if (value === null || value === undefined) return NULL_SIGN;
+  return Number.isInteger(value) ? counted(value) : value.toFixed(digits);
+}
+
+export function element(tag, text, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  if (text !== null && text !== undefined) made.textContent = shown(text);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
+}
+
+export const records = (columns, rows) =>
+  rows.map((row) => Object.fromEntries(columns.map((column, i) => [column, row[i]])));
+
+const COMPARE = {
+  "<": (a, b) => a < b,
+  ">": (a, b) => a > b,
+  "<=": (a, b) => a <= b,
+  ">=": (a, b) => a >= b,
+  "=": (a, b) => a === b,
+};
+
+// What rows a filter such as "wall r_lambda > 0.5" wants: all its words and all its bounds hold.
+function wantedBy(filter, columns) {
+  const bounds = [];
+  const rest = filter.replace(/([a-z_]+)\s*(<=|>=|<|>|=)\s*(-?[\d.]+)/gi, (whole, name, sign, value) => {
+    const column = columns.find(({ key, title }) => [key, title.toLowerCase()].includes(name.toLowerCase()));
+    if (!column) return whole;
+    bounds.push((row) => typeof row[column.key] === "number" && COMPARE[sign](row[column.key], Number(value)));
+    return " ";
+  });
+  const words = rest.toLowerCase().split(/\s+/).filter(Boolean);
+  const text = (row) =>
+    columns
+      .filter((column) => column.text)
+      .map((column) => String(row[column.key] ?? ""))
+      .join(" ")
+      .toLowerCase();
+  return (row) => bounds.every((holds) => holds(row)) && words.every((word) => text(row).includes(word));
+}
+
+// Order of two values, nulls last whichever way the others go.
+function order(a, b, isUp) {
+  if (a === null || b === null) return (a === null) - (b === null);
+  const step =
+    typeof a === "number" && typeof b === "number"
+      ? a - b
+      : String(a).localeCompare(String(b), "en", { numeric: true });
+  return isUp ? step : -step;
+}
+
+// table: {columns: [{key, title, text, up, digits}], rows, note}
+// action(row): the address that the row's first cell leads to, a function that it calls, or null
+export function makeTable(place, what, { columns, rows: lists, note }, action) {
+  const rows = records(
+    columns.map(({ key }) => key),
+    lists,
+  );
+  const state = { sort: null, isUp: true, n: ROWS_AT_ONCE };
+  const filter = element("input", null, {
+    type: "search",
+    "aria-label": `Filter ${what}`,
+    placeholder: "words, or r_lambda > 0.5",
+  });
   const count = element("p", null, { class: "note", role: "status" });
-  const box = element("div", null, { class: "box", tabIndex: 0, role: "region", "aria-label": `Table of ${what}` });
-  const table = element("table");
-  const head = element("thead");
   const body = element("tbody");
-  const headRow = element("tr");
-  for (const column of columns) {
-    const cell = element("th", null, { scope: "col", class: column.text ? "text" : "" });
+  const heads = columns.map((column) => {
     const button = element("button", column.title, { type: "button" });
     button.addEventListener("click", () => {
-      state.up = state.sort === column.key ? !state.up : Boolean(column.text || column.up);
+      state.isUp = state.sort === column.key ? !state.isUp : column.text || column.up;
       state.sort = column.key;
       fill();
     });
-    cell.append(button);
-    headRow.append(cell);
-  }
-  head.append(headRow);
-  table.append(head, body);
-  box.append(table);
+    return element("th", null, { scope: "col", class: column.text ? "text" : "" }, button);
+  });
+  const table = element("table", null, {}, element("thead", null, {}, element("tr", null, {}, ...heads)), body);
   const more = element("button", "Show more", { type: "button" });
-  more.addEventListener("click", () => { state.shown += 5 * ROWS_AT_ONCE; fill(); });
-  filter.addEventListener("input", () => { state.filter = filter.value; state.shown = ROWS_AT_ONCE; fill(); });
-  place.append(controls, count, box, more);
+  more.addEventListener("click", () => {
+    state.n += 5 * ROWS_AT_ONCE;
+    fill();
+  });
+  filter.addEventListener("input", () => {
+    state.n = ROWS_AT_ONCE;
+    fill();
+  });
+  place.append(
+    element("div", null, { class: "controls" }, element("label", "Filter ", {}, filter)),
+    count,
+    element("div", null, { class: "box", tabindex: 0, role: "region", "aria-label": `Table of ${what}` }, table),
+    more,
+  );
 
-  function wanted() {
-    const terms = [];
-    const words = state.filter.replace(/([a-z_]+)\s*(<=|>=|<|>|=)\s*(-?[\d.]+)/gi, (_, key, sign, value) => {
-      const column = columns.find((of) => of.key === key.toLowerCase() || of.title.toLowerCase() === key.toLowerCase());
-      if (!column) return _;
-      const compare = { "<": (a, b) => a < b, ">": (a, b) => a > b, "<=": (a, b) => a <= b, ">=": (a, b) => a >= b, "=": (a, b) => a === b }[sign];
-      terms.push((row) => typeof row[column.key] === "number" && compare(row[column.key], Number(value)));
-      return " ";
-    }).toLowerCase().split(/\s+/).filter(Boolean);
-    return rows.map((_, i) => i).filter((i) => words.every((word) => texts[i].includes(word)) && terms.every((term) => term(rows[i])));
-  }
-
-  function order(indices) {
-    if (state.sort === null) return indices;
-    const sign = state.up ? 1 : -1;
-    const value = (i) => rows[i][state.sort];
-    return [...indices].sort((a, b) => {
-      const [x, y] = [value(a), value(b)];
-      if (x === null || y === null) return x === y ? a - b : x === null ? 1 : -1; // nulls last, whichever way
-      if (typeof x === "number" && typeof y === "number") return sign * (x - y) || a - b;
-      return sign * String(x).localeCompare(String(y), "en", { numeric: true }) || a - b;
-    });
+  function cellOf(row, column, isFirst) {
+    const value = row[column.key];
+    const text = typeof value === "number" ? number(value, column.digits) : (value ?? NULL_SIGN);
+    if (!column.text) return element("td", text);
+    const does = isFirst ? action(row) : null;
+    if (does === null) return element("td", text, { class: "text", dir: "auto", title: shown(text) });
+    const isLink = typeof does === "string";
+    const inside = isLink
+      ? element("a", text, { href: does, title: text })
+      : element("button", text, { type: "button", title: `Show ${text}` });
+    if (!isLink) inside.addEventListener("click", does);
+    return element("td", null, { class: "text", dir: "auto" }, inside);
   }
 
   function fill() {
-    const found = order(wanted());
-    body.replaceChildren(...found.slice(0, state.shown).map((i) => {
-      const line = element("tr");
-      columns.forEach((column, k) => {
-        const value = rows[i][column.key];
-        const text = typeof value === "number" ? number(value, column.digits) : value ?? "–";
-        const cell = element("td", null, { class: column.text ? "text" : "" });
-        const does = k === 0 ? action(rows[i]) : null;
-        if (typeof does === "string") cell.append(element("a", text, { href: does, title: text }));
-        else if (does) {
-          const button = element("button", text, { type: "button", title: `Show ${text}` });
-          button.addEventListener("click", does);
-          cell.append(button);
-        } else {
-          cell.textContent = shown(text);
-          if (column.text) cell.title = shown(text);
-        }
-        if (column.text) cell.dir = "auto";
-        line.append(cell);
-      });
-      return line;
-    }));
-    columns.forEach((column, k) => {
-      const sort = column.key === state.sort ? (state.up ? "ascending" : "descending") : "none";
-      headRow.cells[k].setAttribute("aria-sort", sort);
+    const chosen = rows.filter(wantedBy(filter.value, columns));
+    if (state.sort !== null) chosen.sort((a, b) => order(a[state.sort], b[state.sort], state.isUp));
+    const first = chosen.slice(0, state.n);
+    body.replaceChildren(
+      ...first.map((row) => element("tr", null, {}, ...columns.map((column, k) => cellOf(row, column, k === 0)))),
+    );
+    heads.forEach((head, k) => {
+      head.setAttribute("aria-sort", columns[k].key !== state.sort ? "none" : state.isUp ? "ascending" : "descending");
     });
-    const nShown = Math.min(found.length, state.shown);
-    count.textContent = `${found.length.toLocaleString("en")} of ${rows.length.toLocaleString("en")} ${what}${nShown < found.length ? `, the first ${nShown} shown` : ""}. ${state.sort === null ? note : ""}`;
-    more.hidden = nShown >= found.length;
+    const part = first.length < chosen.length ? `, the first ${first.length} shown` : "";
+    count.textContent = `${counted(chosen.length)} of ${counted(rows.length)} ${what}${part}. ${state.sort === null ? note : ""}`;
+    more.hidden = first.length === chosen.length;
   }
   fill();
-}
-
-function makeKeyTable(place, groups) {
-  const table = element("table");
-  for (const [group, values] of Object.entries(groups)) {
-    for (const [name, value] of Object.entries(values)) {
-      const line = element("tr");
-      line.append(element("td", group ? `${group}.${name}` : name, { class: "text" }), element("td", value === null ? "none" : String(value), { class: "text", title: String(value) }));
-      table.append(line);
-    }
-  }
-  place.append(table);
 }

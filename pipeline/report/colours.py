@@ -1,0 +1,43 @@
+"""The colours of pages and figures, in one table; colour-blind readers tell them apart."""
+
+from __future__ import annotations
+
+from .quadrants import QUADRANTS, UNKNOWN
+
+#: Okabe and Ito, Color Universal Design (2008).
+BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
+    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#999999",
+)  # fmt: skip
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, GREY)
+SIDE_COLOURS = {"real": BLUE, "sim": VERMILLION}
+SCORE_COLOURS = {"r_lambda": BLUE, "cdc": ORANGE}
+FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILLION, "too small": PURPLE}
+QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILLION, GREY), strict=True))
+
+#: From 0, faithful, to 1, failed: the parts of plasma that are seen on white and on black.
+RAMPS = {
+    "light": ("#0d0887", "#5302a3", "#8b0aa5", "#b83289", "#db5c68", "#fca636"),
+    "dark": ("#6a00a8", "#9c179e", "#cc4778", "#ed7953", "#fdb42f", "#f0f921"),
+}
+
+#: What a page has of its own, by theme: each name is a property of its style sheet, such as --ink.
+THEMES = {
+    "light": {
+        "ground": "#ffffff", "raised": "#f5f6f8", "ink": "#1b1e24", "soft": "#565d6a", "line": "#d5d9e0",
+        "link": "#005a9c", "focus": "#d55e00", "better": "#0b62b0", "worse": "#b8500a", "blue": BLUE,
+    },
+    "dark": {
+        "ground": "#14171c", "raised": "#1e222a", "ink": "#e8eaee", "soft": "#a9b0bc", "line": "#3a404b",
+        "link": "#7cc4f5", "focus": "#e69f00", "better": "#6db3f2", "worse": "#f0994f", "blue": SKY,
+    },
+}  # fmt: skip
+
+
+def of_theme(name: str) -> str:
+    """A colour of `THEMES` as style sheets and the pages' charts name it."""
+    return f"var(--{name})"
+
+
+def on_page(colour: str) -> str:
+    """A colour as a page has it: on black, blue is too dark and gives way to sky blue."""
+    return of_theme("blue") if colour == BLUE else colour

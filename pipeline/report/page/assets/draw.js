@@ -1,0 +1,47 @@
+// Draws the charts that come with the page, in the colours of the theme.
+
+export const report = JSON.parse(document.getElementById("report").textContent);
+export const byId = (id) => document.getElementById(id);
+const darkSystem = window.matchMedia("(prefers-color-scheme: dark)");
+
+export const isDark = () => {
+  const chosen = document.documentElement.dataset.theme;
+  return chosen ? chosen === "dark" : darkSystem.matches;
+};
+
+// What a colour such as var(--ink) is under the theme of now.
+export function paint(colour) {
+  const name = /^var\((--\w+)\)$/.exec(colour);
+  return name ? getComputedStyle(document.documentElement).getPropertyValue(name[1]).trim() : colour;
+}
+
+// A copy of a chart in the colours of now; only what is named a colour is one, so that no name of a pair is.
+export const themed = (chart) =>
+  JSON.parse(JSON.stringify(chart), (key, value) =>
+    key.endsWith("color") && typeof value === "string" ? paint(value) : value,
+  );
+
+const resizes = new ResizeObserver((changes) => {
+  for (const { target } of changes) if (target.offsetWidth) Plotly.Plots.resize(target);
+});
+
+// Draws a chart, or draws it anew. It follows the size of its place, also when that was hidden meanwhile.
+export function draw(id, { data, layout }, config = {}) {
+  const shared = { displaylogo: false, displayModeBar: false };
+  Plotly.react(id, data, { ...layout, template: themed(report.template) }, { ...shared, ...config });
+  resizes.observe(byId(id));
+}
+
+export function drawCharts() {
+  for (const [id, chart] of Object.entries(report.charts)) draw(id, themed(chart));
+}
+
+// redraw: what else has the colours of the theme
+export function startCharts(redraw = () => {}) {
+  drawCharts();
+  darkSystem.addEventListener("change", () => {
+    drawCharts();
+    redraw();
+  });
+  document.documentElement.dataset.ready = "yes";
+}

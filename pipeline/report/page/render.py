@@ -1,0 +1,68 @@
+"""Fills the pages' templates: every text is escaped, data for JavaScript stand as JSON in which no sign ends a script.
+
+Everything is inside the page: style, code, data, and plotly.js as installed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from ..charts import TEMPLATE
+from ..colours import THEMES
+from ..names import shortened, shown
+
+
+def render(template: str, report: dict[str, Any], plotly_source: str = "", **words: Any) -> str:
+    """A page as HTML.
+
+    Parameters
+    ----------
+    template : its file in `templates`
+    report : what JavaScript reads, plain values
+    plotly_source : address of plotly.js beside the page; by default it is inside
+    words : what the template shows
+    """
+    report = {"template": TEMPLATE, **report}
+    return _environment().get_template(template).render(report=report, plotly_source=plotly_source, **words)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader(__package__ or ""), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+    environment.filters |= {"shown": shown, "shortened": shortened, "fixed": _fixed, "plain": _in_words}
+    environment.globals |= {"themes": THEMES, "asset": _asset, "code": _code, "plotly": lambda: Markup(get_plotlyjs())}
+    return environment
+
+
+def _asset(name: str) -> Markup:
+    """A file of `assets`, which is ours and stands in the page as it is."""
+    return Markup(resources.files(__package__).joinpath("assets", name).read_text(encoding="utf-8"))
+
+
+def _code(*names: str) -> Markup:
+    """Modules of `assets`, each after those that it imports, as the text of one: their imports and exports go."""
+    text = "\n".join(_asset(name) for name in names)
+    return Markup(re.sub(r"^import [^;]*;\n|^export ", "", text, flags=re.MULTILINE))
+
+
+def _in_words(value: Any) -> str:
+    """A setting or a version as a reader writes it."""
+    if value is None:
+        return "none"
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _fixed(value: float | None, digits: int) -> str:
+    return "\N{EN DASH}" if value is None else f"{value:.{digits}f}"
