@@ -23,7 +23,7 @@ from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .datasets.scan_checks import input_hashes
-from .engine.engine import Engine, Machines, Survey, current_records, modules_of
+from .engine.engine import Machines, RunEngine, Survey, current_records, modules_of
 from .engine.plan import PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
@@ -117,7 +117,7 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
     stages = stages_under(request.settings) if request.stages is None else request.stages
     with (
         folder.locked(),
-        Engine(folder, request.settings, request.machines, reporter, modules_of(stages)) as engine,
+        RunEngine(folder, request.settings, request.machines, reporter, modules_of(stages)) as engine,
     ):
         run = _Run(request, dataset, stages, engine)
         run.inspect(selected)
@@ -164,7 +164,7 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
 class _Run:
     """One run while it works."""
 
-    def __init__(self, request: RunRequest, dataset: Dataset, stages: tuple[Stage, ...], engine: Engine) -> None:
+    def __init__(self, request: RunRequest, dataset: Dataset, stages: tuple[Stage, ...], engine: RunEngine) -> None:
         self._request, self._dataset, self._stages, self._engine = request, dataset, stages, engine
         self._folder, self._reporter = engine.folder, engine.reporter
         self._planner = Planner(stages, request.settings, dataset.label_names)
@@ -201,7 +201,7 @@ class _Run:
 
     def make(self, survey: Survey) -> None:
         """Makes what is not there."""
-        self._engine.make(survey, self._plan)
+        self._engine.make_missing(survey, self._plan)
         self._end_phase("stages")
 
     def write(self, survey: Survey) -> RunOutcome:

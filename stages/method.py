@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..schemas.metrics import OBJECT_METRICS
+from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray
 from .clean import CleanResult, clean_scan
@@ -24,7 +25,7 @@ from .matching import Matching, match_communities
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
 from .selection import Selection, select_nodes
-from .summary import Number, summarise_pair
+from .summary import summarise_pair
 
 
 def evaluate(

@@ -45,5 +45,5 @@ def synth(
         raise typer.BadParameter(
             f"{sensor!r} is no sensor; one of {', '.join(SENSORS)} is wanted", param_hint="--sensor"
         )
-    make_dataset(SynthRequest(out, pairs, seed, sensor, points, workers), Reporter().say)
+    make_dataset(SynthRequest(out, pairs, seed, sensor, points, workers), Reporter())
     print(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {out}")

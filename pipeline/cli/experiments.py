@@ -72,6 +72,7 @@ def perturb(
     fidpipe perturb scan.bin --metrics all --global-repeats 0    which metric reacts to what
     """
     from ...schemas.settings import load
+    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..experiments.perturb.perturb import LEVELS, PerturbRequest, parse_levels, perturb_source
     from ..report.figures.perturb import draw_perturbations
@@ -89,8 +90,7 @@ def perturb(
         seed=seed,
         objects=tuple(objects.split(",")) if objects else None,
         pattern=pairs,
-        workers=workers,
-        scheduler=scheduler,
+        machines=Machines(workers, scheduler),
     )
     outcome = perturb_source(request, Reporter())
     draw_perturbations(outcome)
@@ -137,6 +137,7 @@ def ablate(
     fidpipe ablate dataset/ --grid --k 60,90,120 --tau 0.1,0.2,0.3 --delta 5 --t 1
     """
     from ...schemas.settings import load
+    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..experiments.ablate.ablate import AblateRequest, ablate_dataset
     from ..report.figures.ablate import draw_ablation
@@ -151,8 +152,7 @@ def ablate(
         values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
         grid=grid,
         pattern=pairs,
-        workers=workers,
-        scheduler=scheduler,
+        machines=Machines(workers, scheduler),
     )
     outcome = ablate_dataset(request, Reporter())
     draw_ablation(outcome)

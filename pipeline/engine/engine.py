@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 
 from ...schemas.columns import SIDES
@@ -69,36 +70,34 @@ class Survey:
 
 
 class Engine(AbstractContextManager["Engine"]):
-    """Makes the jobs of pairs in a run's folder; used as a context, at whose end the pool is ended.
+    """Has jobs made; used as a context, at whose end the pool is ended.
 
     Parameters
     ----------
-    folder : of the run; locked where anything is to be made
     settings : in force
     machines : where work is done
     reporter : told how it goes on
     modules : names of those that the jobs are in
+    shared_file : that every worker of a cluster must see with the same content
 
     Attributes
     ----------
-    contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
     failures : why something came to nothing: by pair_id, or "pair_id, part" for a part of an experiment
     n_made : jobs that were made
     """
 
     def __init__(
         self,
-        folder: RunFolder,
         settings: Settings,
         machines: Machines,
         reporter: Reporter,
         modules: Iterable[str] = (),
+        shared_file: Path = Path(),
     ) -> None:
-        self.folder, self.settings, self.reporter = folder, settings, reporter
-        self.contents: dict[str, dict[str, ScanContent]] = {}
+        self.settings, self.reporter = settings, reporter
         self.failures: dict[str, str] = {}
         self.n_made = 0
-        self._machines, self._modules = machines, tuple(modules)
+        self._machines, self._modules, self._shared_file = machines, tuple(modules), shared_file
         self._traces: set[str] = set()
         self._pool: Pool | None = machines.pool
 
@@ -117,7 +116,7 @@ class Engine(AbstractContextManager["Engine"]):
                 self._machines.workers,
                 self._machines.scheduler,
                 self.settings.machine.memory_gib,
-                self.folder.token_path,
+                self._shared_file,
                 library_versions(LIBRARIES),
                 self._modules,
             )
@@ -127,6 +126,74 @@ class Engine(AbstractContextManager["Engine"]):
     def n_workers(self) -> int:
         """Workers of the pool; 0 where none was needed."""
         return 0 if self._pool is None else self._pool.n_workers
+
+    def make(self, plans: Iterable[PairPlan], work: Work) -> None:
+        """Makes the jobs of pairs that are not done.
+
+        Parameters
+        ----------
+        plans : taken one by one as the pairs are begun
+        work : how much that is, for the progress
+        """
+        pool = self.pool
+        self.reporter.start(work)
+        try:
+            Schedule(pool, plans, work.n_pairs, self, self._machines.policy).run()
+        finally:
+            self.reporter.stop()
+
+    def fail(self, name: str, reason: str) -> None:
+        """Something came to nothing, by pair_id or "pair_id, part"."""
+        self.failures[name] = reason
+        self.reporter.fail(f"pair {name}", reason)
+
+    def pair_begun(self, plan: PairPlan) -> None:
+        """See `Watcher`."""
+        self.reporter.pair_begun(plan)
+
+    def batch_done(self, result: BatchResult) -> None:
+        """See `Watcher`."""
+        self.n_made += len(result.records)
+        self.reporter.batch_done(result)
+
+    def objects_done(self, pair_id: str, n_keep: tuple[int, ...]) -> None:
+        """See `Watcher`."""
+        self.reporter.objects_done(pair_id, n_keep)
+
+    def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
+        """See `Watcher`: failures are told, those of parts of an experiment one by one."""
+        self.reporter.pair_done(plan, failures)
+        of_parts, own = _split_failures(plan, failures)
+        for failure in of_parts:
+            self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
+        if own:
+            self.fail(plan.pair_id, failures_in_words(own))
+        for trace in [failure.trace for failure in failures if failure.trace]:
+            if trace not in self._traces:
+                self._traces.add(trace)
+                self.reporter.say(trace)
+
+
+class RunEngine(Engine):
+    """The same in a run's folder: inspects files, knows what is there, removes what is out of date, keeps the ledger.
+
+    Parameters
+    ----------
+    folder : of the run; locked where anything is to be made
+    settings, machines, reporter, modules : see `Engine`
+
+    Attributes
+    ----------
+    contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
+    """
+
+    def __init__(
+        self, folder: RunFolder, settings: Settings, machines: Machines, reporter: Reporter, modules: Iterable[str] = ()
+    ) -> None:
+        super().__init__(settings, machines, reporter, modules, folder.token_path)
+        self.folder = folder
+        self.contents: dict[str, dict[str, ScanContent]] = {}
+        self._unusable: set[str] = set()
 
     def inspect(
         self,
@@ -174,6 +241,7 @@ class Engine(AbstractContextManager["Engine"]):
         selected: set[str],
         redo: frozenset[str] = frozenset(),
         exhaustive: frozenset[str] = frozenset(),
+        why_absent: str = "no longer in the dataset",
     ) -> Survey:
         """Compares what is there with what is wanted; `inspect` comes before.
 
@@ -183,6 +251,7 @@ class Engine(AbstractContextManager["Engine"]):
         plan_pair : gives the jobs that are wanted of a pair
         selected : names of the pairs that are to be worked on
         redo, exhaustive : see `with_results`; `redo` counts for the selected pairs
+        why_absent : why results of other pairs are not wanted
         """
         survey, names = Survey(), set()
         for pair in pairs:
@@ -203,8 +272,8 @@ class Engine(AbstractContextManager["Engine"]):
                 sides_s, parts_s = seconds_of(plan, self._machines.policy.costs)
                 survey.seconds += sides_s + sum(parts_s.values())
         for pair_id in list(self.folder.ledger.pair_ids()):
-            reason = "the input cannot be used" if pair_id in self.failures else "no longer in the dataset"
-            if pair_id not in names or pair_id in self.failures:
+            reason = "the input cannot be used" if pair_id in self._unusable else why_absent
+            if pair_id not in names or pair_id in self._unusable:
                 for record in self.folder.ledger.jobs(pair_id).values():
                     survey.unwanted[record.name] = reason
         return survey
@@ -233,60 +302,34 @@ class Engine(AbstractContextManager["Engine"]):
             self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
         self.folder.ledger.commit()
 
-    def make(self, survey: Survey, plan_pair: PlanPair) -> None:
+    def make_missing(self, survey: Survey, plan_pair: PlanPair) -> None:
         """Makes the jobs that are not there, of the pairs that are to be worked on."""
         if not survey.todo:
             return
-        pool = self.pool
         counts = {stage: (n, survey.n_done[stage]) for stage, n in survey.n_jobs.items()}
-        costs = self._machines.policy.costs
-        self.reporter.start(Work(len(survey.todo), survey.seconds, counts, costs))
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
-            Schedule(pool, plans, len(survey.todo), self, self._machines.policy).run()
+            self.make(plans, Work(len(survey.todo), survey.seconds, counts, self._machines.policy.costs))
         finally:
-            self.reporter.stop()
             self.folder.ledger.commit()
         if self.failures:
             self.folder.remove_strays()  # what a worker wrote before it died
-
-    def fail(self, name: str, reason: str) -> None:
-        """Something came to nothing, by pair_id or "pair_id, part"."""
-        self.failures[name] = reason
-        self.reporter.fail(f"pair {name}", reason)
-
-    def pair_begun(self, plan: PairPlan) -> None:
-        """See `Watcher`."""
-        self.reporter.pair_begun(plan)
 
     def batch_done(self, result: BatchResult) -> None:
         """See `Watcher`: the ledger learns of the finished jobs."""
         for record in result.records:
             self.folder.ledger.put_job(record)
-        self.n_made += len(result.records)
-        self.reporter.batch_done(result)
-
-    def objects_done(self, pair_id: str, n_keep: tuple[int, ...]) -> None:
-        """See `Watcher`."""
-        self.reporter.objects_done(pair_id, n_keep)
+        super().batch_done(result)
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
         """See `Watcher`: the ledger learns why a pair failed."""
-        self.reporter.pair_done(plan, failures)
-        of_parts = [failure for failure in failures if failure.part not in plan.job(_name(failure)).stage.parts]
-        for failure in of_parts:
-            self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
-        own = [failure for failure in failures if failure not in of_parts]
+        super().pair_done(plan, failures)
+        _, own = _split_failures(plan, failures)
         if own:
-            self.fail(plan.pair_id, failures_in_words(own))
-            facts = {"key": plan.job(_name(own[0])).key, "reason": self.failures[plan.pair_id]}
-            self.folder.ledger.put_failure(plan.pair_id, facts)
+            key = plan.job((own[0].stage, own[0].part)).key
+            self.folder.ledger.put_failure(plan.pair_id, {"key": key, "reason": self.failures[plan.pair_id]})
         else:
             self.folder.ledger.drop_failure(plan.pair_id)
-        for trace in [failure.trace for failure in failures if failure.trace]:
-            if trace not in self._traces:
-                self._traces.add(trace)
-                self.reporter.say(trace)
 
     def _recall(self, pair: ScanPair, sides: Sequence[str]) -> dict[str, ScanFacts] | None:
         """What a pair's files hold, if it is known from the last time and still so."""
@@ -309,6 +352,7 @@ class Engine(AbstractContextManager["Engine"]):
         lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
         if fault := (pair.fault if lacks_scan else None) or "; ".join(faults):
             self.fail(pair.pair_id, fault)
+            self._unusable.add(pair.pair_id)
             if is_noted:
                 self.folder.ledger.put_failure(pair.pair_id, {"key": "input", "reason": fault})
         for text in pair_warnings(pair, dict(facts)):
@@ -336,5 +380,10 @@ def _by_reason(unwanted: Mapping[JobName, str]) -> dict[str, list[JobName]]:
     return reasons
 
 
-def _name(failure: JobFailure) -> tuple[str, str]:
-    return failure.stage, failure.part
+def _split_failures(plan: PairPlan, failures: Iterable[JobFailure]) -> tuple[list[JobFailure], list[JobFailure]]:
+    """Failures of parts of an experiment, and those of the pair's own stages."""
+    of_parts, own = [], []
+    for failure in failures:
+        is_own = failure.part in plan.job((failure.stage, failure.part)).stage.parts
+        (own if is_own else of_parts).append(failure)
+    return of_parts, own

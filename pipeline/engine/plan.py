@@ -144,6 +144,11 @@ class Planner:
         pair : the pair
         inputs : by side, what its file holds
         parts : of experiments, wanted besides the stages
+
+        Raises
+        ------
+        ValueError
+            Two parts have one name: they would write one file.
         """
         makers: dict[tuple[str, str], tuple[str, tuple[str, str] | None]] = {
             (SCAN, side): (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs
@@ -166,6 +171,10 @@ class Planner:
             reads = tuple(key for key, _ in sources)
             key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
             needs = tuple(dict.fromkeys(name for _, name in sources if name is not None))
+            if (stage.name, part.name) in jobs:
+                raise ValueError(
+                    f"part {pair.pair_id} {stage.name} {part.name} is there twice; each needs its own name"
+                )
             job = Job(stage, part.name, key, settings, needs, reads, part.arguments, part.seconds)
             jobs[job.name] = job
             makers |= {(table, side): (key, job.name) for table in stage.gives}

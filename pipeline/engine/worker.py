@@ -229,7 +229,8 @@ class _WithRows:
 
 
 def _run_pair(batch: PairBatch, costs: CostModel) -> BatchResult:
-    tables = PairTables(batch.plan)
+    is_part = any(batch.plan.job(name).part not in batch.plan.job(name).stage.parts for name in batch.jobs)
+    tables = _kept_tables(batch.plan) if is_part else PairTables(batch.plan)
     records: list[JobRecord] = []
     failures: list[JobFailure] = []
     failed: set[JobId] = set()
@@ -269,7 +270,7 @@ def _finish_objects(tables: PairTables, job: Job, context: Context, made: Mappin
 
 
 def _kept_tables(plan: PairPlan) -> PairTables:
-    """The tables of a pair whose objects are scored in several batches; a process keeps the last two."""
+    """The tables of a pair that has several batches, by object or by part; a process keeps the last two."""
     name = plan.token, tuple(job.key for job in plan.jobs)
     if name not in _KEPT:
         while len(_KEPT) >= 2:

@@ -83,7 +83,7 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> lis
     return summary
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
+def baseline_libraries(settings: Settings) -> tuple[str, ...]:
     """What the wanted baselines call; ICP's library is an extra, and without it ICP is null."""
     wants_icp = "icp" in settings.metrics.baselines
     return ("POT", "small_gicp") if wants_icp and can_register() else ("POT",)
@@ -145,7 +145,7 @@ STAGE = Stage(
     grain=Grain.PAIR,
     version=1,
     make=make_baselines,
-    libraries=_libraries,
+    libraries=baseline_libraries,
     is_wanted=_is_wanted,
     summarise=summarise_baselines,
 )

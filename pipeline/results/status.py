@@ -11,7 +11,7 @@ from rich.console import Console
 from ...schemas.errors import RunError
 from ...schemas.settings import parse
 from ..datasets.pairs import read_dataset
-from ..engine.engine import Engine, Machines, current_records
+from ..engine.engine import Machines, RunEngine, current_records
 from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
@@ -61,7 +61,7 @@ def run_status(folder: Path) -> RunStatus:
     known = set(ledger.pair_ids()) | set(ledger.failed_pairs())
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
     seconds, failures = StageSeconds(), {}
-    with Engine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
+    with RunEngine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
         engine.inspect(dataset.pairs, dataset.label_names, is_noted=False)
         for pair in dataset.pairs:
             failure = engine.failures.get(pair.pair_id)

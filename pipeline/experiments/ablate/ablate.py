@@ -2,8 +2,7 @@
 
 One at a time around the settings in force, or as a grid. A job is one pair under one graph setting: the graph and the
 communities are made once, and matching, selection and scores under all delta and t that are asked for walk over them.
-The paper names its choice (k = 90, tau = 0.2, delta = 5) and no ranges; those here are ours. Leaves to others: the job
-(`ablate_jobs`), which setting is to be preferred (`ablate_choice`), pictures.
+The paper names its choice (k = 90, tau = 0.2, delta = 5) and no ranges; those here are ours.
 """
 
 from __future__ import annotations
@@ -17,26 +16,20 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from ....schemas.columns import SIDES
 from ....schemas.errors import SettingsError
 from ....schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
 from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings, parse
 from ....stages.summary import mean_and_std
-from ...engine.costs import object_seconds
+from ...engine.costs import CostModel
+from ...engine.engine import Machines
+from ...engine.plan import PairPlan, Part
 from ...engine.progress import Reporter
-from ...engine.task import PairTask
-from ...run import STAGES
-from ...storage.ledger import JobRecord
-from ...storage.record import run_header
-from ...storage.store import key_of
-from ..sources import method_key, prepare, read_source
-from ..sweep import Part, Sweep, SweepOutcome, sweeping
-from .jobs import setting_rows
+from ..experiment import Experiment, ExperimentOutcome, experimenting, read_source
+from .jobs import STAGE
 
-VERSION = 1  # of the job; to be raised when the same request gives other numbers
-TABLE, SUMMARY = "ablate", "ablate_summary"
 METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 #: The ablated settings: column of `ablate`, group and name of the setting, and the values that are tried.
@@ -67,7 +60,7 @@ class AblateRequest:
     values : by parameter, those to try besides the value in force; by default those of `PARAMETERS`
     grid : all combinations instead of one at a time
     pattern : only pairs whose name matches
-    workers, scheduler : as in `RunRequest`
+    machines : where work is done
     """
 
     dataset: Path
@@ -76,17 +69,16 @@ class AblateRequest:
     values: dict[str, tuple[float, ...]] = field(default_factory=dict)
     grid: bool = False
     pattern: str | None = None
-    workers: int | None = None
-    scheduler: str | None = None
+    machines: Machines = field(default_factory=Machines)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AblateOutcome(SweepOutcome):
+class AblateOutcome(ExperimentOutcome):
     """What has become of the experiment.
 
     base : the settings in force
     values : by parameter, all that were tried, ascending
-    rows : of `ablate`, a row a pair and point
+    rows : of `ablate`, one row per pair and point
     """
 
     base: Point
@@ -111,32 +103,24 @@ def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
     source = read_source(request.dataset, request.pattern)
     if source.is_scan:
         raise SettingsError(f"{request.dataset}: is a scan; ablate compares real and simulated scans of a dataset")
-    at = (request.dataset, request.out, request.settings, request.workers, request.scheduler, reporter)
-    with sweeping("ablate", *at) as sweep:
-        tasks = prepare(sweep, source, request.settings, ("real", "sim"), ("ground",))
-        sweep.run([part for task in tasks for part in _parts(task, points, settings_of)], [TABLE])
-        rows = _gather(sweep)
+    at = (source, request.out, request.settings, request.machines, reporter)
+    with experimenting("ablate", *at, stages=(STAGE,), sides=SIDES) as experiment:
+        plans = experiment.prepare()
+        experiment.make({plan.pair_id: _parts(plan, points, settings_of) for plan in plans})
+        rows = _summarise(experiment)
         wall_s = perf_counter() - start
-        sweep.record(
-            {
-                "experiment": "ablate",
-                **run_header(request.dataset, request.settings, STAGES),
-                "values": {name: list(of) for name, of in values.items()},
-                "grid": request.grid,
-                "failures": sweep.failures,
-                "jobs": {"made": sweep.n_made, "reused": sweep.n_reused},
-                "wall_s": wall_s,
-            }
-        )
+        facts = {"values": {name: list(tried) for name, tried in values.items()}, "grid": request.grid}
+        experiment.write_record("ablate", facts, wall_s)
+        n_made, n_reused = experiment.engine.n_made, experiment.n_reused
     return AblateOutcome(
         folder=request.out,
         base=base,
         values=values,
         grid=request.grid,
         rows=rows,
-        failures=sweep.failures,
-        n_made=sweep.n_made,
-        n_reused=sweep.n_reused,
+        failures=experiment.failures,
+        n_made=n_made,
+        n_reused=n_reused,
         wall_s=wall_s,
     )
 
@@ -169,7 +153,7 @@ def points_of(base: Point, values: dict[str, tuple[float, ...]], grid: bool) -> 
     """
     if grid:
         return [Point(int(k), *rest) for k, *rest in product(*values.values())]
-    return sorted({Point(**(vars(base) | {name: value})) for name, of in values.items() for value in of})
+    return sorted({Point(**(vars(base) | {name: value})) for name, tried in values.items() for value in tried})
 
 
 def with_point(settings: Settings, point: Point) -> Settings:
@@ -186,40 +170,31 @@ def with_point(settings: Settings, point: Point) -> Settings:
     return parse(plain)
 
 
-def _parts(task: PairTask, points: Sequence[Point], settings_of: dict[Point, Settings]) -> list[Part]:
-    """The jobs of a pair: one for each distinct setting of the graph."""
-    n_points = sum(job.facts["n_points"] for job in task.jobs)
+def _parts(plan: PairPlan, points: Sequence[Point], settings_of: dict[Point, Settings]) -> list[Part]:
+    """The wanted parts of a pair: one for each distinct setting of the graph."""
+    n_points = sum(job.record.facts["n_points"] for job in plan.jobs if job.record is not None)
     parts = []
     for k, tau_m in dict.fromkeys((point.k, point.tau_m) for point in points):
         walk = [point for point in points if (point.k, point.tau_m) == (k, tau_m)]
-        neutral = with_point(settings_of[walk[0]], Point(k, tau_m, 1.0, 1.0))
-        method = method_key(neutral, [stage.name for stage in STAGES if stage.name != "ground"])
-        plain = [[point.delta_m, point.t] for point in walk]
-        key = key_of(TABLE, VERSION, [job.key for job in task.jobs], method, plain)
+        neutral = with_point(settings_of[walk[0]], Point(k, tau_m, 1.0, 1.0))  # delta and t are arguments
         n_scorings = len({point.t for point in walk})
-        cost_s = 1e-4 * n_points + n_scorings * 20 * object_seconds(n_points // 60)
-        args = (task, [(point, settings_of[point]) for point in walk])
-        parts.append(Part(TABLE, task.pair.pair_id, f"k{k}-tau{tau_m!r}", key, setting_rows, args, cost_s))
+        seconds = 1e-4 * n_points + n_scorings * 20 * CostModel().object_seconds(n_points // 60)
+        arguments = ([[*vars(point).values()] for point in walk],)
+        parts.append(Part(STAGE, f"k{k}-tau{tau_m!r}", arguments, seconds, neutral))
     return parts
 
 
-def _gather(sweep: Sweep) -> pa.Table:
+def _summarise(experiment: Experiment) -> pa.Table:
     """All rows of `ablate`; writes their means and standard deviations over pairs."""
-    records = [record for record in sweep.store.records.values() if record.stage == TABLE]
-    parts = [pq.read_table(sweep.out / name) for record in records for name in record.files]
-    rows = pa.concat_tables([ABLATE.schema.empty_table(), *parts]).sort_by([(key, "ascending") for key in ABLATE.keys])
+    rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
     summary = []
-    for name, of_point in rows.to_pandas().groupby(["k", "tau_m", "delta_m", "t"], sort=False):
+    for name, own in rows.to_pandas().groupby(["k", "tau_m", "delta_m", "t"], sort=False):
         for metric in METRICS:
-            values = of_point[metric].to_numpy(dtype=np.float64)
+            values = own[metric].to_numpy(dtype=np.float64)
             mean, std = mean_and_std(values)
             summary.append(
                 dict(zip(("k", "tau_m", "delta_m", "t"), name, strict=True))
                 | {"metric": metric, "n_pairs": int(np.count_nonzero(~np.isnan(values))), "mean": mean, "std": std}
             )
-    key = key_of(sorted(record.key for record in records))
-    path = sweep.out / f"{SUMMARY}.parquet"
-    stored = sweep.store.write_at(path, SUMMARY, ABLATE_SUMMARY.from_rows(summary), key)
-    sweep.store.take(JobRecord(SUMMARY, "", "", key, {path.name: stored}))
-    sweep.store.compact()
+    experiment.write_summary(ABLATE_SUMMARY, ABLATE_SUMMARY.from_rows(summary))
     return rows

@@ -1,50 +1,58 @@
-"""The job of `fidpipe ablate`: one pair under one setting of the graph, and all of matching and selection on it."""
+"""The task of `fidpipe ablate`: one pair under one setting of the graph, and all of matching and selection on it."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-import pyarrow as pa
 
 from ....schemas.columns import SIDES
 from ....schemas.experiment_tables import ABLATE
 from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
 from ....stages.method import Memo, compare, partition
-from ...engine.task import PairTask
-from ...engine.workbench import Workbench
-
-if TYPE_CHECKING:
-    from .ablate import Point
+from ...jobs.communities import louvain_libraries
+from ...jobs.points import POINT_COLUMNS, object_points
+from ...stage import Context, Grain, Made, Stage
 
 
-def setting_rows(task: PairTask, walk: Sequence[tuple[Point, Settings]]) -> pa.Table:
-    """One row of `ablate` per point of the walk.
+def make_rows(context: Context) -> Made:
+    """One row of `ablate` per point (k, tau, delta, t) of the arguments, which have k and tau of the settings.
 
     The graphs and communities of both sides are made once, an object that is matched under several delta is scored
     once for each t.
-
-    Parameters
-    ----------
-    task : a pair whose ground is removed
-    walk : points of the same k and tau, each with all settings
     """
-    bench = Workbench(task)
-    _, settings = walk[0]
-    real, sim = (partition(bench.object_points(side)[1], settings) for side in SIDES)
+    own = context.settings
+    (points,) = context.arguments
+    real, sim = (partition(object_points(context, side)[1], own) for side in SIDES)
     memo: Memo = {}
     rows = []
-    for point, settings in walk:
+    for k, tau_m, delta_m, t in points:
+        settings = Settings(
+            matching=own.matching.model_copy(update={"delta_m": delta_m}),
+            selection=own.selection.model_copy(update={"t": t}),
+        )
         summary = compare(real, sim, settings, memo=memo).summary
         rows.append(
-            vars(point)
+            {"pair_id": context.pair_id, "k": k, "tau_m": tau_m, "delta_m": delta_m, "t": t}
             | {
-                "pair_id": task.pair.pair_id,
                 "n_communities_real": len(real.objects.n_points),
                 "n_communities_sim": len(sim.objects.n_points),
             }
             | {name: summary[name] for name in ("n_matched", "match_rate")}
             | {f"{metric}_mean": summary[f"{metric}_mean"] for metric in OBJECT_METRICS}
         )
-    return ABLATE.from_rows(rows)
+    return Made({"ablate": ABLATE.from_rows(rows)})
+
+
+def _libraries(settings: Settings) -> tuple[str, ...]:
+    return (*louvain_libraries(settings), "POT")
+
+
+#: Its version is to be raised when the same request gives other numbers.
+STAGE = Stage(
+    name="ablate",
+    takes={"ground": POINT_COLUMNS},
+    gives=("ablate",),
+    settings=("graph", "communities", "matching", "selection"),
+    grain=Grain.PAIR,
+    version=1,
+    make=make_rows,
+    libraries=_libraries,
+)

@@ -11,11 +11,12 @@ import pyarrow.compute as pc
 
 from ....schemas.errors import DatasetError
 from ....stages.arrays import FloatArray, IntArray
-from ...engine.task import PairTask
-from ...engine.workbench import Workbench, as_numpy
+from ...jobs.points import column
+from ...storage.folder import RunFolder
 
 #: The classes of the paper, section "Controlled Perturbation Analysis".
 CLASSES = ("vegetation", "car", "tree", "wall")
+_TABLES = ("objects", "ground", "communities")
 SHAPES = ("linearity", "planarity", "scattering")
 SHAPE_NAMES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered"}
 PURE_SHARE = 0.75
@@ -65,7 +66,7 @@ class _ScanObjects:
         return ChosenObject(self.pair_id, community_id, name, size, range_m, why)
 
 
-def choose_objects(task: PairTask, wanted: Sequence[str] | None) -> Choice:
+def choose_objects(folder: RunFolder, scan_id: str, wanted: Sequence[str] | None, k: int) -> Choice:
     """One object for each word that is wanted; by default for each class of the paper, or else for each shape class.
 
     A number is a community id. A label stands for the typical object of the class: of the communities of which at
@@ -77,16 +78,17 @@ def choose_objects(task: PairTask, wanted: Sequence[str] | None) -> Choice:
 
     Parameters
     ----------
-    task : a scan whose communities are done
+    folder, scan_id : of the experiment, and a scan whose communities are done
     wanted : community ids and labels, or None
+    k : neighbours of the graph, `graph.k`
 
     Raises
     ------
     DatasetError
         There is no such community, or no object with such a label.
     """
-    scan = _describe(task)
-    least = LEAST_POINTS_OVER_K * task.settings.graph.k
+    scan = _describe(folder, scan_id)
+    least = LEAST_POINTS_OVER_K * k
     if wanted is not None:
         return _by_words(scan, wanted, least)
     objects = [chosen for name in CLASSES if (chosen := _by_label(scan, name, least)) is not None]
@@ -98,23 +100,20 @@ def choose_objects(task: PairTask, wanted: Sequence[str] | None) -> Choice:
     return _by_shapes(scan, least, f"scan {scan.pair_id} {why}: one typical object for each shape instead")
 
 
-def _describe(task: PairTask) -> _ScanObjects:
-    bench = Workbench(task)
-    objects = bench.table("objects", "real")
+def _describe(folder: RunFolder, scan_id: str) -> _ScanObjects:
+    objects, ground, communities = (folder.read_table(name, scan_id, "real") for name in _TABLES)
     labels = objects.column("label").to_pylist()
-    ground = bench.table("ground", "real")
     point_labels = ground.filter(pc.invert(ground.column("is_ground"))).column("label")
-    community = as_numpy(bench.table("communities", "real"), "community_id")
-    n_points = as_numpy(objects, "n_points")
+    community, n_points = column(communities, "community_id"), column(objects, "n_points")
     own = pc.equal(point_labels, pa.array([labels[i] for i in community.tolist()], pa.string()))
     n_own = np.bincount(community[pc.fill_null(own, False).to_numpy(zero_copy_only=False)], minlength=len(n_points))
     return _ScanObjects(
-        pair_id=task.pair.pair_id,
+        pair_id=scan_id,
         n_points=n_points,
-        range_m=as_numpy(objects, "range_m"),
+        range_m=column(objects, "range_m"),
         labels=labels,
         label_share=n_own / n_points,
-        shape=np.column_stack([as_numpy(objects, name) for name in SHAPES]),
+        shape=np.column_stack([column(objects, name) for name in SHAPES]),
     )
 
 
@@ -164,18 +163,18 @@ def _by_shapes(scan: _ScanObjects, least: int, note: str) -> Choice:
     is_large = scan.n_points >= least
     is_free = is_large.copy() if is_large.any() else np.ones(len(scan.n_points), dtype=bool)
     chosen: dict[str, ChosenObject] = {}
-    for column, shape in enumerate(SHAPES):
+    for place, shape in enumerate(SHAPES):
         name = SHAPE_NAMES[shape]
-        typical = np.flatnonzero((np.argmax(scan.shape, axis=1) == column) & is_large)
+        typical = np.flatnonzero((np.argmax(scan.shape, axis=1) == place) & is_large)
         if len(typical):
             why = f"median size of {len(typical)} {name} objects"
             chosen[name] = scan.chosen(_median_sized(scan, typical), name, why)
             is_free[chosen[name].community_id] = False
-    for column, shape in enumerate(SHAPES):
+    for place, shape in enumerate(SHAPES):
         name = SHAPE_NAMES[shape]
         if name not in chosen and is_free.any():
-            nearest = int(np.argmax(np.where(is_free, scan.shape[:, column], -np.inf)))
-            value = scan.shape[nearest, column]
+            nearest = int(np.argmax(np.where(is_free, scan.shape[:, place], -np.inf)))
+            value = scan.shape[nearest, place]
             rest = "" if is_free.sum() == (is_large.sum() or len(is_large)) else " of the others"
             why = f"none is mostly {name}; this one has the largest {shape}{rest}, {value:.2f}"
             chosen[name] = scan.chosen(nearest, name, why)

@@ -1,45 +1,41 @@
-"""The jobs of `fidpipe perturb`: one way and amount of altering, all its repeats, on a whole scan or on one object."""
+"""The tasks of `fidpipe perturb`: one way and amount of altering, all its repeats, on a whole scan or on one object."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
-from ....stages.arrays import FloatArray, IntArray
 from ....stages.baselines import compare_objects
 from ....stages.ground import MIN_OBJECT_POINTS
 from ....stages.method import PartitionedScan, compare, graph_of, partition, score
 from ....stages.metrics import MIN_NODES
 from ....stages.objects import describe_objects
 from ....stages.selection import select_nodes
-from ....stages.sensing.perturbations import Perturbation, perturb
-from ...engine.task import PairTask
-from ...engine.workbench import Workbench, as_numpy
+from ....stages.sensing.perturbations import perturb
+from ...jobs.baselines import baseline_libraries
+from ...jobs.communities import louvain_libraries
+from ...jobs.points import EDGE_COLUMNS, POINT_COLUMNS, column, graph_edges, object_points
+from ...stage import Context, Grain, Made, Stage
 
 _COUNTS = ("n_matched", "n_identical", "n_too_small", "match_rate")
 
 
-def global_rows(task: PairTask, perturbation: Perturbation, seeds: Sequence[int]) -> pa.Table:
+def make_global(context: Context) -> Made:
     """One row of `perturb_global` per repeat: all object points altered, everything from the graph on run again.
 
-    Parameters
-    ----------
-    task : a scan whose communities are done
-    perturbation : kind and amount
-    seeds : of the repeats
+    Arguments: the perturbation, and the seeds of the repeats.
     """
-    scan = _scan_of(task)
+    perturbation, seeds = context.arguments
+    scan = _unaltered_scan(context)
     rows = []
     for repeat, seed in enumerate(seeds):
         points = perturb(scan.points, perturbation, np.random.default_rng(seed))
         row: dict[str, Any] = vars(perturbation) | {
-            "pair_id": task.pair.pair_id,
+            "pair_id": context.pair_id,
             "repeat": repeat,
             "seed": seed,
             "n_points": len(scan.points),
@@ -49,32 +45,25 @@ def global_rows(task: PairTask, perturbation: Perturbation, seeds: Sequence[int]
         if len(points) < MIN_OBJECT_POINTS:
             row["reason"] = f"{len(points)} points are left, at least {MIN_OBJECT_POINTS} are needed"
         else:
-            row |= _compare(scan, partition(points, task.settings), task.settings)
+            row |= _compare(scan, partition(points, context.settings), context.settings)
         rows.append(row)
-    return PERTURB_GLOBAL.from_rows(rows)
+    return Made({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
 
 
-def object_rows(
-    task: PairTask, community_id: int, name: str, perturbation: Perturbation, seeds: Sequence[int]
-) -> pa.Table:
+def make_objects(context: Context) -> Made:
     """One row of `perturb_objects` per repeat: one object altered, both graphs built from its points alone.
 
-    Parameters
-    ----------
-    task : a scan whose communities are done
-    community_id, name : the object
-    perturbation : kind and amount
-    seeds : of the repeats
+    Arguments: the object's community id and name, the perturbation, and the seeds of the repeats.
     """
-    scan = _scan_of(task)
+    community_id, name, perturbation, seeds = context.arguments
+    scan, settings = _unaltered_scan(context), context.settings
     points = scan.points[scan.labels == community_id]
-    before = graph_of(points, task.settings)
+    before = graph_of(points, settings)
     rows = []
     for repeat, seed in enumerate(seeds):
         altered = perturb(points, perturbation, np.random.default_rng(seed))
         if len(altered):
-            after = graph_of(altered, task.settings)
-            scores = vars(score(before, after, task.settings.selection).scores)
+            scores = vars(score(before, graph_of(altered, settings), settings.selection).scores)
             distance_m = float(np.linalg.norm(altered.mean(axis=0) - points.mean(axis=0)))
         else:
             reason = f"no point is left, at least {MIN_NODES} are needed for a spectrum"
@@ -82,7 +71,7 @@ def object_rows(
         rows.append(
             vars(perturbation)
             | {
-                "pair_id": task.pair.pair_id,
+                "pair_id": context.pair_id,
                 "community_id": community_id,
                 "object": name,
                 "repeat": repeat,
@@ -93,22 +82,13 @@ def object_rows(
             }
             | scores
         )
-    return PERTURB_OBJECTS.from_rows(rows)
+    return Made({"perturb_objects": PERTURB_OBJECTS.from_rows(rows)})
 
 
-def baseline_rows(
-    task: PairTask, community_id: int, name: str, perturbation: Perturbation, seeds: Sequence[int]
-) -> pa.Table:
-    """One row of `perturb_baselines` per repeat and baseline; the altered objects are those of `object_rows`.
-
-    Parameters
-    ----------
-    task : a scan whose communities are done, with `metrics.baselines` in its settings
-    community_id, name : the object
-    perturbation : kind and amount
-    seeds : of the repeats
-    """
-    scan, settings = _scan_of(task), task.settings
+def make_baselines(context: Context) -> Made:
+    """One row of `perturb_baselines` per repeat and baseline; arguments and altered objects as in `make_objects`."""
+    community_id, name, perturbation, seeds = context.arguments
+    scan, settings = _unaltered_scan(context), context.settings
     points = scan.points[scan.labels == community_id]
     before = graph_of(points, settings)
     rows = []
@@ -117,45 +97,29 @@ def baseline_rows(
         if not len(altered):
             continue  # perturb_objects says why
         after = graph_of(altered, settings)
-        chosen = select_nodes(before, after, settings.selection)
+        nodes = select_nodes(before, after, settings.selection)
         repeated = vars(perturbation) | {
-            "pair_id": task.pair.pair_id,
+            "pair_id": context.pair_id,
             "community_id": community_id,
             "object": name,
             "repeat": repeat,
             "seed": seed,
         }
-        for baseline in compare_objects(before, after, chosen, settings.selection.t, settings.metrics):
+        for baseline in compare_objects(before, after, nodes, settings.selection.t, settings.metrics):
             number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
             rows.append(repeated | {"baseline": baseline.name} | number)
-    return PERTURB_BASELINES.from_rows(rows)
+    return Made({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
 
 
-def object_points(task: PairTask) -> tuple[FloatArray, IntArray]:
-    """Object points of the real side of a scan, and the community of each."""
-    bench = Workbench(task)
-    _, points = bench.object_points("real")
-    return points, as_numpy(bench.table("communities", "real"), "community_id")
+def _unaltered_scan(context: Context) -> PartitionedScan:
+    """The unaltered scan with its partition."""
 
+    def read() -> PartitionedScan:
+        _, points = object_points(context, "real")
+        labels = column(context.table("communities", "real"), "community_id")
+        return PartitionedScan(points, graph_edges(context, "real"), labels, describe_objects(points, labels))
 
-def _scan_of(task: PairTask) -> PartitionedScan:
-    """The unaltered scan with its partition; a process keeps the last one."""
-    key = task.jobs[-1].key
-    if key not in _KEPT:
-        _KEPT.clear()
-        bench = Workbench(task)
-        point_ids, points = bench.object_points("real")
-        labels = as_numpy(bench.table("communities", "real"), "community_id")
-        _KEPT[key] = PartitionedScan(
-            points=points,
-            edges=bench.edges("real", point_ids),
-            labels=labels,
-            objects=describe_objects(points, labels),
-        )
-    return _KEPT[key]
-
-
-_KEPT: dict[str, PartitionedScan] = {}
+    return context.once("unaltered scan", read)
 
 
 def _compare(scan: PartitionedScan, altered: PartitionedScan, settings: Settings) -> dict[str, Any]:
@@ -165,3 +129,43 @@ def _compare(scan: PartitionedScan, altered: PartitionedScan, settings: Settings
     return {name: summary[name] for name in (*_COUNTS, *means)} | {
         "n_communities_altered": len(altered.objects.n_points)
     }
+
+
+def _libraries(settings: Settings) -> tuple[str, ...]:
+    return (*louvain_libraries(settings), "POT")
+
+
+_TAKES = {"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)}
+_SETTINGS = ("graph", "communities", "matching", "selection")
+
+#: Versions are to be raised when the same request gives other numbers.
+GLOBAL = Stage(
+    name="perturb_global",
+    takes=_TAKES,
+    gives=("perturb_global",),
+    settings=_SETTINGS,
+    grain=Grain.PAIR,
+    version=1,
+    make=make_global,
+    libraries=_libraries,
+)
+OBJECT = Stage(
+    name="perturb_objects",
+    takes=_TAKES,
+    gives=("perturb_objects",),
+    settings=_SETTINGS,
+    grain=Grain.PAIR,
+    version=1,
+    make=make_objects,
+    libraries=_libraries,
+)
+BASELINE = Stage(
+    name="perturb_baselines",
+    takes=_TAKES,
+    gives=("perturb_baselines",),
+    settings=(*_SETTINGS, "metrics"),
+    grain=Grain.PAIR,
+    version=1,
+    make=make_baselines,
+    libraries=baseline_libraries,
+)

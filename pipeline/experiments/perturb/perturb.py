@@ -1,38 +1,35 @@
 """`fidpipe perturb`: how the scores answer to known alterations of a real scan (paper, Table I and Fig. 3).
 
 What is altered are object points, after cleaning and ground removal. *Global*: all of them, everything from the graph
-on is run again. *Object level*: those of one community, its graph rebuilt from them alone. Leaves to others: the
-alterations (`stages.perturbations`), the jobs (`perturb_jobs`), means and claims (`perturb_summary`), pictures.
+on is run again. *Object level*: those of one community, its graph rebuilt from them alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from ....schemas.errors import DatasetError, SettingsError
 from ....schemas.settings import Settings
+from ....stages.arrays import FloatArray, IntArray
 from ....stages.sensing.perturbations import KINDS, Perturbation
-from ...engine.costs import object_seconds
+from ...engine.costs import CostModel
+from ...engine.engine import Machines
+from ...engine.plan import Part
 from ...engine.progress import Reporter
-from ...engine.task import PairTask
-from ...engine.workbench import Workbench, as_numpy
-from ...run import STAGES
-from ...storage.record import run_header
-from ...storage.store import key_of
-from ..sources import method_key, prepare, read_source
-from ..sweep import Part, Sweep, SweepOutcome, sweeping
+from ...jobs.points import column
+from ...storage.files import key_of
+from ...storage.folder import RunFolder
+from ..experiment import Experiment, ExperimentOutcome, experimenting, read_source
 from .choice import ChosenObject, choose_objects
-from .jobs import baseline_rows, global_rows, object_rows
+from .jobs import BASELINE, GLOBAL, OBJECT
 from .summary import summarise
-
-VERSION = 1  # of the alterations and of the jobs; to be raised when the same request gives other numbers
-TABLES = ("perturb_global", "perturb_objects", "perturb_baselines")
-_BASE_STAGES = ("ground", "graph", "communities")
 
 #: Noise, dropout and rigid motion as in the paper; hallucination and density are ours.
 LEVELS = (
@@ -58,7 +55,7 @@ class PerturbRequest:
     seed : another one gives other random numbers
     objects : community ids and labels; None for the classes of the paper, or shapes
     pattern : all pairs of a dataset whose name matches
-    workers, scheduler : as in `RunRequest`
+    machines : where work is done
     """
 
     source: Path
@@ -70,20 +67,19 @@ class PerturbRequest:
     seed: int = 0
     objects: tuple[str, ...] | None = None
     pattern: str | None = None
-    workers: int | None = None
-    scheduler: str | None = None
+    machines: Machines = field(default_factory=Machines)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PerturbOutcome(SweepOutcome):
+class PerturbOutcome(ExperimentOutcome):
     """What has become of the experiment.
 
-    tasks : the scans that were altered
+    scans : names of those that were altered
     objects : the chosen ones of all scans
     summary : rows of `perturb_summary`
     """
 
-    tasks: tuple[PairTask, ...]
+    scans: tuple[str, ...]
     objects: tuple[ChosenObject, ...]
     levels: tuple[Perturbation, ...]
     summary: pa.Table
@@ -104,36 +100,46 @@ def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcom
             f"--objects {','.join(request.objects)}: an object's number belongs to one scan, {len(source.pairs)} are "
             "chosen; name one with --pairs, or give labels"
         )
-    at = (request.source, request.out, request.settings, request.workers, request.scheduler, reporter)
-    with sweeping("perturb", *at) as sweep:
-        tasks = prepare(sweep, source, request.settings, ("real",), _BASE_STAGES)
-        choices = [choose_objects(task, request.objects) for task in tasks]
-        for choice in choices:
+    at = (source, request.out, request.settings, request.machines, reporter)
+    with experimenting("perturb", *at, stages=(GLOBAL, OBJECT, BASELINE), sides=("real",)) as experiment:
+        scans = [plan.pair_id for plan in experiment.prepare()]
+        k = request.settings.graph.k
+        choices = {scan: choose_objects(experiment.folder, scan, request.objects, k) for scan in scans}
+        for choice in choices.values():
             for note in choice.notes:
                 reporter.say(note)
-        sweep.run(
-            [
-                part
-                for task, choice in zip(tasks, choices, strict=True)
-                for part in _parts(request, task, choice.objects)
-            ],
-            TABLES,
-        )
-        summary = summarise(sweep)
-        objects = tuple(of for choice in choices for of in choice.objects)
+        experiment.make({scan: _parts(request, experiment, scan, choices[scan].objects) for scan in scans})
+        summary = summarise(experiment)
+        objects = tuple(chosen for choice in choices.values() for chosen in choice.objects)
         wall_s = perf_counter() - start
-        _write_record(sweep, request, objects, wall_s)
+        facts = {
+            "seed": request.seed,
+            "repeats": {"global": request.global_repeats, "object": request.repeats},
+            "levels": [vars(level) for level in request.levels],
+            "objects": [vars(chosen) for chosen in objects],
+        }
+        experiment.write_record("perturb", facts, wall_s)
+        n_made, n_reused = experiment.engine.n_made, experiment.n_reused
     return PerturbOutcome(
         folder=request.out,
-        tasks=tuple(tasks),
+        scans=tuple(scans),
         objects=objects,
         levels=request.levels,
         summary=summary,
-        failures=sweep.failures,
-        n_made=sweep.n_made,
-        n_reused=sweep.n_reused,
+        failures=experiment.failures,
+        n_made=n_made,
+        n_reused=n_reused,
         wall_s=wall_s,
     )
+
+
+def object_points(folder: Path, scan: str) -> tuple[FloatArray, IntArray]:
+    """Object points of an unaltered scan, (n, 3) metres, and the community of each, from the experiment's folder."""
+    run_folder = RunFolder(folder)
+    ground = run_folder.read_table("ground", scan, "real", ["x", "y", "z", "is_ground"])
+    ground = ground.filter(pc.invert(ground.column("is_ground")))
+    points = np.column_stack([column(ground, axis) for axis in "xyz"])
+    return points, column(run_folder.read_table("communities", scan, "real"), "community_id")
 
 
 def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
@@ -157,7 +163,7 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
         if equals:
             levels |= dict.fromkeys(_level(word, kind, text) for text in amounts.split(","))
         else:
-            levels |= dict.fromkeys(of for of in LEVELS if of.kind == kind)
+            levels |= dict.fromkeys(level for level in LEVELS if level.kind == kind)
     return tuple(levels)
 
 
@@ -180,51 +186,28 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
     return level
 
 
-def _parts(request: PerturbRequest, task: PairTask, objects: Sequence[ChosenObject]) -> list[Part]:
-    """The jobs of one scan: each level of the whole scan, and of each chosen object."""
-    pair_id, base = task.pair.pair_id, task.jobs[-1].key
-    method = method_key(request.settings, [stage.name for stage in STAGES if stage.name != "ground"])
-    of_baselines = method_key(request.settings, ["baselines"])
-    sizes = as_numpy(Workbench(task).table("objects", "real"), "n_points").tolist()
+def _parts(request: PerturbRequest, experiment: Experiment, scan: str, objects: Sequence[ChosenObject]) -> list[Part]:
+    """The wanted parts of one scan: each level of the whole scan, and of each chosen object."""
+    costs = CostModel()
+    sizes = experiment.folder.read_table("objects", scan, "real", ["n_points"]).column("n_points").to_pylist()
+    scan_seconds = sum(costs.object_seconds(n) for n in sizes)
     parts = []
     for level in request.levels:
         plain = [level.kind, level.amount, level.shift_m]
-        seeds = [seed_of("perturb", request.seed, pair_id, "all", *plain, i) for i in range(request.global_repeats)]
+        seeds = [seed_of("perturb", request.seed, scan, "all", *plain, i) for i in range(request.global_repeats)]
         if seeds:
-            key = key_of("perturb_global", VERSION, base, method, plain, seeds)
-            cost_s = len(seeds) * sum(object_seconds(n) for n in sizes)
-            parts.append(Part("perturb_global", pair_id, _name(level), key, global_rows, (task, level, seeds), cost_s))
-        for of in objects:
-            seeds = [
-                seed_of("perturb", request.seed, pair_id, of.community_id, *plain, i) for i in range(request.repeats)
-            ]
-            named = [of.community_id, of.name, plain, seeds]
-            args = (task, of.community_id, of.name, level, seeds)
-            name, cost_s = f"{of.community_id}-{_name(level)}", len(seeds) * object_seconds(of.n_points)
-            key = key_of("perturb_objects", VERSION, base, method, *named)
-            parts.append(Part("perturb_objects", pair_id, name, key, object_rows, args, cost_s))
+            parts.append(Part(GLOBAL, _name(level), (level, seeds), len(seeds) * scan_seconds))
+        for chosen in objects:
+            number = chosen.community_id
+            seeds = [seed_of("perturb", request.seed, scan, number, *plain, i) for i in range(request.repeats)]
+            name, arguments = f"{number}-{_name(level)}", (number, chosen.name, level, seeds)
+            seconds = len(seeds) * costs.object_seconds(chosen.n_points)
+            parts.append(Part(OBJECT, name, arguments, seconds))
             if request.settings.metrics.baselines:
-                key = key_of("perturb_baselines", VERSION, base, method, of_baselines, *named)
-                parts.append(Part("perturb_baselines", pair_id, name, key, baseline_rows, args, 2 * cost_s))
+                parts.append(Part(BASELINE, name, arguments, 2 * seconds))
     return parts
 
 
 def _name(level: Perturbation) -> str:
     """A level as a part's name holds it: amounts in full, since levels may agree to many digits."""
     return f"{level.kind}-{level.amount!r}" + (f"-{level.shift_m!r}" if level.kind == "rigid" else "")
-
-
-def _write_record(sweep: Sweep, request: PerturbRequest, objects: Sequence[ChosenObject], wall_s: float) -> None:
-    sweep.record(
-        {
-            "experiment": "perturb",
-            **run_header(request.source, request.settings, STAGES),
-            "seed": request.seed,
-            "repeats": {"global": request.global_repeats, "object": request.repeats},
-            "levels": [vars(level) for level in request.levels],
-            "objects": [vars(of) for of in objects],
-            "failures": sweep.failures,
-            "jobs": {"made": sweep.n_made, "reused": sweep.n_reused},
-            "wall_s": wall_s,
-        }
-    )

@@ -8,54 +8,38 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ....schemas.experiment_tables import PERTURB_SUMMARY
 from ....schemas.metrics import OBJECT_METRICS
-from ....schemas.tables import TABLES
 from ....stages.summary import mean_and_std
-from ...storage.ledger import JobRecord
-from ...storage.store import key_of
-from ..sweep import Sweep
+from ..experiment import Experiment
 
 GLOBAL_METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
-SUMMARY = "perturb_summary"
 _BASELINES = "perturb_baselines"
 _METRICS = {"perturb_global": GLOBAL_METRICS, "perturb_objects": OBJECT_METRICS}
 _LEVEL = ("kind", "amount", "shift_m")
 
 
-def summarise(sweep: Sweep) -> pa.Table:
+def summarise(experiment: Experiment) -> pa.Table:
     """Writes and returns the rows of `perturb_summary`, over the repeats of all scans."""
-    records = [record for record in sweep.store.records.values() if record.stage in (*_METRICS, _BASELINES)]
     rows: list[dict[str, Any]] = []
-    for scope, repeats in _by_metric(sweep, records):
+    for scope, repeats in _by_metric(experiment):
         for name, values in repeats.groupby(["object", *_LEVEL, "metric"], dropna=False, sort=False)["value"]:
             mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
             labels = dict(zip(("object", *_LEVEL, "metric"), name, strict=True))
             labels["object"] = labels["object"] if scope == "object" else None
             rows.append(labels | {"scope": scope, "n": int(values.notna().sum()), "mean": mean, "std": std})
     summary = PERTURB_SUMMARY.from_rows(rows)
-    key = key_of(sorted(record.key for record in records))
-    path = sweep.out / f"{SUMMARY}.parquet"
-    stored = sweep.store.write_at(path, SUMMARY, summary, key)
-    sweep.store.take(JobRecord(SUMMARY, "", "", key, {path.name: stored}))
-    sweep.store.compact()
+    experiment.write_summary(PERTURB_SUMMARY, summary)
     return summary
 
 
-def _by_metric(sweep: Sweep, records: list[JobRecord]) -> Iterator[tuple[str, pd.DataFrame]]:
+def _by_metric(experiment: Experiment) -> Iterator[tuple[str, pd.DataFrame]]:
     """The repeats, one row per metric, with the scope of each table."""
     for table, metrics in _METRICS.items():
-        repeats = _read(sweep, records, table)
+        repeats = experiment.rows(table).to_pandas()
         scope = "object" if "object" in repeats else "global"
         labels = repeats.assign(object=repeats["object"] if scope == "object" else None)[["object", *_LEVEL]]
         for metric in metrics:
             yield scope, labels.assign(metric=metric, value=repeats[metric])
-    yield "object", _read(sweep, records, _BASELINES).rename(columns={"baseline": "metric"})
-
-
-def _read(sweep: Sweep, records: list[JobRecord], table: str) -> pd.DataFrame:
-    parts = [pq.read_table(sweep.out / name) for record in records if record.stage == table for name in record.files]
-    rows: pd.DataFrame = pa.concat_tables([TABLES[table].schema.empty_table(), *parts]).to_pandas()
-    return rows
+    yield "object", experiment.rows(_BASELINES).to_pandas().rename(columns={"baseline": "metric"})

@@ -8,30 +8,30 @@ pairs that are missing.
 from __future__ import annotations
 
 import re
-import signal
 import tomllib
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import repeat
 from pathlib import Path
-from time import monotonic
 
 import numpy as np
 
 from ....schemas.columns import SIDES
 from ....schemas.errors import FidpipeError
+from ....schemas.settings import Settings
 from ....stages.sensing.ray_casting import SENSORS, need_ray_caster
-from ...datasets.pairs import LABEL_NAMES, MANIFEST
-from ...storage.files import write_whole
+from ...datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
+from ...engine.engine import Engine, Machines
+from ...engine.plan import Job, PairPlan
+from ...engine.progress import Reporter, Work
+from ...stage import Context, Grain, Made, Stage
+from ...storage.files import key_of, write_whole
 from .scans import make_pair
 from .things import KINDS
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
 SECONDS_APART = 75.0
-_SECONDS_BETWEEN_LINES = 5.0
 #: The files of pairs, and what a killed process left of one that it was writing.
-_OWN_FILE = re.compile(r"\d{4,}\.(bin|label)|\.[0-9a-f]{16}")
+_OWN_FILE = re.compile(r"\d{4,}\.(bin|label)|\.\d{4,}\.(bin|label)\.[0-9a-f]{8}")
 
 
 @dataclass(frozen=True)
@@ -58,13 +58,13 @@ class SynthRequest:
         return f'version = {RECIPE_VERSION}\nseed = {self.seed}\nsensor = "{self.sensor}"\n{points}'
 
 
-def make_dataset(request: SynthRequest, say: Callable[[str], None] = lambda text: None) -> None:
+def make_dataset(request: SynthRequest, reporter: Reporter) -> None:
     """Writes the dataset; pairs that are there already by the same recipe are left as they are.
 
     Parameters
     ----------
     request : what is wanted
-    say : takes a line about the progress now and then
+    reporter : told how it goes on
 
     Raises
     ------
@@ -73,7 +73,7 @@ def make_dataset(request: SynthRequest, say: Callable[[str], None] = lambda text
     """
     try:
         prepare(request)
-        _make_pairs(request, wanted_pairs(request), say)
+        _make_pairs(request, wanted_pairs(request), reporter)
         finish(request)
     except OSError as error:
         raise FidpipeError(f"dataset {request.out}: cannot be written ({error.strerror or error})") from error
@@ -177,29 +177,30 @@ def _is_made(out: Path, index: int) -> bool:
     return all((out / side / f"{pair_name(index)}{suffix}").exists() for side in SIDES for suffix in (".bin", ".label"))
 
 
-def _make_pairs(request: SynthRequest, wanted: list[int], say: Callable[[str], None]) -> None:
-    """Makes the wanted pairs; tells how many are there and how long the others will take."""
-    n_before = request.n_pairs - len(wanted)
-    start = last_line = monotonic()
-    if n_before:
-        say(f"{n_before} of {request.n_pairs} pairs are there already")
-    for n_made, _ in enumerate(_each_made(request, wanted), start=1):
-        now = monotonic()
-        if now - last_line >= _SECONDS_BETWEEN_LINES:
-            last_line = now
-            left = (now - start) / n_made * (len(wanted) - n_made)
-            say(f"{n_before + n_made} of {request.n_pairs} pairs; about {left:.0f} s left")
-
-
-def _each_made(request: SynthRequest, wanted: list[int]) -> Iterator[None]:
-    if request.workers == 1:
-        for index in wanted:
-            make_files(request, index)
-            yield
+def _make_pairs(request: SynthRequest, wanted: list[int], reporter: Reporter) -> None:
+    """Makes the wanted pairs; one that a worker process cannot make is an error of the whole."""
+    if not wanted:
         return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
+    if len(wanted) < request.n_pairs:
+        reporter.say(f"{request.n_pairs - len(wanted)} of {request.n_pairs} pairs are there already")
+    plans = (_plan(request, index) for index in wanted)
+    with Engine(Settings(), Machines(request.workers), reporter, [__name__]) as engine:
+        engine.make(plans, Work(len(wanted), float(len(wanted)), {_STAGE.name: (len(wanted), 0)}))
+        if engine.failures:
+            raise FidpipeError(f"dataset {request.out}: {next(iter(engine.failures.values()))}")
 
-    ignore = (signal.SIGINT, signal.SIG_IGN)  # an interrupt is this process's to deal with
-    with ProcessPoolExecutor(request.workers, get_context("spawn"), signal.signal, ignore) as pool:
-        yield from pool.map(make_files, repeat(request), wanted)
+
+def _plan(request: SynthRequest, index: int) -> PairPlan:
+    """The one job of a pair, which writes its files."""
+    key = key_of(request.recipe(), index)
+    job = Job(_STAGE, "files", key, Settings(), arguments=(request, index), seconds=1.0)
+    return PairPlan(ScanPair(pair_name(index), None, None), (job,))
+
+
+def _make(context: Context) -> Made:
+    make_files(*context.arguments)
+    return Made({})
+
+
+#: It takes and gives no table: its results are the files of the dataset.
+_STAGE = Stage(name="synth", takes={}, gives=(), grain=Grain.PAIR, version=RECIPE_VERSION, make=_make)

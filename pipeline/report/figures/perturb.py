@@ -11,8 +11,7 @@ import numpy as np
 from ....stages.arrays import FloatArray, IntArray
 from ....stages.sensing.perturbations import Perturbation
 from ...experiments.perturb.claims import Means
-from ...experiments.perturb.jobs import object_points
-from ...experiments.perturb.perturb import PerturbOutcome
+from ...experiments.perturb.perturb import PerturbOutcome, object_points
 from ..colours import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
 from .style import new_figure, shown_name
 
@@ -39,7 +38,7 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     curves = [kind for kind in _AXES if any(level.kind == kind for level in outcome.levels)]
     scan = outcome.objects[0].pair_id
     drawn = [of for of in outcome.objects if of.pair_id == scan][:_MOST_DRAWN]
-    points, community = object_points(next(task for task in outcome.tasks if task.pair.pair_id == scan))
+    points, community = object_points(outcome.folder, scan)
     names = list(dict.fromkeys(of.name for of in outcome.objects))
     colours = {name: _COLOURS.get(name, _OTHER_COLOURS[i % len(_OTHER_COLOURS)]) for i, name in enumerate(names)}
     n_rows = (len(curves) + 1) // 2

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from ...experiments.sweep import SweepOutcome
+from ...experiments.experiment import ExperimentOutcome
 
 
-def sweep_lines(outcome: SweepOutcome, results: str) -> list[Text]:
+def sweep_lines(outcome: ExperimentOutcome, results: str) -> list[Text]:
     """The last lines.
 
     Parameters

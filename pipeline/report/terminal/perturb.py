@@ -35,9 +35,9 @@ _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance"
 def perturb_view(outcome: PerturbOutcome) -> RenderableType:
     """The results of the experiment, as a newcomer should see them first."""
     means = Means(outcome.summary)
-    scans = ", ".join(task.pair.pair_id for task in outcome.tasks)
+    scans = ", ".join(outcome.scans)
     parts: list[RenderableType] = []
-    if outcome.tasks:
+    if outcome.scans:
         if any(means.get(None, level, "match_rate").n for level in outcome.levels):
             parts.append(_table_i(outcome, means, scans))
         parts.append(_chosen_table(outcome))
