@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
@@ -69,7 +69,7 @@ class Survey:
     seconds: float = 0.0
 
 
-class Engine(AbstractContextManager["Engine"]):
+class Engine:
     """Has jobs made; used as a context, at whose end the pool is ended.
 
     Parameters
@@ -100,6 +100,10 @@ class Engine(AbstractContextManager["Engine"]):
         self._machines, self._modules, self._shared_file = machines, tuple(modules), shared_file
         self._traces: set[str] = set()
         self._pool: Pool | None = machines.pool
+
+    def __enter__(self) -> Self:
+        """The engine itself; its pool is started when first needed."""
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -382,7 +386,8 @@ def _by_reason(unwanted: Mapping[JobName, str]) -> dict[str, list[JobName]]:
 
 def _split_failures(plan: PairPlan, failures: Iterable[JobFailure]) -> tuple[list[JobFailure], list[JobFailure]]:
     """Failures of parts of an experiment, and those of the pair's own stages."""
-    of_parts, own = [], []
+    of_parts: list[JobFailure] = []
+    own: list[JobFailure] = []
     for failure in failures:
         is_own = failure.part in plan.job((failure.stage, failure.part)).stage.parts
         (own if is_own else of_parts).append(failure)
