@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 
 from ....schemas.errors import SettingsError
 from ....schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
-from ....schemas.metrics import OBJECT_METRICS
+from ....schemas.metrics import DATASET_SCORES
 from ....schemas.settings import Settings, parse
 from ....stages.summary import mean_and_std
 from ...engine.costs import object_seconds
@@ -37,7 +37,6 @@ from .jobs import setting_rows
 
 VERSION = 1  # of the job; to be raised when the same request gives other numbers
 TABLE, SUMMARY = "ablate", "ablate_summary"
-METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 #: The ablated settings: column of `ablate`, group and name of the setting, and the values that are tried.
 PARAMETERS = {
@@ -210,7 +209,7 @@ def _gather(sweep: Sweep) -> pa.Table:
     rows = pa.concat_tables([ABLATE.schema.empty_table(), *parts]).sort_by([(key, "ascending") for key in ABLATE.keys])
     summary = []
     for name, of_point in rows.to_pandas().groupby(["k", "tau_m", "delta_m", "t"], sort=False):
-        for metric in METRICS:
+        for metric in DATASET_SCORES:
             values = of_point[metric].to_numpy(dtype=np.float64)
             mean, std = mean_and_std(values)
             summary.append(

@@ -14,17 +14,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ....schemas.experiment_tables import PERTURB_SUMMARY
-from ....schemas.metrics import OBJECT_METRICS
+from ....schemas.metrics import DATASET_SCORES, OBJECT_METRICS
 from ....schemas.tables import TABLES
 from ....stages.summary import mean_and_std
 from ...storage.ledger import JobRecord
 from ...storage.store import key_of
 from ..sweep import Sweep
 
-GLOBAL_METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 SUMMARY = "perturb_summary"
 _BASELINES = "perturb_baselines"
-_METRICS_OF = {"perturb_global": GLOBAL_METRICS, "perturb_objects": OBJECT_METRICS}
+_METRICS_OF = {"perturb_global": DATASET_SCORES, "perturb_objects": OBJECT_METRICS}
 _LEVEL = ("kind", "amount", "shift_m")
 
 
