@@ -6,6 +6,7 @@ and the list of baselines all come from here. To add a score: a row here and the
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,6 +32,7 @@ class Metric:
     heading : short name for table headings, without the unit
     meaning : one sentence: what the column holds
     reading : one sentence for people: how to read a value
+    short : heading for narrow columns, where `heading` is too long
     unit : "m", "m2", or None for a plain number
     low, high : bounds; None where there is none
     better : which way is better; None for a number that says nothing of the quality
@@ -47,6 +49,7 @@ class Metric:
     heading: str
     meaning: str
     reading: str = ""
+    short: str = ""
     unit: str | None = None
     low: float | None = 0.0
     high: float | None = None
@@ -63,6 +66,12 @@ class Metric:
     def label(self) -> str:
         """Heading with the unit, as it stands over a column: `offset (m)`."""
         return f"{self.heading} ({unit_words(self.unit)})" if self.unit else self.heading
+
+    @property
+    def narrow_label(self) -> str:
+        """The same for a narrow column: one word per line, the unit on the last."""
+        words = (self.short or self.heading).split()
+        return "\n".join([*words, f"({unit_words(self.unit)})"] if self.unit else words)
 
     @property
     def mean_column(self) -> str:
@@ -176,6 +185,7 @@ OBJECT_SCORES = (
         "alignment",
         "root mean square distance of aligned nodes, both sides centred",
         "distance of aligned nodes; large: r_lambda is to be mistrusted",
+        short="align",
         unit="m",
         source="fidpipe; the cost of the paper's one-to-one alignment",
         is_nullable=False,
@@ -351,9 +361,14 @@ def metric_of(column: str) -> Metric:
     return METRIC[column] if column in METRIC else METRIC[column.removesuffix("_mean")]
 
 
-def labels(columns: tuple[str, ...]) -> list[str]:
+def labels(columns: Iterable[str]) -> list[str]:
     """The headings of columns, each with its unit."""
     return [metric_of(column).label for column in columns]
+
+
+def narrow_labels(columns: Iterable[str]) -> list[str]:
+    """The same for narrow columns: one word per line, the unit on the last."""
+    return [metric_of(column).narrow_label for column in columns]
 
 
 def to_markdown() -> str:

@@ -7,7 +7,7 @@ JSON, `from_dict` reads them again.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, PlainSerializer, ValidationError
 
@@ -384,8 +384,3 @@ class RunRecord(RunHeader):
     def claims(self) -> Sequence[Claim]:
         """The paper's claims; none where no pair is scored."""
         return self.findings.claims if self.findings else ()
-
-
-def plain(values: Mapping[str, Any]) -> JsonObject:
-    """A mapping whose values may be results, as plain values for JSON."""
-    return {name: value.as_dict() if isinstance(value, Result) else value for name, value in values.items()}

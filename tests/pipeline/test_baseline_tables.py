@@ -15,6 +15,7 @@ from fidpipe.pipeline.report.terminal.baselines import baselines_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.run import STAGES
 from fidpipe.pipeline.storage.ledger import JobRecord
+from fidpipe.schemas.results import BaselineSummary
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES
 from runs import assert_same_tables, changed_files, marks, run, run_twice

@@ -1,7 +1,7 @@
 import pytest
 
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, load, to_toml
+from fidpipe.schemas.settings import Settings, load, to_markdown, to_toml
 
 
 def test_the_defaults_are_those_of_the_paper():
@@ -70,3 +70,13 @@ def test_a_wrong_file_is_named(tmp_path, text, fault):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(SettingsError, match=r"nowhere\.toml: cannot be read"):
         load(tmp_path / "nowhere.toml")
+
+
+def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
+    lines = to_markdown().splitlines()[2:]
+    assert len(lines) == sum(len(values) for values in Settings().model_dump().values())
+    by_name = {line.split("`")[1]: line for line in lines}
+    assert "| `90` | 1 to 2000 | nearest neighbours" in by_name["graph.k"]
+    assert "| `5` | above 0 |" in by_name["matching.delta_m"]
+    assert "| `greedy` | `greedy`, `optimal` |" in by_name["matching.method"]
+    assert "| none | 6 numbers |" in by_name["input.exclude_box"]

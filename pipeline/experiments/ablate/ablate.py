@@ -20,7 +20,7 @@ import pyarrow as pa
 from ....schemas.columns import SIDES
 from ....schemas.errors import SettingsError
 from ....schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
-from ....schemas.metrics import OBJECT_METRICS
+from ....schemas.metrics import DATASET_SCORES
 from ....schemas.settings import Settings, parse
 from ....stages.summary import mean_and_std
 from ...engine.costs import CostModel
@@ -30,7 +30,6 @@ from ...engine.progress import Reporter
 from ..experiment import Experiment, ExperimentOutcome, experimenting, read_source
 from .jobs import STAGE
 
-METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 #: The ablated settings: column of `ablate`, group and name of the setting, and the values that are tried.
 PARAMETERS = {
@@ -189,7 +188,7 @@ def _summarise(experiment: Experiment) -> pa.Table:
     rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
     summary = []
     for name, own in rows.to_pandas().groupby(["k", "tau_m", "delta_m", "t"], sort=False):
-        for metric in METRICS:
+        for metric in DATASET_SCORES:
             values = own[metric].to_numpy(dtype=np.float64)
             mean, std = mean_and_std(values)
             summary.append(

@@ -10,13 +10,12 @@ import pandas as pd
 import pyarrow as pa
 
 from ....schemas.experiment_tables import PERTURB_SUMMARY
-from ....schemas.metrics import OBJECT_METRICS
+from ....schemas.metrics import DATASET_SCORES, OBJECT_METRICS
 from ....stages.summary import mean_and_std
 from ..experiment import Experiment
 
-GLOBAL_METRICS = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 _BASELINES = "perturb_baselines"
-_METRICS = {"perturb_global": GLOBAL_METRICS, "perturb_objects": OBJECT_METRICS}
+_METRICS = {"perturb_global": DATASET_SCORES, "perturb_objects": OBJECT_METRICS}
 _LEVEL = ("kind", "amount", "shift_m")
 
 

@@ -7,14 +7,13 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ....schemas.metrics import metric_of
+from ....schemas.metrics import metric_of, narrow_labels
 from ....schemas.paper import CHOSEN, INFLUENCES
 from ....stages.arrays import FloatArray
 from ....stages.summary import mean_and_std
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
 from ...experiments.ablate.choice import RULE, Influence, along, choose, influences
 from .experiments import sweep_lines
-from .layout import narrow
 
 WORDS = {
     "k": "graph.k: nearest neighbours of each point",
@@ -63,7 +62,7 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
     table.add_column(name.removesuffix("_m"), justify="right", no_wrap=True)
     table.add_column("objects\nreal", justify="right", min_width=7)
     table.add_column("\nsim", justify="right")
-    for heading in narrow(_SCORES):
+    for heading in narrow_labels(_SCORES):
         table.add_column(heading, justify="right", no_wrap=True)
     rows = outcome.rows.to_pandas()
     for point in along(outcome, name):

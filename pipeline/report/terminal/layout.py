@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
-
-from ....schemas.metrics import metric_of
 
 
 def plain_table(title: str, *columns: str, words: int = 1) -> Table:
@@ -33,8 +29,3 @@ def number(value: float | None, digits: int = 3) -> str:
 def percent(value: float | None) -> str:
     """A share as the terminal shows it."""
     return "-" if value is None else f"{100 * value:.0f} %"
-
-
-def narrow(columns: Iterable[str]) -> list[str]:
-    """The headings of scores for narrow columns: one word per line, the unit on the last."""
-    return [metric_of(column).label.replace(" ", "\n") for column in columns]

@@ -88,13 +88,14 @@ def _chosen_table(outcome: PerturbOutcome) -> Table:
     table = _table("The chosen objects")
     for heading in ("object", "scan", "id", "points", "range (m)", "chosen as"):
         table.add_column(heading, justify="right" if heading in ("id", "points", "range (m)") else "left")
-    for of in outcome.objects:
-        table.add_row(of.name, Text(of.pair_id), f"{of.community_id}", f"{of.n_points}", f"{of.range_m:.1f}", of.why)
+    for chosen in outcome.objects:
+        numbers = (f"{chosen.community_id}", f"{chosen.n_points}", f"{chosen.range_m:.1f}")
+        table.add_row(chosen.name, Text(chosen.pair_id), *numbers, chosen.why)
     return table
 
 
 def _object_table(outcome: PerturbOutcome, means: Means, metric: str) -> Table:
-    names = list(dict.fromkeys(of.name for of in outcome.objects))
+    names = list(dict.fromkeys(chosen.name for chosen in outcome.objects))
     n = max((means.get(name, level, metric).n for name in names for level in outcome.levels), default=0)
     table = _table(f"{METRIC[metric].label} of single objects ({METRIC[metric].scale}), mean ± std over {n} repeats")
     table.add_column("altered by", no_wrap=True)
@@ -124,8 +125,8 @@ def _claims_table(claims: list[Claim]) -> Table:
     table = _table("What the paper says of them")
     for heading in ("claim", "paper", "here", "holds"):
         table.add_column(heading)
-    for of in claims:
-        table.add_row(of.claim, of.paper, of.here, _VERDICTS[of.holds])
+    for claim in claims:
+        table.add_row(claim.claim, claim.paper, claim.here, _VERDICTS[claim.holds])
     return table
 
 
@@ -136,16 +137,15 @@ def _reaction_table(reactions: list[Reaction], outcome: PerturbOutcome) -> Table
     for level in strongest:
         table.add_column(_SHORT[level.kind].format(level.amount), justify="right", no_wrap=True)
     table.add_column("most to", no_wrap=True)
-    for of in reactions:
-        cells = ["-" if value is None else _number(value) for value in of.values]
-        most = "" if of.most is None else _SHORT[of.most.kind].partition("\n")[0]
-        table.add_row(of.metric, *cells, most, end_section=of.metric == OWN_METRICS[-1])
+    for reaction in reactions:
+        cells = ["-" if value is None else _number(value) for value in reaction.values]
+        most = "" if reaction.most is None else _SHORT[reaction.most.kind].partition("\n")[0]
+        table.add_row(reaction.metric, *cells, most, end_section=reaction.metric == OWN_METRICS[-1])
     return table
 
 
 def _is_last(level: Perturbation, outcome: PerturbOutcome) -> bool:
-    of_kind = [of for of in outcome.levels if of.kind == level.kind]
-    return level == of_kind[-1]
+    return level == [each for each in outcome.levels if each.kind == level.kind][-1]
 
 
 def _spread(score: Mean | PaperMean) -> str:

@@ -10,12 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.columns import Row
-from ....schemas.metrics import HEADLINE_SCORES, metric_of
+from ....schemas.metrics import HEADLINE_SCORES, metric_of, narrow_labels
 from ....schemas.results import RunRecord, ScoreSummary
 from ...run import RunOutcome
 from .baselines import baselines_view
 from .findings import claims_line, findings_view
-from .layout import narrow, number, plain_table
+from .layout import number, plain_table
 from .seeds import seeds_view
 
 _MOST_PAIRS = 20
@@ -65,7 +65,7 @@ def _pairs_table(rows: Sequence[Row]) -> Table:
     table.add_column("pair", overflow="fold", min_width=6)
     for heading in ("objects\nreal", "\nsim", "\nboth", "only\nreal", "only\nsim"):
         table.add_column(heading, justify="right")
-    for heading in narrow(HEADLINE_SCORES):
+    for heading in narrow_labels(HEADLINE_SCORES):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         counts = ("n_communities_real", "n_communities_sim", "n_matched", "n_missing", "n_hallucinated")

@@ -9,9 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.columns import SIDES, Row
-from ....schemas.metrics import METRIC
+from ....schemas.metrics import METRIC, narrow_labels
 from ...results.finished import ObjectFacts, PairFacts
-from .layout import narrow, number, plain_table
+from .layout import number, plain_table
 
 #: Columns of `metrics` in the order in which an object shows them: r_lambda stands beside what it is made of.
 _OBJECT_SCORES = (
@@ -78,7 +78,7 @@ def _matched_table(objects: Sequence[ObjectFacts]) -> Table:
     table = plain_table(
         "Objects that both sides have, largest r_lambda first",
         *("class", "real", "sim", "range\n(m)", "points\nreal", "\nsim"),
-        *narrow(_MATCHED_SCORES),
+        *narrow_labels(_MATCHED_SCORES),
     )
     for each in objects:
         real, scores = each.real, each.scores

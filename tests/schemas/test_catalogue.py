@@ -45,6 +45,8 @@ def test_every_mean_of_a_pair_leads_back_to_its_score():
 def test_a_heading_has_its_unit_and_a_scale_its_better_end_first():
     assert METRIC["centroid_distance_m"].label == "offset (m)"
     assert METRIC["cdc"].label == "CDC"
+    assert METRIC["alignment_rms_m"].narrow_label == "align\n(m)"
+    assert METRIC["match_rate"].narrow_label == "match\nrate"
     assert METRIC["chamfer_squared_m2"].label == "chamfer_squared_m2 (m²)"
     assert METRIC["match_rate"].scale == "1 best, 0 worst"
     assert METRIC["r_gap"].scale == "0 best, 0.5 worst"

@@ -1,0 +1,57 @@
+"""The record of a run as typed values: what is written is read back, and keeps the layout of its JSON."""
+
+import json
+
+import pytest
+
+from fidpipe.schemas.results import Findings, RunRecord, ScoreSummary
+from runs import run
+from scenes import write_dataset
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory):
+    """What `run.json` of a small run holds."""
+    folder = tmp_path_factory.mktemp("results")
+    run(write_dataset(folder / "streets", 2), folder / "run")
+    return json.loads((folder / "run" / "run.json").read_text())
+
+
+def test_a_record_that_is_read_and_written_again_is_the_same_to_the_byte(record):
+    assert json.dumps(RunRecord.from_dict(record).as_dict()) == json.dumps(record)
+
+
+def test_what_was_not_asked_for_is_not_in_the_record(record):
+    read = RunRecord.from_dict(record)
+    assert (read.baselines, read.seeds) == ((), None)
+    assert not {"baselines", "seeds"} & read.as_dict().keys()
+
+
+def test_a_record_without_findings_keeps_an_empty_object(record):
+    read = RunRecord.from_dict(record | {"findings": {}})
+    assert read.findings is None and list(read.claims) == []
+    assert read.as_dict()["findings"] == {}
+
+
+def test_what_a_later_version_adds_is_passed_on(record):
+    assert RunRecord.from_dict(record | {"coverage": {"real": 0.5}}).as_dict()["coverage"] == {"real": 0.5}
+
+
+@pytest.mark.parametrize("key", ["summary", "findings", "inputs", "libraries"])
+def test_a_record_of_another_layout_is_refused(record, key):
+    with pytest.raises(ValueError, match=key):
+        RunRecord.from_dict({name: value for name, value in record.items() if name != key})
+
+
+def test_findings_of_another_version_are_made_again(record):
+    assert Findings.recorded(record["findings"]) == RunRecord.from_dict(record).findings
+    assert Findings.recorded({"key": "a", "n_pairs": 1}) is None
+    assert Findings.recorded({}) is Findings.recorded(None) is None
+
+
+def test_a_result_cannot_be_changed_and_has_no_unknown_field():
+    score = ScoreSummary(mean=0.5, std=None, n_pairs=1)
+    with pytest.raises(ValueError, match="frozen"):
+        score.mean = 1.0
+    with pytest.raises(ValueError, match="median"):
+        ScoreSummary.from_dict({"mean": 0.5, "std": None, "n_pairs": 1, "median": 0.5})
