@@ -30,7 +30,6 @@ from ...engine.progress import Reporter
 from ..experiment import Experiment, ExperimentOutcome, experimenting, read_source
 from .jobs import STAGE
 
-
 #: The ablated settings: column of `ablate`, group and name of the setting, and the values that are tried.
 PARAMETERS = {
     "k": ("graph", "k", (30, 60, 90, 120, 150)),
