@@ -1,6 +1,6 @@
 """The numbers that the tiny dataset must give. `python tests/golden.py` renews them, and says which stages changed.
 
-It refuses where numbers of a stage changed and its code version in `pipeline/run.py` did not.
+It refuses where numbers of a stage changed and its code version in `pipeline/jobs` did not.
 """
 
 import json
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from fidpipe.pipeline.run import STAGES
+from fidpipe.pipeline.jobs import STAGES
 from runs import run
 from scenes import write_dataset
 
@@ -62,7 +62,7 @@ def renew():
         if stage in old and differs(of["numbers"], old[stage]["numbers"]):
             if not was_raised:
                 sys.exit(
-                    f"numbers of stage {stage} changed; raise its version in pipeline/run.py, say why in CHANGELOG.md"
+                    f"numbers of stage {stage} changed; raise its version in pipeline/jobs, say why in CHANGELOG.md"
                 )
             print(f"stage {stage}: new numbers under version {of['version']}")
     FILE.write_text(json.dumps(new, indent=1) + "\n")

@@ -8,18 +8,22 @@ from pathlib import Path
 import pyarrow.parquet as pq
 from rich.console import Console
 
+from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.engine.request import RunRequest
-from fidpipe.pipeline.run import STAGES, run_dataset
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.run import RunRequest, run_dataset
 from fidpipe.schemas.settings import Settings
 
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))
+STAGE_NAMES = [stage.name for stage in STAGES]
 FOLDERS = [table for stage in STAGES for table in stage.gives]
 
 
-def run(dataset, out, settings=None, **options):
-    """A run in this process."""
-    request = RunRequest(dataset, out, settings or Settings(), workers=options.pop("workers", 1), **options)
+def run(dataset, out, settings=None, *, workers=1, pool=None, policy=None, **options):
+    """A run in this process, or on workers or a pool."""
+    machines = Machines(workers, pool=pool, policy=policy or Policy())
+    request = RunRequest(dataset, out, settings or Settings(), machines=machines, **options)
     return run_dataset(request, Reporter(Console(quiet=True)))
 
 

@@ -10,11 +10,11 @@ from rich.console import Console
 
 import fidpipe
 from fidpipe.pipeline.engine import schedule
+from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.baselines import summarise_baselines
 from fidpipe.pipeline.report.terminal.baselines import baselines_view
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.run import STAGES
-from fidpipe.pipeline.storage.ledger import JobRecord
+from fidpipe.pipeline.storage.tables import JobRecord
 from fidpipe.schemas.results import BaselineSummary
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES

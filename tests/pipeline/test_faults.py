@@ -16,8 +16,7 @@ from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.engine import cluster as fanout
 from fidpipe.pipeline.engine.cluster import DaskPool
 from fidpipe.pipeline.engine.pool import WorkerDied
-from fidpipe.pipeline.run import STAGE_NAMES
-from runs import FIDPIPE, assert_same_tables, command, no_temporary_files, run
+from runs import FIDPIPE, STAGE_NAMES, assert_same_tables, command, no_temporary_files, run
 from scenes import write_dataset
 
 pytestmark = pytest.mark.slow

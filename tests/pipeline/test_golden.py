@@ -3,7 +3,7 @@ import json
 import golden
 import pytest
 
-from fidpipe.pipeline.run import STAGE_NAMES
+from runs import STAGE_NAMES
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from fidpipe.pipeline.engine import progress
 from fidpipe.pipeline.engine.progress import Reporter, Work
-from fidpipe.pipeline.storage.ledger import JobRecord
+from fidpipe.pipeline.storage.tables import JobRecord
 
 JOBS = dict.fromkeys(("ground", "graph", "communities"), (2, 0))
 

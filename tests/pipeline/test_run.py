@@ -9,13 +9,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.engine import inspection
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.run import STAGE_NAMES
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
-from runs import FOLDERS, assert_same_tables, changed_files, marks, no_temporary_files, run
+from runs import FOLDERS, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
 
@@ -157,7 +155,7 @@ def test_a_touched_but_unchanged_input_file_touches_nothing(again, tmp_path, dat
 def test_files_are_known_wherever_the_command_is_called(again, dataset, monkeypatch):
     run(dataset, again)
     seen = []
-    monkeypatch.setattr(inspection, "inspect_pairs", lambda pairs, *_: seen.extend(pairs))
+    monkeypatch.setattr("fidpipe.pipeline.engine.engine.inspect_pairs", lambda pairs, *_: seen.extend(pairs))
     monkeypatch.chdir(dataset.parent)
     assert run(Path(dataset.name), again).n_made == 0
     assert not seen

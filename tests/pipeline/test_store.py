@@ -5,8 +5,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from fidpipe.pipeline.storage.ledger import JobRecord
 from fidpipe.pipeline.storage.store import Store, file_stem, key_of
+from fidpipe.pipeline.storage.tables import JobRecord
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import COMMUNITIES
 

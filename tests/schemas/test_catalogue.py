@@ -16,9 +16,9 @@ from fidpipe.schemas.metrics import (
 from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
 from fidpipe.schemas.tables import METRICS, PAIRS
 from fidpipe.stages.baselines import compare_objects
-from fidpipe.stages.communities import adjacency
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.laplacian import Subgraph
+from fidpipe.stages.linalg.subgraph import adjacency
 from fidpipe.stages.metrics import score_object
 from fidpipe.stages.selection import select_nodes
 from scenes import box
