@@ -188,27 +188,31 @@ class Context:
         self._check(SCAN, "")
         return self._source.scan(self.side)
 
-    def table(self, name: str, side: str | None = None) -> pa.Table:
+    def table(self, name: str, side: str | None = None, columns: tuple[str, ...] = ()) -> pa.Table:
         """The declared columns of a table.
 
         Parameters
         ----------
         name : of the table
         side : whose; by default the job's own, or "" for a table of the pair
+        columns : those wanted, if not all that are declared; what is made `once` of fewer is shared by more stages
 
         Raises
         ------
         UndeclaredError
-            The stage does not declare the table, or may not see that side.
+            The stage does not declare the table or a column, or may not see that side.
         """
         side = self.side if side is None else side
         self._check(name, side)
-        columns = self._stage.takes.get(name) or ()
-        if name in self._stage.takes and not columns:
+        declared = self._stage.takes.get(name) or ()
+        if name in self._stage.takes and not declared:
             raise UndeclaredError(f"stage {self._stage.name} asks for the table {name}; it declares its facts alone")
+        if surplus := [column for column in columns if declared and column not in declared]:
+            raise UndeclaredError(f"stage {self._stage.name} asks for {', '.join(surplus)} of {name}; not declared")
         for asked in self._asked:
-            asked.update(f"{name}.{column}" for column in columns)
-        return self._source.table(name, side, columns, self.step)
+            asked.update(f"{name}.{column}" for column in columns or declared)
+        table = self._source.table(name, side, declared, self.step)
+        return table.select(columns) if columns else table
 
     def facts(self, table: str, side: str | None = None) -> Facts:
         """The facts of the job that gave a table; of the own stage those of the real side, where it waits for it."""
