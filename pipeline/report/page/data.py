@@ -1,3 +1,5 @@
+from ....schemas.results import RunRecord
+
 """What a page holds of a whole run: data for its JavaScript, and the words and numbers that its template shows."""
 
 from __future__ import annotations
@@ -73,7 +75,7 @@ def page_words(results: RunResults) -> dict[str, Any]:
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
-        "settings": results.run.record["settings"],
+        "settings": results.run.record.settings,
         "versions": _versions(results.run.record),
     }
 
@@ -145,14 +147,14 @@ def _drawn(n: int, n_all: int, how: str) -> str:
     return f" {n:,} of {n_all:,}{how}." if n < n_all else ""
 
 
-def _versions(record: dict[str, Any]) -> dict[str, Any]:
+def _versions(record: RunRecord) -> dict[str, Any]:
     """By group, what made the run."""
     run = {
-        "fidpipe": record["fidpipe"],
-        "written": record["written"],
-        "dataset": record["dataset"],
-        "seed": record["seed"],
-        "workers": record["workers"],
-        "seconds": round(record["wall_s"]["total"], 1),
+        "fidpipe": record.fidpipe,
+        "written": record.written,
+        "dataset": record.dataset,
+        "seed": record.seed,
+        "workers": record.workers,
+        "seconds": round(record.wall_s["total"], 1),
     }
-    return {"": run, "stage version": record["stages"], "library": record["libraries"], "machine": record["machine"]}
+    return {"": run, "stage version": record.stages, "library": record.libraries, "machine": record.machine}
