@@ -1,5 +1,3 @@
-from ....schemas.results import RunRecord
-
 """What a page holds of a whole run: data for its JavaScript, and the words and numbers that its template shows."""
 
 from __future__ import annotations
@@ -7,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from ....schemas.results import RunRecord
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, outlines, run_charts
 from ..colours import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, on_page
