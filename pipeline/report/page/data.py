@@ -156,4 +156,4 @@ def _versions(record: RunRecord) -> dict[str, Any]:
         "workers": record.workers,
         "seconds": round(record.wall_s["total"], 1),
     }
-    return {"": run, "stage version": record.stages, "library": record.libraries, "machine": record.machine}
+    return {"": run, "stage version": record.stages, "library": record.libraries, "machine": record.machine.as_dict()}
