@@ -44,7 +44,7 @@ bench: setup
 # The pages' JavaScript is formatted and linted by biome, as pinned in tests/javascript.
 javascript:
 	@if command -v npm > /dev/null; then \
-		cd tests/javascript && npm ci --silent && npm run --silent check; \
+		cd tests/javascript && npm install --no-save --silent && npm run --silent check; \
 	else \
 		echo "no npm: the JavaScript of the pages is not checked"; \
 	fi

@@ -1,6 +1,8 @@
 """A small finished run to report on, with names of pairs and classes that try to break what they are written into."""
 
 import csv
+import json
+import re
 
 import numpy as np
 
@@ -34,3 +36,8 @@ def finished_run(folder):
         csv.writer(file).writerows([["pair_id", "real", "sim"], *rows])
     run(dataset, folder / "run")
     return folder / "run"
+
+
+def embedded(page):
+    """What the JavaScript of a page reads, from the page's text."""
+    return json.loads(re.search(r'<script type="application/json" id="report">(.*?)</script>', page, re.S)[1])

@@ -17,6 +17,8 @@ from ..storage.folder import RunFolder
 from ..storage.record import library_versions
 from ..storage.tables import JobName, JobRecord
 
+JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
+
 
 @dataclass(frozen=True)
 class Part:
@@ -48,14 +50,14 @@ class Job:
     part: str
     key: str
     settings: Settings
-    needs: tuple[tuple[str, str], ...] = ()
+    needs: tuple[JobId, ...] = ()
     reads: tuple[str, ...] = ()
     arguments: tuple[Any, ...] = ()
     seconds: float = 0.0
     record: JobRecord | None = None
 
     @property
-    def name(self) -> tuple[str, str]:
+    def name(self) -> JobId:
         """What it is called among the jobs of its pair."""
         return self.stage.name, self.part
 
@@ -101,7 +103,7 @@ class PairPlan:
         ]
         return lists[-1] if lists else None
 
-    def job(self, name: tuple[str, str]) -> Job:
+    def job(self, name: JobId) -> Job:
         """A job by stage and part."""
         return next(job for job in self.jobs if job.name == name)
 
@@ -131,6 +133,7 @@ class Planner:
         self.settings = settings
         self.label_names = label_names
         self.sides = tuple(sides)
+        self._parts = [Part(stage, name) for stage in stages for name in stage.parts if name in ("", *self.sides)]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
 
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
@@ -150,34 +153,28 @@ class Planner:
         ValueError
             Two parts have one name: they would write one file.
         """
-        makers: dict[tuple[str, str], tuple[str, tuple[str, str] | None]] = {
-            (SCAN, side): (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs
+        makers: dict[str, dict[str, tuple[str, JobId | None]]] = {
+            SCAN: {side: (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs}
         }
-        jobs: dict[tuple[str, str], Job] = {}
-        for part in (*(Part(stage, name) for stage in self.stages for name in stage.parts), *parts):
-            stage = part.stage
+        jobs: dict[JobId, Job] = {}
+        for part in (*self._parts, *parts):
+            stage, settings = part.stage, part.settings or self.settings
             side = part.name if stage.grain is Grain.SIDE else ""
-            if side and side not in self.sides:
-                continue
-            settings = part.settings or self.settings
-            sources = [
-                makers[table, of_side]
-                for table in stage.takes
-                for of_side in ([side] if side else sorted(s for t, s in makers if t == table))
-            ]
+            sources = [made for table in stage.takes for of, made in makers[table].items() if not side or of == side]
             if side == "sim" and stage.needs_real(settings):
                 real = jobs[stage.name, "real"]
-                sources += [makers[table, "real"] for table in stage.takes] + [(real.key, real.name)]
-            reads = tuple(key for key, _ in sources)
+                sources += [*(makers[table]["real"] for table in stage.takes), (real.key, real.name)]
+            reads = tuple(dict.fromkeys(key for key, _ in sources))
             key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
             needs = tuple(dict.fromkeys(name for _, name in sources if name is not None))
-            if (stage.name, part.name) in jobs:
-                raise ValueError(
-                    f"part {pair.pair_id} {stage.name} {part.name} is there twice; each needs its own name"
-                )
             job = Job(stage, part.name, key, settings, needs, reads, part.arguments, part.seconds)
+            if job.name in jobs:
+                raise ValueError(
+                    f"part {stage.name} {pair.pair_id} {part.name} is there twice; each needs its own name"
+                )
             jobs[job.name] = job
-            makers |= {(table, side): (key, job.name) for table in stage.gives}
+            for table in stage.gives:
+                makers.setdefault(table, {})[side] = (key, job.name)
         return PairPlan(pair, tuple(jobs.values()), inputs, self.label_names)
 
     def _method_key(self, stage: Stage, settings: Settings) -> str:

@@ -133,7 +133,7 @@ def stage_times(results: RunResults) -> list[dict[str, Any]]:
     times = results.timings[results.timings.pair_id.isin(results.pairs.pair_id)]
     per_pair = times.groupby(["stage", "step", "pair_id"], sort=False).seconds.sum()
     median = per_pair.groupby(["stage", "step"], sort=False).median().reset_index()
-    order = list(results.run.record["stages"])
+    order = list(results.run.record.stages)
     rows = [dict(zip(median.columns, row, strict=True)) for row in plain_rows(median, median.columns.tolist())]
     return sorted(rows, key=lambda row: order.index(row["stage"]) if row["stage"] in order else len(order))
 

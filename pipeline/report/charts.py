@@ -6,6 +6,7 @@ are. What the charts of one pair show is chosen on the page: they are made here 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -318,7 +319,7 @@ def _titles(pair_ids: pd.Series[Any], what: str, ids: pd.Series[Any]) -> list[st
 
 
 def _plain(figure: Any) -> Chart:
-    """A figure without plotly's own template, arrays of numbers in base64."""
-    chart: Chart = figure.to_dict()
+    """A figure as JSON has it, without plotly's own template; arrays of numbers are in base64."""
+    chart: Chart = json.loads(figure.to_json())
     del chart["layout"]["template"]
     return chart

@@ -15,9 +15,9 @@ import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.graph import Edges
-from ...stages.linalg.laplacian import Subgraph, induced_laplacian, split_by_community
+from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
+from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ..engine.pool import one_blas_thread
 from ..results.tables import read_table
 from .results import RunResults

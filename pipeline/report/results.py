@@ -110,8 +110,8 @@ def _with_place(objects: pd.DataFrame) -> pd.DataFrame:
     objects = objects.assign(bearing_deg=bearing, shape=shape)
     labels = objects.label
     group = labels.fillna("(no label)") if labels.notna().any() else objects["shape"]
-    found: pd.DataFrame = objects.assign(group=group)
-    return found
+    grouped: pd.DataFrame = objects.assign(group=group)
+    return grouped
 
 
 def _matched(metrics: pd.DataFrame, objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
@@ -131,8 +131,10 @@ def _unmatched(matching: pd.DataFrame, objects: pd.DataFrame, names: list[str]) 
         parts.append(objects[objects.side == side].merge(alone, on=["pair_id", "community_id"], validate="1:1"))
     unmatched = pd.concat(parts)
     unmatched["pair"] = unmatched.pair_id.map({name: i for i, name in enumerate(names)})
-    found: pd.DataFrame = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
-    return found
+    largest_first: pd.DataFrame = unmatched.sort_values(
+        ["n_points", "pair_id"], ascending=[False, True], ignore_index=True
+    )
+    return largest_first
 
 
 def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
@@ -140,5 +142,5 @@ def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
     ranks = [rows[column].rank(ascending=column == "match_rate", pct=True) for column in by]
     order = sum(ranks[1:], ranks[0])
     ordered = rows.assign(_order=order).sort_values(["_order", "pair_id"], na_position="last", kind="stable")
-    found: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
-    return found
+    plain: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
+    return plain

@@ -76,10 +76,10 @@ def _weakest(results: RunResults) -> str:
 
 def _numbers(results: RunResults) -> list[dict[str, Any]]:
     pairs = results.pairs
-    summary = results.run.record["summary"]
+    summary = results.run.record.summary
 
     def mean(column: str) -> str:
-        value = summary[column]["mean"]
+        value = summary[column].mean
         return "-" if value is None else f"{value:.2f}"
 
     beside = (

@@ -6,12 +6,14 @@ from html.parser import HTMLParser
 
 import pandas as pd
 import pytest
+from plotly.offline import get_plotlyjs
 
 from fidpipe.pipeline.report.page.compare import compare_page
 from fidpipe.pipeline.report.terminal.compare import remarks
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
+from reports import embedded
 from runs import command, run
 from scenes import drifted, street, write_bin
 
@@ -134,7 +136,7 @@ def test_the_command_compares_three_runs_and_writes_a_page(versions, tmp_path):
     result = command("compare", good, bad, good, "--html", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
     assert f"{bad} against {good}: " in result.stdout
-    assert (tmp_path / "page.html").stat().st_size < 200_000
+    assert (tmp_path / "page.html").stat().st_size < len(get_plotlyjs()) + 200_000
     found = json.loads(command("compare", good, bad, "--json").stdout)
     assert found[0]["pairs"] == sorted(HOSTILE)
     assert command("compare", good).returncode == 2
@@ -154,12 +156,27 @@ class Tags(HTMLParser):
 
 
 def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
+    text = compare_page(compare_runs(versions))
     page = Tags()
-    page.feed(compare_page(compare_runs(versions)))
-    assert not {"script", "bold", "link", "img", "iframe"} & set(page.tags)
-    assert page.links == []
+    page.feed(text)
+    assert page.tags.count("script") == 3, "the data, plotly.js and the page's own code"
+    assert not {"bold", "img", "iframe"} & set(page.tags)
+    assert page.links == ["data:,"]
+    assert "default-src 'none'" in text
     for name in HOSTILE:
         assert name in page.text
+
+
+def test_the_chart_has_a_dot_for_each_pair_and_the_interval_of_each_score(versions):
+    found = compare_runs(versions)
+    chart = embedded(compare_page(found))["charts"]["changes_0"]
+    dots, intervals = ([of for of in chart["data"] if ("error_x" in of) == is_bar] for is_bar in (False, True))
+    assert [len(of["x"]) for of in dots] == [
+        sum(value is not None for value in of.of_pairs.values()) for of in found[0].scores
+    ]
+    assert len(intervals) == sum(of.difference.low is not None for of in found[0].scores) > 0
+    assert chart["layout"]["yaxis"]["ticktext"] == [of.name for of in found[0].scores]
+    assert all(abs(x) <= 1 for of in dots for x in of["x"])
 
 
 @pytest.mark.slow

@@ -11,16 +11,20 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from fidpipe.pipeline.report.aggregates import histograms, quadrants
+from fidpipe.pipeline.report.charts import run_charts
 from fidpipe.pipeline.report.clouds import PairTables
+from fidpipe.pipeline.report.colours import SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data
-from fidpipe.pipeline.report.page.page import MOST_VIEWS, render, some_of, write_report
+from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
 from fidpipe.pipeline.report.page.pair import thinned
+from fidpipe.pipeline.report.page.render import render
 from fidpipe.pipeline.report.results import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from fidpipe.stages.metrics import IDENTICAL_CHANGE
-from reports import HOSTILE_CLASS, HOSTILE_PAIRS
+from reports import HOSTILE_CLASS, HOSTILE_PAIRS, embedded
 from runs import assert_same_tables, command, run
 from scenes import street, write_bin, write_dataset
 
@@ -38,9 +42,9 @@ def written(report_run, tmp_path_factory):
     return write_report(folder)
 
 
-def embedded(page):
-    found = re.search(r'<script type="application/json" id="report">(.*?)</script>', page.read_text("utf-8"), re.S)
-    return json.loads(found[1])
+def words(page):
+    """What a reader sees of a page without its scripts."""
+    return page.read_text("utf-8").partition('<script type="application/json"')[0]
 
 
 @pytest.mark.slow
@@ -56,22 +60,29 @@ def test_the_report_is_one_page_and_five_figures_as_png_and_svg(written):
 
 
 @pytest.mark.slow
+def test_the_figure_of_objects_shows_points_of_both_sides(written):
+    path = next(path for path in written.figures if path.name == "objects.png")
+    picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    for side, colour in SIDE_COLOURS.items():
+        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (np.abs(picture - rgb).max(axis=2) < 60).sum() > 200, side
+
+
+@pytest.mark.slow
 def test_no_name_ends_a_script_or_opens_a_tag(written):
     text = written.page.read_text("utf-8")
     assert "alert(1)" in text, "the names are there"
     assert "<script>alert" not in text
     assert "<img src=x" not in text
-    data = embedded(written.page)
+    data = embedded(written.page.read_text("utf-8"))
     assert sorted(data["names"]) == sorted(HOSTILE_PAIRS)
     assert HOSTILE_CLASS in {row[2] for row in data["objects"]["rows"]}
 
 
 @pytest.mark.slow
 def test_the_page_asks_for_nothing_from_elsewhere(written):
-    head = written.page.read_text("utf-8").partition("<body>")[0]
-    assert "default-src 'none'" in head
-    own = written.page.read_text("utf-8").partition('id="report"')[0]
-    assert not re.search(r"(src|href)=[\"']?(https?:)?//", own)
+    assert "default-src 'none'" in words(written.page).partition("<body>")[0]
+    assert not re.search(r"(src|href)=[\"']?(https?:)?//", words(written.page))
 
 
 @pytest.mark.slow
@@ -85,7 +96,7 @@ def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are
     assert len(names) == len(HOSTILE_PAIRS) + 2
     assert not stale.exists()
     assert all(re.fullmatch(r"[\w.~%-]{1,140}", name, re.ASCII) for name in names)
-    links = embedded(made.page)["links"]
+    links = embedded(made.page.read_text("utf-8"))["links"]
     assert {link.replace("%25", "%") for link in links.values()} == {n for n in names if n.startswith("pair-")}
     assert sorted(path.name for path in copied_run.parent.iterdir()) == ["run"]
 
@@ -123,7 +134,7 @@ def test_a_run_after_a_report_neither_removes_nor_trips_over_it(tmp_path):
 @pytest.mark.slow
 def test_objects_carry_the_numbers_of_the_parquet(report_run, written):
     metrics = pd.read_parquet(report_run / "metrics").set_index(["pair_id", "real_id"])
-    data = embedded(written.page)
+    data = embedded(written.page.read_text("utf-8"))
     n = 0
     for pair, view in data["views"].items():
         for row in view["matched"]:
@@ -169,7 +180,7 @@ def test_six_numbers_are_the_means_of_pairs_parquet(report_run):
 
 def test_the_worst_stand_first_and_unmatched_objects_last(report_run):
     objects = page_data(read_results(report_run))["objects"]
-    rows = pd.DataFrame(objects["rows"], columns=objects["columns"])
+    rows = pd.DataFrame(objects["rows"], columns=[column["key"] for column in objects["columns"]])
     matched = rows[rows.cdc.notna()]
     assert matched.index.tolist() == list(range(len(matched)))
     ranks = matched.cdc.rank() + matched.r_lambda.rank()
@@ -185,7 +196,7 @@ def test_identical_sides_are_faithful(tmp_path):
     assert set(results.matched.quadrant) == {"faithful"}
     assert results.matched.laplacian_change.max() <= IDENTICAL_CHANGE
     made = write_report(tmp_path / "run")
-    assert "100 % faithfully" in embedded(made.page)["verdict"]
+    assert "100 % faithfully" in words(made.page)
 
 
 def test_thinning_leaves_no_object_out():
@@ -246,8 +257,32 @@ def test_a_run_without_a_scored_pair_is_refused(tmp_path):
 
 
 def test_signs_of_markup_are_escaped_in_the_embedded_data():
-    page = render({"name": "</script><!--&"}, "<script></script>")
+    page = render("compare.html", {"name": "</script><!--&"}, sections=[], method="")
     assert r"\u003c/script\u003e\u003c!--\u0026" in page
+    assert embedded(page)["name"] == "</script><!--&"
+
+
+def test_names_in_templates_are_escaped():
+    assert "&lt;b&gt;&amp;" in render("compare.html", {}, sections=[], method="<b>&")
+
+
+def test_a_damaged_table_of_points_is_refused_before_anything_is_written(copied_run):
+    sorted((copied_run / "graph").iterdir())[0].unlink()
+    with pytest.raises(RunError, match="damaged or gone"):
+        write_report(copied_run)
+    assert not (copied_run / "report.html").exists()
+
+
+def test_charts_have_every_object_once_and_no_name_as_markup(report_run):
+    results = read_results(report_run)
+    charts = run_charts(results)
+    opened = [(pair, name) for trace in charts["quadrants"]["data"] for pair, name in trace["customdata"]]
+    scored = results.matched[results.matched.r_lambda.notna()]
+    assert sorted(opened) == sorted((pair, f"real {i}") for pair, i in zip(scored.pair, scored.real_id, strict=True))
+    bars = sum(sum(counted["counts"]) for counted in histograms(results).values())
+    assert bars == len(scored) + results.matched.cdc.notna().sum()
+    assert "<script>" not in json.dumps(charts)
+    assert "<img" not in json.dumps(charts)
 
 
 @pytest.mark.slow
@@ -255,7 +290,7 @@ def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objec
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
     made = write_report(tmp_path / "run")
-    assert "100 % are missing" in embedded(made.page)["verdict"]
+    assert "100 % are missing" in words(made.page)
     assert {path.stem for path in made.figures} == FIGURES - {"objects"}
 
 
@@ -263,8 +298,9 @@ def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objec
 def test_objects_without_a_score_are_in_no_quadrant(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["graph.edges=intersection", "graph.tau_m=0.01"]))
-    data = embedded(write_report(tmp_path / "run").page)
-    assert data["histograms"]["r_lambda"]["n"] == 0
-    assert data["histograms"]["r_lambda"]["n_null"] == data["n_matched"] > 0
-    assert data["quadrants"]["no score"]["n"] == data["n_matched"]
-    assert "are too small to judge" in data["verdict"]
+    results = read_results(tmp_path / "run")
+    counted = histograms(results)["r_lambda"]
+    assert counted["n"] == 0
+    assert counted["n_null"] == len(results.matched) > 0
+    assert quadrants(results)["no score"]["n"] == len(results.matched)
+    assert "are too small to judge" in words(write_report(tmp_path / "run").page)

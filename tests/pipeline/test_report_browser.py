@@ -11,7 +11,9 @@ import pytest
 from PIL import Image
 
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
+from fidpipe.pipeline.report.page.compare import compare_page
 from fidpipe.pipeline.report.page.page import write_report
+from fidpipe.pipeline.results.compare import compare_runs
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 pytestmark = pytest.mark.slow
@@ -246,3 +248,34 @@ def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, ru
     assert by_id(browser, "object").get_attribute("value") == "real 0"
     assert complaints(browser) == []
     assert all(url.startswith(index.parent.as_uri()) for url in requests(browser))
+
+
+def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
+    names = page.execute_script("return JSON.parse(document.getElementById('report').textContent).names")
+    for chart in ("quadrants", "polar"):
+        point = page.execute_script(
+            "const plot = document.getElementById(arguments[0]);"
+            "const customdata = plot.data.findLast((trace) => trace.customdata.length).customdata.at(-1);"
+            "plot.emit('plotly_click', {points: [{customdata}]}); return customdata",
+            chart,
+        )
+        assert by_id(page, "pair").get_attribute("value") == names[point[0]]
+        assert by_id(page, "object").get_attribute("value") == point[1]
+    assert complaints(page) == []
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, run_folder, tmp_path, width, dark):
+    path = tmp_path / "compare.html"
+    path.write_text(compare_page(compare_runs([run_folder, run_folder])), encoding="utf-8")
+    complaints(browser), requests(browser)
+    resize(browser, width, dark)
+    open_page(browser, path)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    drawn = pixels(browser, "changes_0").mean(axis=2)
+    assert (drawn.mean() < 100) == dark
+    assert drawn.std() > 2, "an empty chart"
+    assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == 10
+    assert complaints(browser) == []
+    assert requests(browser) == [path.as_uri()]

@@ -12,7 +12,7 @@ from ....stages.summary import mean_and_std
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
 from ...experiments.ablate.choice import along
 from ..colours import BLUE, GREEN
-from .style import new_figure
+from .style import draw_band, mark_amounts, new_figure
 
 FIGURE = "ablate.png"
 _DPI = 120
@@ -38,8 +38,8 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
             _draw_curves(axis, rows, outcome, name)
         handles, labels = axis.get_legend_handles_labels()
         top.legend(handles, labels, loc="outside lower center", ncols=2)
-        for of in below:
-            _draw_maps(of, rows, outcome)
+        for maps in below:
+            _draw_maps(maps, rows, outcome)
         path = outcome.folder / FIGURE
         figure.savefig(path, dpi=_DPI)
     return path
@@ -53,20 +53,14 @@ def _draw_curves(axis: Any, rows: pd.DataFrame, outcome: AblateOutcome, name: st
             mean_and_std(by_point[point.k, point.tau_m, point.delta_m, point.t][column].to_numpy(dtype=float))
             for point in along(outcome, name)
         ]
-        mean, std = (np.array([np.nan if of[i] is None else of[i] for of in spread], dtype=float) for i in (0, 1))
-        axis.plot(values, mean, marker=marker, markersize=4, linewidth=1.2, color=colour, label=label)
-        std = np.nan_to_num(std)
-        axis.fill_between(
-            values, np.clip(mean - std, 0, 1), np.clip(mean + std, 0, 1), color=colour, alpha=0.2, linewidth=0
-        )
+        mean, std = np.array(spread, dtype=float).T
+        draw_band(axis, values, mean, np.nan_to_num(std), marker=marker, color=colour, label=label)
     axis.axvline(getattr(outcome.base, name), color="black", linewidth=0.8, linestyle="--", zorder=0)
     if values.max() > 10 * values.min() > 0:
         axis.set_xscale("log")
-    axis.set_xticks(values, [f"{value:g}" for value in values])
-    axis.minorticks_off()
+    mark_amounts(axis, values)
     axis.set_ylim(0, 1)
     axis.set_xlabel(_AXES[name])
-    axis.grid(axis="y")
 
 
 def _draw_maps(figure: Any, rows: pd.DataFrame, outcome: AblateOutcome) -> None:

@@ -92,7 +92,8 @@ def _quadrants(axis: Any, results: RunResults) -> None:
 
 def draw_boxes(results: RunResults, folder: Any) -> Any:
     """Box plots of both scores for the four scans of the run's findings, and for each class (or shape)."""
-    scans = [scan["pair"] for scan in results.run.record["findings"]["scans"]["scans"]]
+    findings = results.run.record.findings
+    scans = [scan.pair for scan in findings.scans.scans] if findings else []
     classes = groups_by_size(results)[:_MOST_CLASSES]
     parts = {"scan": boxes(results, "pair_id", scans), results.class_is: boxes(results, "group", classes)}
     if results.class_is == "label":

@@ -9,13 +9,23 @@ import numpy as np
 from ....schemas.columns import SIDES
 from ....stages.arrays import FloatArray
 from ..clouds import Cloud, PairTables
-from ..colours import FATE_COLOURS, GREY, SIDE_COLOURS
+from ..colours import FATE_COLOURS, SIDE_COLOURS
 from ..results import SHAPES, RunResults
-from .style import community_colours, fidelity_colours, new_figure, save, shown_name
+from .style import (
+    DOT,
+    VIEW,
+    box_of,
+    community_colours,
+    fidelity_colours,
+    frame_of,
+    from_above,
+    metres,
+    new_figure,
+    save,
+    shown_name,
+)  # fmt: skip
 
 _CLASSES = ("car", "vegetation", "tree", "wall")
-_DOT = {"linewidths": 0, "rasterized": True}
-_VIEW = {"elev": 20, "azim": -60}
 
 
 def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
@@ -23,19 +33,19 @@ def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
     tables = PairTables(results, pair_id)
     real, sim = (tables.cloud(side) for side in SIDES)
     matched = results.matched[results.matched.pair_id == pair_id]
-    frame = _frame(real, sim)
+    frame = frame_of(real.points, sim.points)
     with new_figure(11, _height(frame, 3.2)) as figure:
         axes = figure.subplots(1, 3, sharex=True, sharey=True)
         colours = community_colours(int(real.community.max()) + 1)
-        axes[0].scatter(*real.points.T[:2], s=1.2, c=colours[real.community], **_DOT)
+        axes[0].scatter(*real.points.T[:2], s=1.2, c=colours[real.community], **DOT)
         axes[0].set_title(f"(A) {real.community.max() + 1} objects of the real scan")
 
         for side, cloud in zip(SIDES, (real, sim), strict=True):
-            axes[1].scatter(*cloud.points.T[:2], s=0.8, c=SIDE_COLOURS[side], alpha=0.5, label=side, **_DOT)
+            axes[1].scatter(*cloud.points.T[:2], s=0.8, c=SIDE_COLOURS[side], alpha=0.5, label=side, **DOT)
         ends = np.stack([_centroids(real, matched.real_id), _centroids(sim, matched.sim_id)])
         axes[1].plot(*ends.transpose(2, 0, 1), color="black", linewidth=0.8)
-        for side, of in zip(SIDES, ends, strict=True):
-            axes[1].scatter(*of.T, s=13, c=SIDE_COLOURS[side], edgecolors="black", linewidths=0.6, zorder=3)
+        for side, centroids in zip(SIDES, ends, strict=True):
+            axes[1].scatter(*centroids.T, s=13, c=SIDE_COLOURS[side], edgecolors="black", linewidths=0.6, zorder=3)
         axes[1].set_title(f"(B) real and simulated, {len(matched)} matched centroids joined")
         _point_legend(axes[1])
 
@@ -43,16 +53,16 @@ def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
         values[matched.real_id] = matched.r_lambda.to_numpy(dtype=float)
         of_point = values[real.community]
         known = ~np.isnan(of_point)
-        axes[2].scatter(*real.points[~known].T[:2], s=1.2, c="#cccccc", label="no counterpart, no score", **_DOT)
-        found = axes[2].scatter(
-            *real.points[known].T[:2], s=1.2, c=of_point[known], cmap=fidelity_colours(), vmin=0, vmax=1, **_DOT
+        axes[2].scatter(*real.points[~known].T[:2], s=1.2, c="#cccccc", label="no counterpart, no score", **DOT)
+        coloured = axes[2].scatter(
+            *real.points[known].T[:2], s=1.2, c=of_point[known], cmap=fidelity_colours(), vmin=0, vmax=1, **DOT
         )
         axes[2].set_title("(C) structural fidelity of the real objects")
         _point_legend(axes[2])
         bar = axes[2].inset_axes((1.03, 0, 0.04, 1))
-        figure.colorbar(found, cax=bar, label="r_lambda (0 faithful, 1 failed)")
+        figure.colorbar(coloured, cax=bar, label="r_lambda (0 faithful, 1 failed)")
         for axis in axes:
-            _from_above(axis, frame)
+            from_above(axis, frame)
         figure.suptitle(f"pair {shown_name(pair_id)}", fontsize=10)
         return save(figure, folder, "overview")
 
@@ -62,23 +72,23 @@ def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:
     tables = PairTables(results, pair_id)
     clouds = {side: tables.cloud(side) for side in SIDES}
     alone = results.unmatched[results.unmatched.pair_id == pair_id]
-    frame = _frame(*clouds.values())
+    frame = frame_of(*(cloud.points for cloud in clouds.values()))
     with new_figure(9, _height(frame, 4.0)) as figure:
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for side, cloud in clouds.items():
-            axes[0].scatter(*cloud.points.T[:2], s=0.8, c=SIDE_COLOURS[side], alpha=0.5, label=side, **_DOT)
+            axes[0].scatter(*cloud.points.T[:2], s=0.8, c=SIDE_COLOURS[side], alpha=0.5, label=side, **DOT)
         axes[0].set_title("all objects")
         for cloud in clouds.values():
-            axes[1].scatter(*cloud.points.T[:2], s=0.4, c="#dddddd", **_DOT)
+            axes[1].scatter(*cloud.points.T[:2], s=0.4, c="#dddddd", **DOT)
         for side, fate in zip(SIDES, ("missing", "hallucinated"), strict=True):
             ids = alone[alone.status == fate].community_id
             points = clouds[side].points[np.isin(clouds[side].community, ids)]
             label = f"{len(ids)} {fate} ({side} only)"
-            axes[1].scatter(*points.T[:2], s=1.5, c=FATE_COLOURS[fate], label=label, **_DOT)
+            axes[1].scatter(*points.T[:2], s=1.5, c=FATE_COLOURS[fate], label=label, **DOT)
         median_m = f", median range {alone.range_m.median():.0f} m" if len(alone) else ""
         axes[1].set_title(f"unmatched objects{median_m}")
         for axis in axes:
-            _from_above(axis, frame)
+            from_above(axis, frame)
             _point_legend(axis)
         figure.suptitle(f"pair {shown_name(pair_id)}", fontsize=10)
         return save(figure, folder, "unmatched")
@@ -101,11 +111,11 @@ def draw_objects(results: RunResults, folder: Any) -> Any:
             for side in SIDES:
                 cloud = tables.cloud(side)
                 members.append(cloud.points[cloud.community == row[f"{side}_id"]])
-            limits = _limits(np.concatenate(members))
+            corner, size = box_of(np.concatenate(members))
             for level, (side, points) in enumerate(zip(SIDES, members, strict=True)):
-                axis = figure.add_subplot(grid[level, place], projection="3d", **_VIEW)
-                axis.scatter(*(points - limits[0]).T, s=1.5, c=SIDE_COLOURS[side], **_DOT)
-                _metres(axis, limits[1] - limits[0])
+                axis = figure.add_subplot(grid[level, place], projection="3d", **VIEW)
+                axis.scatter(*(points - corner).T, s=1.5, c=SIDE_COLOURS[side], **DOT)
+                metres(axis, size, zoom=0.87)
                 axis.set_title(f"{side}, {len(points):,} points", pad=-4, y=1.0, fontsize=8)
             words = figure.add_subplot(grid[2, place])
             words.set_axis_off()
@@ -153,28 +163,10 @@ def _centroids(cloud: Cloud, ids: Any) -> FloatArray:
     return np.array([cloud.points[cloud.community == i, :2].mean(axis=0) for i in ids]).reshape(-1, 2)
 
 
-def _frame(*clouds: Cloud) -> FloatArray:
-    """(2, 2) corners of what is shown from above: all but the farthest hundredth of the points, and the sensor."""
-    xy = np.concatenate([cloud.points[:, :2] for cloud in clouds])
-    low, high = np.quantile(xy, [0.005, 0.995], axis=0)
-    low, high = np.minimum(low, 0), np.maximum(high, 0)
-    margin = 0.04 * (high - low).max()
-    return np.stack([low - margin, high + margin])
-
-
 def _height(frame: FloatArray, panel_width_in: float) -> float:
     """Inches of a figure whose panels are as wide as given, with room for titles and legends."""
     width, height = frame[1] - frame[0]
     return float(np.clip(panel_width_in * height / width, 1.5, 6)) + 1.25
-
-
-def _from_above(axis: Any, frame: FloatArray) -> None:
-    axis.set(xlim=frame[:, 0], ylim=frame[:, 1])
-    axis.set_aspect("equal")
-    axis.plot(0, 0, marker="+", color="black", markersize=8, markeredgewidth=1.2)
-    axis.set_xlabel("x, forward (m)")
-    if axis.get_subplotspec().is_first_col():
-        axis.set_ylabel("y, left (m)")
 
 
 def _point_legend(axis: Any) -> None:
@@ -182,23 +174,3 @@ def _point_legend(axis: Any) -> None:
     legend = axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.3, ncols=3, handletextpad=0.1)
     for handle in legend.legend_handles:
         handle.set(sizes=[22], alpha=1)
-
-
-def _limits(points: FloatArray) -> FloatArray:
-    """(2, 3) corners of a box that holds all points, no side of it shorter than a third of the longest."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = np.maximum(high - low, (high - low).max() / 3)
-    middle = (low + high) / 2
-    return np.stack([middle - size / 2, middle + size / 2])
-
-
-def _metres(axis: Any, size: FloatArray) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
-    axis.set_box_aspect(size, zoom=0.87)
-    for name, pad, of, length in zip("xyz", (-3, -5, -6), (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
-        of.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
-        of.set_tick_params(labelsize=6, pad=-2)
-        getattr(axis, f"set_{name}label")(f"{name} (m)", fontsize=7, labelpad=pad)
-        of.pane.set(facecolor="none", edgecolor=GREY)

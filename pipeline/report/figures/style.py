@@ -5,14 +5,17 @@ matplotlib is imported by its first use here, with a backend that needs no displ
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ....stages.arrays import FloatArray
 from ...storage.files import write_whole
-from ..colours import RAMPS
+from ..colours import GREY, RAMPS
 
 _STYLE = {
     "font.size": 9,
@@ -34,6 +37,10 @@ _STYLE = {
     "text.parse_math": False,
 }
 
+
+#: Points seen from above are pictures inside an SVG; points in space are seen from here.
+DOT = {"linewidths": 0, "rasterized": True}
+VIEW = {"elev": 20, "azim": -60}
 
 #: Formats in which each figure is written, each with what its file says of itself.
 KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}}
@@ -73,12 +80,62 @@ def fidelity_colours() -> Any:
 
 def community_colours(n: int) -> Any:
     """(n, 3) colours in which neighbours in number differ; they repeat. No grey, which means no object."""
-    import numpy as np
     from matplotlib import colormaps
 
     wheel = np.concatenate([colormaps[name](np.arange(20))[:, :3] for name in ("tab20", "tab20b")])
     wheel = wheel[np.ptp(wheel, axis=1) > 0.1]
     return wheel[np.arange(n) % len(wheel)]
+
+
+def frame_of(*clouds: FloatArray) -> FloatArray:
+    """(2, 2) corners of what is shown from above: all but the farthest hundredth of the points, and the sensor."""
+    low, high = np.quantile(np.concatenate(clouds)[:, :2], [0.005, 0.995], axis=0)
+    low, high = np.minimum(low, 0), np.maximum(high, 0)
+    margin = 0.04 * (high - low).max()
+    return np.stack([low - margin, high + margin])
+
+
+def from_above(axis: Any, frame: FloatArray) -> None:
+    """Sets an axis to a frame in metres, with a cross at the sensor."""
+    axis.set(xlim=frame[:, 0], ylim=frame[:, 1])
+    axis.set_aspect("equal")
+    axis.plot(0, 0, marker="+", color="black", markersize=8, markeredgewidth=1.2)
+    axis.set_xlabel("x, forward (m)")
+    if axis.get_subplotspec().is_first_col():
+        axis.set_ylabel("y, left (m)")
+
+
+def box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest corner and size, (3,) each, of a box around all points, no side shorter than a third of the longest."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, (high - low).max() / 3)
+    return (low + high - size) / 2, size
+
+
+def metres(axis: Any, size: FloatArray, zoom: float) -> None:
+    """Sets an axis in space to a box that begins at 0, true to scale."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
+    axis.set_box_aspect(tuple(size), zoom=zoom)  # an array would be changed
+    for name, pad, own, length in zip("xyz", (-4, -6, -4), (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
+        own.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
+        own.set_tick_params(labelsize=6, pad=-2)
+        getattr(axis, f"set_{name}label")(f"{name} (m)", fontsize=7, labelpad=pad)
+        own.pane.set(facecolor="none", edgecolor=GREY)
+
+
+def draw_band(axis: Any, x: FloatArray, mean: FloatArray, std: FloatArray, **look: Any) -> None:
+    """A line of means with a band of one standard deviation to either side, not below 0; `look` is of the line."""
+    axis.plot(x, mean, markersize=4, linewidth=1.2, **look)
+    axis.fill_between(x, np.maximum(mean - std, 0), mean + std, color=look["color"], alpha=0.2, linewidth=0)
+
+
+def mark_amounts(axis: Any, amounts: Iterable[float]) -> None:
+    """Ticks at the amounts that were tried, and nowhere else."""
+    axis.set_xticks(list(amounts), [f"{amount:g}" for amount in amounts])
+    axis.minorticks_off()
+    axis.grid(axis="y")
 
 
 def shown_name(name: str, most: int = 28) -> str:

@@ -23,14 +23,14 @@ def compare_page(comparisons: Sequence[Comparison]) -> str:
         f"over pairs (BCa, {N_RESAMPLES} resamples, seed {SEED}); each stands for itself, and one in twenty leaves out "
         f"0 by chance. {OBJECTS_NOTE}"
     )
-    charts = {f"changes_{i}": change_chart(of.scores) for i, of in enumerate(comparisons)}
-    return render("compare.html", {"charts": charts}, sections=[_section(of) for of in comparisons], method=method)
+    charts = {f"changes_{i}": change_chart(one.scores) for i, one in enumerate(comparisons)}
+    return render("compare.html", {"charts": charts}, sections=[_section(one) for one in comparisons], method=method)
 
 
 def _section(comparison: Comparison) -> dict[str, Any]:
     """What the page says of one run against the base; rows of tables are texts, in the order of the headings."""
     objects = changed(comparison)
-    columns = [next(of for of in comparison.scores if of.name == name) for name in _PAIR_SCORES]
+    columns = [next(score for score in comparison.scores if score.name == name) for name in _PAIR_SCORES]
     r_lambda = columns[_PAIR_SCORES.index("r_lambda")].of_pairs
     pairs = sorted(comparison.pairs, key=lambda name: -(r_lambda[name] or 0.0))
     return {
@@ -42,11 +42,11 @@ def _section(comparison: Comparison) -> dict[str, Any]:
         "with_seeds": has_seeds(comparison),
         "scores": [
             [
-                *(of.name, of.verdict, number(of.difference.before), number(of.difference.after)),
-                *map(signed, (of.difference.difference, of.difference.low, of.difference.high)),
-                *([beyond_seeds(of)] if has_seeds(comparison) else []),
+                *(score.name, score.verdict, number(score.difference.before), number(score.difference.after)),
+                *map(signed, (score.difference.difference, score.difference.low, score.difference.high)),
+                *([beyond_seeds(score)] if has_seeds(comparison) else []),
             ]
-            for of in comparison.scores
+            for score in comparison.scores
         ],
         "kinds": [
             [kind, str(n), percent(n / len(comparison.objects))]
@@ -56,11 +56,11 @@ def _section(comparison: Comparison) -> dict[str, Any]:
         "n_objects": len(objects),
         "objects": [
             [
-                *(of.pair_id, of.kind, of.label or "-", str(of.real_id), number(of.range_m, 1), str(of.n_points)),
-                *map(number, (of.cdc_before, of.cdc_after, of.r_lambda_before, of.r_lambda_after)),
+                *(one.pair_id, one.kind, one.label or "-", str(one.real_id), number(one.range_m, 1), str(one.n_points)),
+                *map(number, (one.cdc_before, one.cdc_after, one.r_lambda_before, one.r_lambda_after)),
             ]
-            for of in objects[:MOST_OBJECTS]
+            for one in objects[:MOST_OBJECTS]
         ],
         "pair_scores": _PAIR_SCORES,
-        "pairs": [[name, *(signed(of.of_pairs[name]) for of in columns)] for name in pairs[:MOST_PAIRS]],
+        "pairs": [[name, *(signed(score.of_pairs[name]) for score in columns)] for name in pairs[:MOST_PAIRS]],
     }

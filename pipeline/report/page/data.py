@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from ....schemas.results import RunRecord
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, outlines, run_charts
 from ..colours import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, on_page
@@ -73,7 +74,7 @@ def page_words(results: RunResults) -> dict[str, Any]:
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
-        "settings": results.run.record["settings"],
+        "settings": results.run.record.settings,
         "versions": _versions(results.run.record),
     }
 
@@ -145,14 +146,14 @@ def _drawn(n: int, n_all: int, how: str) -> str:
     return f" {n:,} of {n_all:,}{how}." if n < n_all else ""
 
 
-def _versions(record: dict[str, Any]) -> dict[str, Any]:
+def _versions(record: RunRecord) -> dict[str, Any]:
     """By group, what made the run."""
     run = {
-        "fidpipe": record["fidpipe"],
-        "written": record["written"],
-        "dataset": record["dataset"],
-        "seed": record["seed"],
-        "workers": record["workers"],
-        "seconds": round(record["wall_s"]["total"], 1),
+        "fidpipe": record.fidpipe,
+        "written": record.written,
+        "dataset": record.dataset,
+        "seed": record.seed,
+        "workers": record.workers,
+        "seconds": round(record.wall_s["total"], 1),
     }
-    return {"": run, "stage version": record["stages"], "library": record["libraries"], "machine": record["machine"]}
+    return {"": run, "stage version": record.stages, "library": record.libraries, "machine": record.machine.as_dict()}

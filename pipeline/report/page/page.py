@@ -10,7 +10,7 @@ from urllib.parse import quote
 from plotly.offline import get_plotlyjs
 
 from ...storage.files import remove_stale, write_whole
-from ...storage.store import file_stem
+from ...storage.tables import file_stem
 from ..figures.run import draw_figures
 from ..results import RunResults, read_results
 from .data import page_data, page_words
