@@ -131,6 +131,10 @@ class PairTables:
         self._records = {job.name: job.record for job in plan.jobs if job.record is not None}
         self._memory: dict[str, tuple[Any, set[str]]] = {}
 
+    def learn(self, plan: PairPlan) -> None:
+        """Adds the jobs of the same pair that were finished elsewhere in the meantime."""
+        self._records |= {job.name: job.record for job in plan.jobs if job.record is not None}
+
     @property
     def objects(self) -> list[tuple[int, int]]:
         """Id and nodes of each matched object; none where nothing lists them."""
@@ -274,6 +278,7 @@ def _kept_tables(plan: PairPlan) -> PairTables:
         while len(_KEPT) >= 2:
             del _KEPT[next(iter(_KEPT))]
         _KEPT[name] = PairTables(plan)
+    _KEPT[name].learn(plan)
     return _KEPT[name]
 
 
