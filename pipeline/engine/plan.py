@@ -113,6 +113,10 @@ class PairPlan:
         return replace(self, jobs=tuple(replace(job, record=done.get(job.name, job.record)) for job in self.jobs))
 
 
+_Maker = tuple[str, tuple[str, str] | None]  # key, and stage and part of a job; None for an input file
+_Makers = dict[tuple[str, str], _Maker]  # by table and side
+
+
 class Planner:
     """Plans pairs under one set of settings.
 
@@ -148,9 +152,9 @@ class Planner:
         Raises
         ------
         ValueError
-            Two parts have one name: they would write one file.
+            Two parts have one name: they would write one file; or a stage takes what none before it gives.
         """
-        makers: dict[tuple[str, str], tuple[str, tuple[str, str] | None]] = {
+        makers: _Makers = {
             (SCAN, side): (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs
         }
         jobs: dict[tuple[str, str], Job] = {}
@@ -160,11 +164,7 @@ class Planner:
             if side and side not in self.sides:
                 continue
             settings = part.settings or self.settings
-            sources = [
-                makers[table, of_side]
-                for table in stage.takes
-                for of_side in ([side] if side else sorted(s for t, s in makers if t == table))
-            ]
+            sources = [maker for table in stage.takes for maker in _makers_of(stage, table, side, makers)]
             if side == "sim" and stage.needs_real(settings):
                 real = jobs[stage.name, "real"]
                 sources += [makers[table, "real"] for table in stage.takes] + [(real.key, real.name)]
@@ -196,6 +196,15 @@ class Planner:
     def _input_key(self, pair: ScanPair, side: str, content: ScanContent) -> str:
         key = content.key(self.label_names)
         return key if side == "real" or pair.T_real_sim is None else key_of(key, pair.T_real_sim)
+
+
+def _makers_of(stage: Stage, table: str, side: str, makers: _Makers) -> list[_Maker]:
+    """What gives a table to a job: for its own side or for the pair; to a job of the pair, for each side there is."""
+    sides = ("", side) if side else ("", *SIDES)
+    own = [makers[table, of_side] for of_side in sides if (table, of_side) in makers]
+    if not own:
+        raise ValueError(f"stage {stage.name} takes {table}, which no stage before it gives")
+    return own
 
 
 def with_results(

@@ -36,7 +36,7 @@ def object_points(context: Context, side: str) -> tuple[IntArray, FloatArray]:
     """Ids, (n,) int32, and coordinates, (n, 3) float64 metres, of the points of a side that are not ground."""
 
     def read() -> tuple[IntArray, FloatArray]:
-        ground = context.table("ground", side)
+        ground = context.table("ground", side, POINT_COLUMNS)
         ground = ground.filter(pc.invert(ground.column("is_ground")))
         return column(ground, "point_id"), np.column_stack([column(ground, axis) for axis in "xyz"])
 
@@ -48,7 +48,7 @@ def graph_edges(context: Context, side: str) -> Edges:
 
     def read() -> Edges:
         point_ids, _ = object_points(context, side)
-        graph = context.table("graph", side)
+        graph = context.table("graph", side, EDGE_COLUMNS)
         index_of = np.zeros(int(point_ids[-1]) + 1, dtype=np.int32)
         index_of[point_ids] = np.arange(len(point_ids), dtype=np.int32)
         return Edges(index_of[column(graph, "src")], index_of[column(graph, "dst")], column(graph, "length_m"))
@@ -58,7 +58,7 @@ def graph_edges(context: Context, side: str) -> Edges:
 
 def matched_rows(context: Context) -> list[dict[str, Any]]:
     """The rows of `matching` of the matched objects that the job is asked for; of another grain than OBJECT all."""
-    matching = context.table("matching")
+    matching = context.table("matching", columns=MATCH_COLUMNS)
     matched = matching.filter(pc.equal(matching.column("status"), "matched"))
     if context.objects:
         matched = matched.filter(pc.is_in(matched.column("real_id"), pa.array(context.objects, pa.int32())))
@@ -78,8 +78,8 @@ def _matched_subgraphs(context: Context, side: str) -> dict[int, Subgraph]:
     def split() -> dict[int, Subgraph]:
         point_ids, points = object_points(context, side)
         edges = graph_edges(context, side)
-        labels = column(context.table("communities", side), "community_id")
-        matching = context.table("matching")
+        labels = column(context.table("communities", side, MATCHED_OBJECTS["communities"]), "community_id")
+        matching = context.table("matching", columns=MATCH_COLUMNS)
         matched = matching.filter(pc.equal(matching.column("status"), "matched"))
         with context.step("subgraphs"):
             return split_by_community(point_ids, points, edges, labels, column(matched, f"{side}_id").tolist())
