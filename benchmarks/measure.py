@@ -2,7 +2,6 @@
 
 import os
 import platform
-import resource
 import shutil
 import subprocess
 import sys
@@ -35,23 +34,18 @@ class Weighed:
 
 
 def weigh(*words):
-    """Runs `fidpipe WORDS` to its end."""
-    before, start = children_cpu_s(), time.perf_counter()
-    process = subprocess.Popen([FIDPIPE, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    peaks = {}
-    watcher = threading.Thread(target=_watch, args=(process, peaks))
+    """Runs `fidpipe WORDS` to its end. FIDPIPE_BENCH_COMMAND names another command, to weigh another version of it."""
+    command, start = os.environ.get("FIDPIPE_BENCH_COMMAND", FIDPIPE), time.perf_counter()
+    process = subprocess.Popen([command, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    peaks, seconds = {}, {}
+    watcher = threading.Thread(target=_watch, args=(process, peaks, seconds))
     watcher.start()
     output, errors = process.communicate()
     wall_s = time.perf_counter() - start
     watcher.join()
     if process.returncode:
         sys.exit(f"fidpipe {' '.join(map(str, words))}: exit {process.returncode}\n{errors}")
-    return Weighed(wall_s, children_cpu_s() - before, list(peaks.values()), output)
-
-
-def children_cpu_s():
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    return Weighed(wall_s, sum(seconds.values()), list(peaks.values()), output)
 
 
 @contextmanager
@@ -98,15 +92,18 @@ def _cpuinfo():
     return path.read_text().splitlines() if path.exists() else []
 
 
-def _watch(process, peaks):
+def _watch(process, peaks, seconds):
+    """Looks at the command and all that it started, each tenth of a second: of what ends less than that is lost."""
     while process.poll() is None:
         try:
             family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
         except psutil.NoSuchProcess:
             return
-        for of in family:
+        for member in family:
             try:
-                peaks[of.pid] = max(peaks.get(of.pid, 0), of.memory_info().rss / MIB)
+                peaks[member.pid] = max(peaks.get(member.pid, 0), member.memory_info().rss / MIB)
+                times = member.cpu_times()
+                seconds[member.pid] = times.user + times.system
             except psutil.Error:
                 continue
-        time.sleep(0.2)
+        time.sleep(0.1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -291,6 +292,7 @@ def file_marks(path: Path) -> list[list[int]]:
     return marks
 
 
+@lru_cache(maxsize=64)
 def settings_key(side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings) -> str:
     """A hash of what `inspect_scan` depends on besides the file."""
     return key_of(side, T_real_sim, settings.model_dump(mode="json"))

@@ -321,8 +321,8 @@ class RunEngine(Engine):
 
     def batch_done(self, result: BatchResult) -> None:
         """See `Watcher`: the ledger learns of the finished jobs."""
-        for record in result.records:
-            self.folder.ledger.put_job(record)
+        if result.records:
+            self.folder.ledger.put_jobs(result.pair_id, result.records)
         super().batch_done(result)
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:

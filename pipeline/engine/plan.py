@@ -17,6 +17,8 @@ from ..storage.folder import RunFolder
 from ..storage.record import library_versions
 from ..storage.tables import JobName, JobRecord
 
+JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
+
 
 @dataclass(frozen=True)
 class Part:
@@ -48,14 +50,14 @@ class Job:
     part: str
     key: str
     settings: Settings
-    needs: tuple[tuple[str, str], ...] = ()
+    needs: tuple[JobId, ...] = ()
     reads: tuple[str, ...] = ()
     arguments: tuple[Any, ...] = ()
     seconds: float = 0.0
     record: JobRecord | None = None
 
     @property
-    def name(self) -> tuple[str, str]:
+    def name(self) -> JobId:
         """What it is called among the jobs of its pair."""
         return self.stage.name, self.part
 
@@ -101,7 +103,7 @@ class PairPlan:
         ]
         return lists[-1] if lists else None
 
-    def job(self, name: tuple[str, str]) -> Job:
+    def job(self, name: JobId) -> Job:
         """A job by stage and part."""
         return next(job for job in self.jobs if job.name == name)
 
@@ -111,10 +113,6 @@ class PairPlan:
         if not done:
             return self
         return replace(self, jobs=tuple(replace(job, record=done.get(job.name, job.record)) for job in self.jobs))
-
-
-_Maker = tuple[str, tuple[str, str] | None]  # key, and stage and part of a job; None for an input file
-_Makers = dict[tuple[str, str], _Maker]  # by table and side
 
 
 class Planner:
@@ -135,6 +133,7 @@ class Planner:
         self.settings = settings
         self.label_names = label_names
         self.sides = tuple(sides)
+        self._parts = [Part(stage, name) for stage in stages for name in stage.parts if name in ("", *self.sides)]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
 
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
@@ -154,30 +153,34 @@ class Planner:
         ValueError
             Two parts have one name: they would write one file; or a stage takes what none before it gives.
         """
-        makers: _Makers = {
-            (SCAN, side): (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs
+        makers: dict[str, dict[str, tuple[str, JobId | None]]] = {
+            SCAN: {side: (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs}
         }
-        jobs: dict[tuple[str, str], Job] = {}
-        for part in (*(Part(stage, name) for stage in self.stages for name in stage.parts), *parts):
-            stage = part.stage
+        jobs: dict[JobId, Job] = {}
+        for part in (*self._parts, *parts):
+            stage, settings = part.stage, part.settings or self.settings
             side = part.name if stage.grain is Grain.SIDE else ""
-            if side and side not in self.sides:
-                continue
-            settings = part.settings or self.settings
-            sources = [maker for table in stage.takes for maker in _makers_of(stage, table, side, makers)]
+            if missing := [table for table in stage.takes if table not in makers]:
+                raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no stage before it gives")
+            sides = (side, "") if side else ("", *SIDES)
+            sources = [made for table in stage.takes for own, made in makers[table].items() if own in sides]
             if side == "sim" and stage.needs_real(settings):
                 real = jobs[stage.name, "real"]
-                sources += [makers[table, "real"] for table in stage.takes] + [(real.key, real.name)]
-            reads = tuple(key for key, _ in sources)
+                sources += [
+                    *(makers[table]["real"] for table in stage.takes if "real" in makers[table]),
+                    (real.key, real.name),
+                ]
+            reads = tuple(dict.fromkeys(key for key, _ in sources))
             key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
             needs = tuple(dict.fromkeys(name for _, name in sources if name is not None))
-            if (stage.name, part.name) in jobs:
-                raise ValueError(
-                    f"part {pair.pair_id} {stage.name} {part.name} is there twice; each needs its own name"
-                )
             job = Job(stage, part.name, key, settings, needs, reads, part.arguments, part.seconds)
+            if job.name in jobs:
+                raise ValueError(
+                    f"part {stage.name} {pair.pair_id} {part.name} is there twice; each needs its own name"
+                )
             jobs[job.name] = job
-            makers |= {(table, side): (key, job.name) for table in stage.gives}
+            for table in stage.gives:
+                makers.setdefault(table, {})[side] = (key, job.name)
         return PairPlan(pair, tuple(jobs.values()), inputs, self.label_names)
 
     def _method_key(self, stage: Stage, settings: Settings) -> str:
@@ -196,15 +199,6 @@ class Planner:
     def _input_key(self, pair: ScanPair, side: str, content: ScanContent) -> str:
         key = content.key(self.label_names)
         return key if side == "real" or pair.T_real_sim is None else key_of(key, pair.T_real_sim)
-
-
-def _makers_of(stage: Stage, table: str, side: str, makers: _Makers) -> list[_Maker]:
-    """What gives a table to a job: for its own side or for the pair; to a job of the pair, for each side there is."""
-    sides = ("", side) if side else ("", *SIDES)
-    own = [makers[table, of_side] for of_side in sides if (table, of_side) in makers]
-    if not own:
-        raise ValueError(f"stage {stage.name} takes {table}, which no stage before it gives")
-    return own
 
 
 def with_results(

@@ -18,12 +18,11 @@ from typing import Any, Protocol
 from ..stage import Grain
 from .costs import CostModel, largest_object
 from .memory import MemoryBudget
-from .plan import Job, PairPlan
+from .plan import Job, JobId, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .worker import (
     BatchResult,
     JobFailure,
-    JobId,
     PairBatch,
     gather_objects,
     is_required,

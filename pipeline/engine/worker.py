@@ -20,9 +20,7 @@ from ..stage import Column, Context, Facts, Grain, Made, Step, Tables, total_ste
 from ..storage.files import hash_file
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object
-from .plan import Job, PairPlan
-
-JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
+from .plan import Job, JobId, PairPlan
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ class RunFolder(TableFolder):
 
     def is_whole(self, record: JobRecord) -> bool:
         """Whether the files of a job are as they were written."""
-        return all(is_as_stored(self.folder / name, stored) for name, stored in record.files.items())
+        return all(is_as_stored(f"{self.folder}/{name}", stored) for name, stored in record.files.items())
 
     def forget(self, record: JobRecord) -> None:
         """Removes a job's files and takes it out of the ledger."""

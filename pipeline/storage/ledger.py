@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from time import monotonic
@@ -16,18 +16,17 @@ from typing import Any
 
 import orjson
 
-from .tables import JobRecord, StoredFile
+from .tables import JobName, JobRecord, StoredFile
 
 LEDGER = "ledger.sqlite"
 _VERSION = 1
 _SECONDS_BETWEEN_COMMITS = 1.0
 
 _TABLES = f"""
-CREATE TABLE jobs (
-    pair_id TEXT, stage TEXT, part TEXT, entry BLOB, hash TEXT, PRIMARY KEY (pair_id, stage, part)
-) WITHOUT ROWID;
-CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT, stage TEXT, part TEXT) WITHOUT ROWID;
-CREATE TABLE inputs (name TEXT PRIMARY KEY, entry BLOB, hash TEXT) WITHOUT ROWID;
+PRAGMA page_size = 16384;
+CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB, hash TEXT);
+CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
+CREATE TABLE inputs (name TEXT PRIMARY KEY, entry BLOB, hash TEXT);
 CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB, hash TEXT) WITHOUT ROWID;
 CREATE TABLE state (name TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;
 PRAGMA user_version = {_VERSION};
@@ -80,13 +79,14 @@ class Ledger:
 
     def jobs(self, pair_id: str) -> dict[tuple[str, str], JobRecord]:
         """The finished jobs of a pair, by stage and part; those of the whole run under ""."""
-        rows = self._db.execute("SELECT stage, part, entry, hash FROM jobs WHERE pair_id = ?", (pair_id,))
-        return {(stage, part): _job_record(entry) for stage, part, entry, check in rows if _agrees(entry, check)}
+        records = (_job_record(entry) for entry in self._job_entries(pair_id))
+        return {(record.stage, record.part): record for record in records}
 
     def job_of_file(self, name: str) -> JobRecord | None:
         """The finished job that made a file, by its name relative to the run."""
-        row = self._db.execute("SELECT pair_id, stage, part FROM files WHERE name = ?", (name,)).fetchone()
-        return None if row is None else self.jobs(row[0]).get((row[1], row[2]))
+        row = self._db.execute("SELECT pair_id FROM files WHERE name = ?", (name,)).fetchone()
+        records = self.jobs(row[0]).values() if row is not None else ()
+        return next((record for record in records if name in record.files), None)
 
     def knows_file(self, name: str) -> bool:
         """Whether a finished job made a file of this name."""
@@ -94,31 +94,39 @@ class Ledger:
 
     def pair_ids(self) -> Iterator[str]:
         """The pairs with finished jobs, by name."""
-        for (pair_id,) in self._db.execute("SELECT DISTINCT pair_id FROM jobs WHERE pair_id != '' ORDER BY pair_id"):
+        for (pair_id,) in self._db.execute("SELECT pair_id FROM jobs WHERE pair_id != '' ORDER BY pair_id"):
             yield pair_id
 
-    def stages(self) -> list[str]:
-        """The stages with finished jobs."""
-        return [stage for (stage,) in self._db.execute("SELECT DISTINCT stage FROM jobs WHERE pair_id != ''")]
+    def put_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
+        """Adds finished jobs of a pair, in place of those of the same names; those of the whole run under ""."""
+        added = {record.name: record for record in records}
+        kept = [entry for entry in self._job_entries(pair_id) if _name(entry) not in added]
+        self._put_entries(pair_id, [*kept, *map(asdict, added.values())])
+        for record in added.values():
+            for name in record.files:
+                self._change("INSERT OR REPLACE INTO files VALUES (?, ?)", name, pair_id)
 
     def put_job(self, record: JobRecord) -> None:
-        """Adds a finished job, in place of one of the same name."""
-        entry = orjson.dumps(asdict(record))
-        self._change(
-            "INSERT OR REPLACE INTO jobs VALUES (?, ?, ?, ?, ?)",
-            *(record.pair_id, record.stage, record.part, entry, _hash(entry)),
-        )
-        for name in record.files:
-            self._change(
-                "INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?)", name, record.pair_id, record.stage, record.part
-            )
+        """Adds one finished job."""
+        self.put_jobs(record.pair_id, [record])
 
     def drop_job(self, record: JobRecord) -> None:
         """Forgets a finished job."""
-        stage, pair_id, part = record.name
-        self._change("DELETE FROM jobs WHERE pair_id = ? AND stage = ? AND part = ?", pair_id, stage, part)
+        kept = [entry for entry in self._job_entries(record.pair_id) if _name(entry) != record.name]
+        self._put_entries(record.pair_id, kept)
         for name in record.files:
             self._change("DELETE FROM files WHERE name = ?", name)
+
+    def _job_entries(self, pair_id: str) -> list[dict[str, Any]]:
+        row = self._db.execute("SELECT entry, hash FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
+        entries: list[dict[str, Any]] = orjson.loads(row[0]) if row is not None and _agrees(*row) else []
+        return entries
+
+    def _put_entries(self, pair_id: str, entries: list[dict[str, Any]]) -> None:
+        if entries:
+            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?, ?)", pair_id, entries)
+        else:
+            self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
 
     def input(self, name: str) -> dict[str, Any] | None:
         """What was learnt of an input file; None if nothing."""
@@ -151,7 +159,7 @@ class Ledger:
         entry: dict[str, Any] = orjson.loads(row[0])
         return entry
 
-    def _put(self, order: str, name: str, facts: Mapping[str, Any]) -> None:
+    def _put(self, order: str, name: str, facts: Any) -> None:
         entry = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
         self._change(order, name, entry, _hash(entry))
 
@@ -221,8 +229,12 @@ def _agrees(entry: bytes, check: str) -> bool:
     return _hash(entry) == check
 
 
-def _job_record(entry: bytes) -> JobRecord:
-    own = orjson.loads(entry)
-    files = {name: StoredFile(**file) for name, file in own.pop("files").items()}
-    steps = tuple((step, seconds) for step, seconds in own.pop("steps"))
-    return JobRecord(**own | {"reads": tuple(own["reads"])}, files=files, steps=steps)
+def _name(entry: Mapping[str, Any]) -> JobName:
+    return entry["stage"], entry["pair_id"], entry["part"]
+
+
+def _job_record(entry: dict[str, Any]) -> JobRecord:
+    entry["files"] = {name: StoredFile(**file) for name, file in entry["files"].items()}
+    entry["steps"] = tuple((step, seconds) for step, seconds in entry["steps"])
+    entry["reads"] = tuple(entry["reads"])
+    return JobRecord(**entry)

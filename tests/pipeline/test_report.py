@@ -14,6 +14,7 @@ from PIL import Image
 from fidpipe.pipeline.report.aggregates import histograms, quadrants
 from fidpipe.pipeline.report.charts import run_charts
 from fidpipe.pipeline.report.clouds import PairTables
+from fidpipe.pipeline.report.colours import SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
 from fidpipe.pipeline.report.page.pair import thinned
@@ -56,6 +57,15 @@ def test_the_report_is_one_page_and_five_figures_as_png_and_svg(written):
             assert np.asarray(Image.open(path).convert("L")).std() > 5, "an empty picture"
         else:
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+@pytest.mark.slow
+def test_the_figure_of_objects_shows_points_of_both_sides(written):
+    path = next(path for path in written.figures if path.name == "objects.png")
+    picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    for side, colour in SIDE_COLOURS.items():
+        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (np.abs(picture - rgb).max(axis=2) < 60).sum() > 200, side
 
 
 @pytest.mark.slow

@@ -117,8 +117,8 @@ def metres(axis: Any, size: FloatArray, zoom: float) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
-    axis.set_box_aspect(size, zoom=zoom)
-    for name, pad, own, length in zip("xyz", (-4, -6, -6), (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
+    axis.set_box_aspect(tuple(size), zoom=zoom)  # an array would be changed
+    for name, pad, own, length in zip("xyz", (-4, -6, -4), (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
         own.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
         own.set_tick_params(labelsize=6, pad=-2)
         getattr(axis, f"set_{name}label")(f"{name} (m)", fontsize=7, labelpad=pad)
