@@ -212,11 +212,11 @@ class _Run:
             seconds.add(record)
             n_current += 1
             if ROW in record.facts:
-                keys.append(record.key)
+                keys += [record.pair_id, record.key]
         key = key_of(keys, self._engine.failures)
         pairs = self._write_table(PAIRS, key, self._pair_parts(survey))
-        is_new = self._engine.n_made > 0
-        self._write_table(TIMINGS, key if is_new else key_of("reused", key), self._timing_parts(pair_ids))
+        made_by = self._folder.token if self._engine.n_made else ""  # where nothing was made, all rows are reused
+        self._write_table(TIMINGS, key_of(key, list(self._versions), made_by), self._timing_parts(pair_ids))
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         contents = self._engine.contents

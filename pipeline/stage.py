@@ -30,6 +30,7 @@ ROW = "row"  #: the fact in which the stage that ends a pair gives the pair's ro
 Facts = dict[str, Any]
 Tables = dict[str, pa.Table]
 Step = Callable[[str], AbstractContextManager[None]]
+Column = tuple[str, str, str]  #: table, side and column; "" for its facts or the input file
 Value = TypeVar("Value")
 
 
@@ -122,8 +123,11 @@ class PairSource(Protocol):
     def scan(self, side: str) -> Scan:
         """The input file of a side."""
 
-    def memory(self) -> dict[str, tuple[Any, set[str]]]:
-        """What jobs of this pair keep for each other, each with the tables that it was made of."""
+    def memory(self) -> dict[str, tuple[Any, set[Column]]]:
+        """What jobs of this pair keep for each other, each with the columns that it was made of."""
+
+    def is_by_object(self, table: str) -> bool:
+        """Whether a stage over objects gives the table, so that some of its rows may be here and others elsewhere."""
 
 
 class Context:
@@ -149,13 +153,12 @@ class Context:
         arguments: tuple[Any, ...] = (),
     ) -> None:
         self.part = part
-        self.objects = tuple(objects)
-        self.arguments = arguments
         self.steps: list[tuple[str, float]] = []
+        self._objects, self._arguments = tuple(objects), arguments
         self._stage, self._source = stage, source
         self._needs_real = stage.needs_real(settings)
         self._settings = _DeclaredSettings(stage, settings)
-        self._asked: list[set[str]] = []
+        self._asked: list[set[Column]] = []
 
     @property
     def pair_id(self) -> str:
@@ -173,29 +176,51 @@ class Context:
         return self.side == "sim" and self._needs_real
 
     @property
+    def objects(self) -> tuple[int, ...]:
+        """Of grain OBJECT, the ids of the matched objects whose rows are wanted."""
+        self._refuse_in_once("objects")
+        return self._objects
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """Of a part of an experiment, what makes it another than its neighbours."""
+        self._refuse_in_once("arguments")
+        return self._arguments
+
+    @property
     def settings(self) -> Settings:
         """The settings in force, of the declared groups."""
+        self._refuse_in_once("settings")
         return cast(Settings, self._settings)
 
     @property
     def T_real_sim(self) -> tuple[float, ...] | None:
-        """The pair's motion of the simulated into the real sensor's frame, 12 numbers row by row; None if not given."""
-        self._check(SCAN, "")
+        """The pair's motion of the simulated into the real sensor's frame, 12 numbers row by row; None if not given.
+
+        Raises
+        ------
+        UndeclaredError
+            The stage does not take the input files, or the job is about the real side, whose key does not cover it.
+        """
+        self._ask(SCAN, self.side)
+        if self.side == "real":
+            raise UndeclaredError(f"stage {self._stage.name}, real asks for T_real_sim, which moves the simulated side")
         return self._source.T_real_sim
 
-    def scan(self) -> Scan:
-        """The input file of the job's side."""
-        self._check(SCAN, "")
-        return self._source.scan(self.side)
+    def scan(self, side: str | None = None) -> Scan:
+        """The input file of a side, by default the job's own; its columns are read by the settings `input`."""
+        side = self.side if side is None else side
+        self._ask(SCAN, side)
+        return self._source.scan(side)
 
-    def table(self, name: str, side: str | None = None, columns: tuple[str, ...] = ()) -> pa.Table:
-        """The declared columns of a table.
+    def table(self, name: str, side: str | None = None, columns: Sequence[str] | None = None) -> pa.Table:
+        """Columns of a table.
 
         Parameters
         ----------
         name : of the table
         side : whose; by default the job's own, or "" for a table of the pair
-        columns : those wanted, if not all that are declared; what is made `once` of fewer is shared by more stages
+        columns : some of those that are declared; by default all of them
 
         Raises
         ------
@@ -203,27 +228,39 @@ class Context:
             The stage does not declare the table or a column, or may not see that side.
         """
         side = self.side if side is None else side
-        self._check(name, side)
-        declared = self._stage.takes.get(name) or ()
-        if name in self._stage.takes and not declared:
+        wanted = tuple(self._stage.takes.get(name, ()) if columns is None else columns)
+        if name in self._stage.takes and not wanted:
             raise UndeclaredError(f"stage {self._stage.name} asks for the table {name}; it declares its facts alone")
-        if surplus := [column for column in columns if declared and column not in declared]:
-            raise UndeclaredError(f"stage {self._stage.name} asks for {', '.join(surplus)} of {name}; not declared")
-        for asked in self._asked:
-            asked.update(f"{name}.{column}" for column in columns or declared)
-        table = self._source.table(name, side, declared, self.step)
-        return table.select(columns) if columns else table
+        self._ask(name, side, *wanted)
+        return self._source.table(name, side, wanted, self.step)
 
     def facts(self, table: str, side: str | None = None) -> Facts:
-        """The facts of the job that gave a table; of the own stage those of the real side, where it waits for it."""
+        """The facts of the job that gave a table; of the own stage those of the real side, where it waits for it.
+
+        Raises
+        ------
+        UndeclaredError
+            The stage does not declare the table or may not see that side; or both stages are of grain OBJECT: a
+            pair's facts are gathered when all its objects are done.
+        """
         side = self.side if side is None else side
-        self._check(table, side)
+        self._ask(table, side)
+        if self._stage.grain is Grain.OBJECT and self._source.is_by_object(table):
+            raise UndeclaredError(
+                f"stage {self._stage.name} asks for the facts of {table}, not all of whose objects are done"
+            )
         return self._source.facts(table, side)
 
     def once(self, name: str, make: Callable[[], Value]) -> Value:
         """What `make` gives, made once for all jobs of the pair in this process.
 
-        A job gets what another has left only where it declares all columns that it was made of.
+        `make` may ask for tables, facts and scans alone: settings, arguments and objects differ between jobs. A job
+        gets what another has left only where it could have made it itself.
+
+        Raises
+        ------
+        UndeclaredError
+            It is made of what the stage does not declare; or, of grain OBJECT, of rows that other objects do not have.
         """
         memory = self._source.memory()
         if name not in memory:
@@ -234,12 +271,13 @@ class Context:
                 asked = self._asked.pop()
             memory[name] = value, asked
         value, asked = memory[name]
-        declared = {f"{table}.{column}" for table, columns in self._stage.takes.items() for column in columns}
-        if not asked <= declared:
-            raise UndeclaredError(
-                f"stage {self._stage.name}: {name} is made of {', '.join(sorted(asked - declared))}, which it does not "
-                "declare"
-            )
+        for table, side, column in sorted(asked):
+            if fault := self._why_not(table, side, column):
+                raise UndeclaredError(f"stage {self._stage.name}: {name} is made of {fault}")
+            if self._stage.grain is Grain.OBJECT and self._source.is_by_object(table):
+                raise UndeclaredError(
+                    f"stage {self._stage.name}: {name} is made of {table}, whose rows differ by object"
+                )
         for outer in self._asked:
             outer.update(asked)
         return cast(Value, value)
@@ -254,13 +292,35 @@ class Context:
             inside = sum(seconds for _, seconds in self.steps[n_before:])  # of steps within this one
             self.steps.append((name, perf_counter() - start - inside))
 
-    def _check(self, table: str, side: str) -> None:
+    def _ask(self, table: str, side: str, *columns: str) -> None:
+        """Notes what is asked for, and refuses what is not declared."""
+        for column in columns or ("",):
+            if fault := self._why_not(table, side, column):
+                raise UndeclaredError(f"stage {self._stage.name} asks for {fault}")
+            for asked in self._asked:
+                asked.add((table, side, column))
+
+    def _why_not(self, table: str, side: str, column: str) -> str:
+        """Why a column (a table, where it is "") may not be asked for; "" if it may."""
         stage = self._stage
         is_own_real = self.needs_real and side == "real"
-        if table not in stage.takes and not (is_own_real and table in stage.gives):
-            raise UndeclaredError(f"stage {stage.name} asks for {table}; it declares {', '.join(stage.takes)}")
+        if is_own_real and table in stage.gives:
+            return ""
+        if table not in stage.takes:
+            return f"{table}; it declares {', '.join(stage.takes) or 'no table'}"
+        if column and column not in stage.takes[table]:
+            return f"{table}.{column}; of {table} it declares {', '.join(stage.takes[table]) or 'the facts alone'}"
+        if table == SCAN and "input" not in stage.settings:
+            return "the input file; it does not declare the settings input, by which its columns are read"
         if self.side and side not in ("", self.side) and not is_own_real:
-            raise UndeclaredError(f"stage {stage.name}, {self.side} asks for {table} of the {side} side")
+            return f"{table} of the {side} side; its job is about the {self.side} side"
+        return ""
+
+    def _refuse_in_once(self, what: str) -> None:
+        if self._asked:
+            raise UndeclaredError(
+                f"stage {self._stage.name} asks for {what} in what is made once for all jobs of the pair"
+            )
 
 
 class _DeclaredSettings:

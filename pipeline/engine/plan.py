@@ -151,7 +151,7 @@ class Planner:
         Raises
         ------
         ValueError
-            Two parts have one name: they would write one file.
+            Two parts have one name: they would write one file; or a stage takes what none before it gives.
         """
         makers: dict[str, dict[str, tuple[str, JobId | None]]] = {
             SCAN: {side: (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs}
@@ -160,10 +160,16 @@ class Planner:
         for part in (*self._parts, *parts):
             stage, settings = part.stage, part.settings or self.settings
             side = part.name if stage.grain is Grain.SIDE else ""
-            sources = [made for table in stage.takes for of, made in makers[table].items() if not side or of == side]
+            if missing := [table for table in stage.takes if table not in makers]:
+                raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no stage before it gives")
+            sides = (side, "") if side else ("", *SIDES)
+            sources = [made for table in stage.takes for own, made in makers[table].items() if own in sides]
             if side == "sim" and stage.needs_real(settings):
                 real = jobs[stage.name, "real"]
-                sources += [*(makers[table]["real"] for table in stage.takes), (real.key, real.name)]
+                sources += [
+                    *(makers[table]["real"] for table in stage.takes if "real" in makers[table]),
+                    (real.key, real.name),
+                ]
             reads = tuple(dict.fromkeys(key for key, _ in sources))
             key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
             needs = tuple(dict.fromkeys(name for _, name in sources if name is not None))

@@ -16,7 +16,7 @@ from ...schemas.errors import FidpipeError, StageError
 from ...schemas.tables import TABLES
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
-from ..stage import Context, Facts, Grain, Made, Step, Tables, total_steps
+from ..stage import Column, Context, Facts, Grain, Made, Step, Tables, total_steps
 from ..storage.files import hash_file
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object
@@ -129,7 +129,7 @@ class PairTables:
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
         self._records = {job.name: job.record for job in plan.jobs if job.record is not None}
-        self._memory: dict[str, tuple[Any, set[str]]] = {}
+        self._memory: dict[str, tuple[Any, set[Column]]] = {}
 
     def learn(self, plan: PairPlan) -> None:
         """Adds the jobs of the same pair that were finished elsewhere in the meantime."""
@@ -163,9 +163,18 @@ class PairTables:
         """The facts of the job that gave a table."""
         return self._maker(table, side).facts
 
-    def memory(self) -> dict[str, tuple[Any, set[str]]]:
-        """What jobs of this pair keep for each other, each with the tables that it was made of."""
+    def memory(self) -> dict[str, tuple[Any, set[Column]]]:
+        """What jobs of this pair keep for each other, each with the columns that it was made of."""
         return self._memory
+
+    def is_by_object(self, table: str) -> bool:
+        """Whether a stage over objects gives the table."""
+        return any(table in job.stage.gives for job in self._plan.jobs if job.stage.grain is Grain.OBJECT)
+
+    def learn(self, plan: PairPlan) -> None:
+        """Takes over what is known of the pair by now: which jobs are done."""
+        self._plan = plan
+        self._records |= {job.name: job.record for job in plan.jobs if job.record is not None}
 
     def scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
@@ -223,6 +232,7 @@ class _WithRows:
         self._tables, self._rows = tables, rows
         self.pair_id, self.T_real_sim = tables.pair_id, tables.T_real_sim
         self.facts, self.scan, self.memory = tables.facts, tables.scan, tables.memory
+        self.is_by_object = tables.is_by_object
 
     def table(self, name: str, side: str, columns: tuple[str, ...], step: Step) -> pa.Table:
         """See `PairTables`."""

@@ -23,7 +23,7 @@ def make_communities(context: Context) -> Made:
         partition = find_communities(len(points), edges, context.settings.communities)
     with context.step("describe"):
         objects = describe_objects(points, partition.labels)
-        ground = context.table("ground")
+        ground = context.table("ground", columns=("is_ground", "label"))
         names = ground.filter(pc.invert(ground.column("is_ground"))).column("label").to_pylist()
         labels = majority_labels(partition.labels, names)
     both = {"pair_id": context.pair_id, "side": context.side}

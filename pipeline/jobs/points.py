@@ -58,7 +58,7 @@ def graph_edges(context: Context, side: str) -> Edges:
 
 def matched_rows(context: Context) -> list[dict[str, Any]]:
     """The rows of `matching` of the matched objects that the job is asked for; of another grain than OBJECT all."""
-    matching = context.table("matching")
+    matching = context.table("matching", columns=MATCH_COLUMNS)
     matched = matching.filter(pc.equal(matching.column("status"), "matched"))
     if context.objects:
         matched = matched.filter(pc.is_in(matched.column("real_id"), pa.array(context.objects, pa.int32())))
@@ -78,7 +78,7 @@ def _matched_subgraphs(context: Context, side: str) -> dict[int, Subgraph]:
     def split() -> dict[int, Subgraph]:
         point_ids, points = object_points(context, side)
         edges = graph_edges(context, side)
-        labels = column(context.table("communities", side, ("community_id",)), "community_id")
+        labels = column(context.table("communities", side, MATCHED_OBJECTS["communities"]), "community_id")
         matching = context.table("matching", columns=MATCH_COLUMNS)
         matched = matching.filter(pc.equal(matching.column("status"), "matched"))
         with context.step("subgraphs"):

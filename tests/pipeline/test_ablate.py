@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.experiments.ablate.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
@@ -27,9 +28,10 @@ SETTINGS = load(None, ["graph.k=12"])
 VALUES = {"k": (8, 12), "tau_m": (0.2,), "delta_m": (0.5, 5.0), "t": (0.5, 1.0)}
 
 
-def ablated(dataset, out, **options):
-    options = {"settings": SETTINGS, "values": VALUES, "workers": 1} | options
-    return ablate_dataset(AblateRequest(dataset, out, **options), Reporter(Console(quiet=True)))
+def ablated(dataset, out, *, workers=1, **options):
+    options = {"settings": SETTINGS, "values": VALUES} | options
+    request = AblateRequest(dataset, out, machines=Machines(workers), **options)
+    return ablate_dataset(request, Reporter(Console(quiet=True)))
 
 
 @pytest.fixture(scope="module")

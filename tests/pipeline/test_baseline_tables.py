@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 import fidpipe
-from fidpipe.pipeline.engine import schedule
+from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.baselines import summarise_baselines
 from fidpipe.pipeline.report.terminal.baselines import baselines_view
@@ -111,6 +111,23 @@ def test_seconds_are_in_the_timings_one_step_a_baseline(compared):
     assert not {"emd, whole scan", "r_h, whole scan"} & steps
 
 
+def test_what_a_run_made_is_new_in_its_timings_and_all_else_reused(again, dataset):
+    def reused():
+        timings = pd.read_parquet(again / "timings.parquet")
+        return {stage: set(own) for stage, own in timings.groupby("stage").reused}
+
+    run(dataset, again, ALL, from_stage="baselines")
+    first = reused()
+    assert first.pop("baselines") == {False}
+    assert set().union(*first.values()) == {True}
+    run(dataset, again, ALL)
+    assert set().union(*reused().values()) == {True}
+    run(dataset, again)
+    assert "baselines" not in reused()
+    run(dataset, again, ALL)
+    assert reused()["baselines"] == {True}
+
+
 def test_the_record_holds_means_over_pairs_of_means_over_objects(compared):
     out, outcome = compared
     frame = pd.read_parquet(out / "baselines")
@@ -190,9 +207,8 @@ def test_python_gives_the_same_numbers_as_the_command(compared, dataset):
 
 
 @pytest.mark.slow
-def test_two_workers_give_the_same_tables(dataset, compared, tmp_path, monkeypatch):
-    monkeypatch.setattr(schedule, "_WORTH_SPLITTING_S", 0.0)
-    run(dataset, tmp_path / "run", ALL, workers=2)
+def test_two_workers_give_the_same_tables(dataset, compared, tmp_path):
+    run(dataset, tmp_path / "run", ALL, workers=2, policy=Policy(worth_splitting_s=0.0))
     assert_same_tables(tmp_path / "run", compared[0])
     assert same(baselines(tmp_path / "run"), baselines(compared[0]))
 
@@ -214,6 +230,6 @@ def test_the_terminal_shows_each_baseline_with_its_time(compared):
 
 def test_a_baseline_that_is_null_in_every_object_has_no_mean():
     means = [{"level": "objects", "baseline": "netlsd", "unit": None, "mean": None, "n": 0, "n_null": 4}]
-    record = JobRecord("baselines", "a", "", "key", {}, {"means": means}, (("netlsd", 0.5),))
+    record = JobRecord("baselines", "a", "", "key", {}, facts={"means": means}, steps=(("netlsd", 0.5),))
     (row,) = summarise_baselines([record], load(None, ["metrics.baselines=netlsd"]))
     assert (row["mean"], row["std"], row["n"], row["n_null"], row["seconds"]) == (None, None, 0, 4, 0.5)

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 
+import pyarrow.parquet as pq
 import pytest
 
 from runs import command
@@ -37,6 +38,17 @@ def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
     status = command("status", "runs/streets", cwd=tmp_path)
     assert status.returncode == 0
     assert re.search(r"metrics +2 +- +- +-", status.stdout)
+
+
+def test_a_renamed_pair_is_told_under_its_new_name(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "streets")
+    assert command("run", data, "--workers", 1, "--out", tmp_path / "run").returncode == 0
+    for side in ("real", "sim"):
+        (data / side / "001.bin").rename(data / side / "renamed.bin")
+    assert command("run", data, "--workers", 1, "--out", tmp_path / "run").returncode == 0
+    for table in ("pairs", "timings"):
+        rows = pq.read_table(tmp_path / "run" / f"{table}.parquet")
+        assert set(rows.column("pair_id").to_pylist()) == {"000", "renamed"}
 
 
 def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):

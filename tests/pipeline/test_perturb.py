@@ -11,15 +11,19 @@ import pytest
 from rich.console import Console
 from scipy.spatial import cKDTree
 
+from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.engine.plan import Part
+from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.experiments.experiment import experimenting, read_source
 from fidpipe.pipeline.experiments.perturb import choice as perturb_choice
-from fidpipe.pipeline.experiments.perturb import jobs as perturb_jobs
 from fidpipe.pipeline.experiments.perturb.claims import judge_claims
-from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, parse_levels, perturb_source
+from fidpipe.pipeline.experiments.perturb.jobs import GLOBAL
+from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, object_points, parse_levels, perturb_source
 from fidpipe.pipeline.experiments.perturb.reactions import react
-from fidpipe.pipeline.experiments.sweep import Part, sweeping
 from fidpipe.pipeline.report.figures.perturb import draw_perturbations
 from fidpipe.pipeline.results.status import run_status
+from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.experiment_tables import PERTURB_SUMMARY
 from fidpipe.schemas.settings import load
@@ -32,9 +36,10 @@ SETTINGS = load(None, ["graph.k=12"])
 LEVELS = parse_levels(["noise=0.01", "dropout=0.1,0.4", "rigid=0:1,0:2"])
 
 
-def perturbed(source, out, **options):
-    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2, "settings": SETTINGS, "workers": 1} | options
-    return perturb_source(PerturbRequest(source, out, **options), Reporter(Console(quiet=True)))
+def perturbed(source, out, *, workers=1, pool=None, reporter=None, **options):
+    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2, "settings": SETTINGS} | options
+    request = PerturbRequest(source, out, machines=Machines(workers, pool=pool), **options)
+    return perturb_source(request, reporter or Reporter(Console(quiet=True)))
 
 
 def rows(out, table="perturb_objects"):
@@ -83,7 +88,7 @@ def test_dropout_changes_objects_more_than_noise_and_the_more_the_larger_it_is(d
 
 def test_a_row_can_be_made_again_from_its_recorded_seed(done):
     row = rows(done.folder).query("kind == 'dropout' and amount == 0.4").iloc[1]
-    points, community = perturb_jobs.object_points(done.tasks[0])
+    points, community = object_points(done.folder, "street")
     own = points[community == row.community_id]
     left = perturb(own, Perturbation("dropout", 0.4), np.random.default_rng(row.seed))
     assert (len(own), len(left)) == (row.n_points, row.n_points_altered)
@@ -95,15 +100,15 @@ def test_all_seeds_differ(done):
     assert len(np.unique(seeds)) == len(seeds)
 
 
-def test_an_object_is_rebuilt_from_its_points_alone(done, monkeypatch):
-    sizes = []
+def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkeypatch):
+    out, sizes = shutil.copytree(done.folder, tmp_path / "run"), []
     monkeypatch.setattr(
         "fidpipe.stages.method.build_graph",
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
-    of = done.objects[0]
-    perturb_jobs.object_rows(done.tasks[0], of.community_id, of.name, Perturbation("rigid", 1.0), [7])
-    assert sizes == [of.n_points, of.n_points]
+    chosen, options = done.objects[0], {"levels": parse_levels(["rigid=0:7"]), "repeats": 1, "global_repeats": 0}
+    perturbed(scan, out, objects=(str(chosen.community_id),), **options)
+    assert sizes == [chosen.n_points, chosen.n_points]
 
 
 def test_another_run_reuses_everything_and_another_seed_gives_other_numbers(done, scan, tmp_path):
@@ -128,18 +133,27 @@ def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done,
     assert set(again.summary.column("kind").to_pylist()) == {"noise", "dropout"}
 
 
-def test_an_interrupted_experiment_goes_on_where_it_was(done, scan, tmp_path, monkeypatch):
-    def work(*args):
-        if args[1].kind == "rigid":
-            raise KeyboardInterrupt
-        return perturb_jobs.global_rows(*args)
+class Interrupted(InProcess):
+    """A pool whose tasks are interrupted after some."""
 
-    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.perturb.global_rows", work)
+    def __init__(self, n_tasks):
+        super().__init__()
+        self.n_left = n_tasks
+
+    def next_done(self):
+        self.n_left -= 1
+        if self.n_left < 0:
+            raise KeyboardInterrupt
+        return super().next_done()
+
+
+@pytest.mark.parametrize("n_tasks", [0, 1, 3, 9])
+def test_an_interrupted_experiment_goes_on_where_it_was(done, scan, tmp_path, n_tasks):
     with pytest.raises(KeyboardInterrupt):
-        perturbed(scan, tmp_path / "run")
-    monkeypatch.undo()
+        perturbed(scan, tmp_path / "run", pool=Interrupted(n_tasks))
     again = perturbed(scan, tmp_path / "run")
-    assert 0 < again.n_made < done.n_made
+    n_done = 3 + (n_tasks - 1) if n_tasks else 0  # ground, graph and communities are one task
+    assert (again.n_made, again.n_reused) == (done.n_made - n_done, n_done)
     assert again.summary.equals(done.summary)
 
 
@@ -151,12 +165,12 @@ def test_two_workers_give_the_same_tables(done, scan, tmp_path):
 
 
 def test_a_job_that_fails_is_listed_and_the_others_are_there(scan, tmp_path, monkeypatch):
-    def work(*args):
-        if args[1].kind == "noise":
+    def make(context):
+        if context.arguments[0].kind == "noise":
             raise MemoryError("much")
-        return perturb_jobs.global_rows(*args)
+        return GLOBAL.make(context)
 
-    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.perturb.global_rows", work)
+    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.perturb.GLOBAL", replace(GLOBAL, make=make))
     outcome = perturbed(scan, tmp_path / "run", repeats=1, global_repeats=1)
     assert outcome.failures == {"street, noise-0.01": "out of memory (much)"}
     assert json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures
@@ -187,8 +201,7 @@ def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labell
     (car,) = perturbed(labelled, tmp_path / "run", objects=("car",), **options).objects
     said = Console(record=True, width=200, file=StringIO())
     words = ("car", str(car.community_id))
-    request = PerturbRequest(labelled, tmp_path / "run", SETTINGS, objects=words, workers=1, **options)
-    assert perturb_source(request, Reporter(said)).objects == (car,)
+    assert perturbed(labelled, tmp_path / "run", objects=words, reporter=Reporter(said), **options).objects == (car,)
     assert f"that is object {car.community_id}, which is chosen as car already; left out" in said.export_text()
     assert len(rows(tmp_path / "run")) == 1
 
@@ -204,20 +217,20 @@ def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes, monkeypatch, d
     n = len(shapes)
     ones = np.ones(n)
     scan = perturb_choice._ScanObjects("a", np.full(n, 99), ones, [None] * n, ones, np.array(shapes))
-    monkeypatch.setattr(perturb_choice, "_describe", lambda task: scan)
-    choice = perturb_choice.choose_objects(done.tasks[0], None)
+    monkeypatch.setattr(perturb_choice, "_describe", lambda folder, scan_id: scan)
+    choice = perturb_choice.choose_objects(RunFolder(done.folder), "a", None, SETTINGS.graph.k)
     assert [of.community_id for of in choice.objects] == chosen
     assert len(choice.notes) == n_notes
 
 
 def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
-    part = Part("perturb_global", "street", "noise-1.0", "key", perturb_jobs.global_rows, ())
-    with (
-        sweeping("perturb", scan, out, SETTINGS, 1, None, Reporter(Console(quiet=True))) as sweep,
-        pytest.raises(ValueError, match=r"perturb_global street noise-1\.0 is there twice"),
-    ):
-        sweep.run([part, replace(part, key="other")], ["perturb_global"])
+    at = (read_source(scan, None), out, SETTINGS, Machines(workers=1), Reporter(Console(quiet=True)))
+    part = Part(GLOBAL, "noise-1.0", (Perturbation("noise", 1.0), [1]))
+    with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",)) as experiment:
+        experiment.prepare()
+        with pytest.raises(ValueError, match=r"perturb_global street noise-1\.0 is there twice"):
+            experiment.make({"street": [part, replace(part, arguments=(Perturbation("noise", 1.0), [2]))]})
     assert len(rows(out, "perturb_global")) == 2 * len(LEVELS)
 
 
@@ -236,9 +249,9 @@ def test_without_labels_each_shape_has_an_object(done):
 def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(tmp_path):
     dataset = write_dataset(tmp_path / "data")
     options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 1}
-    assert [task.pair.pair_id for task in perturbed(dataset, tmp_path / "one", **options).tasks] == ["000"]
+    assert perturbed(dataset, tmp_path / "one", **options).scans == ("000",)
     outcome = perturbed(dataset, tmp_path / "two", pattern="00[12]", **options)
-    assert [task.pair.pair_id for task in outcome.tasks] == ["001", "002"]
+    assert outcome.scans == ("001", "002")
     (row,) = [row for row in outcome.summary.to_pylist() if row["metric"] == "match_rate"]
     assert row["n"] == 2
     with pytest.raises(DatasetError, match="an object's number belongs to one scan, 2 are chosen"):
@@ -250,21 +263,25 @@ def test_a_dataset_whose_first_pair_lacks_its_simulated_scan_is_perturbed(tmp_pa
     (dataset / "sim" / "000.bin").unlink()
     options = {"levels": LEVELS[:1], "repeats": 0, "global_repeats": 1}
     outcome = perturbed(dataset, tmp_path / "run", **options)
-    assert [task.pair.pair_id for task in outcome.tasks] == ["000"]
+    assert outcome.scans == ("000",)
     assert not outcome.failures
     write_bin(dataset / "sim" / "000.bin", street())
     (dataset / "real" / "000.bin").unlink()
     assert "no partner" in perturbed(dataset, tmp_path / "run", **options).failures["000"]
 
 
-def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(done):
-    of = done.objects[0]
-    level = Perturbation("dropout", 1.0)
-    (row,) = perturb_jobs.object_rows(done.tasks[0], of.community_id, of.name, level, [1]).to_pylist()
-    assert (row["r_lambda"], row["cdc"], row["status"]) == (None, None, "too_small")
+def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(scan, tmp_path):
+    options = {"levels": (Perturbation("dropout", 1.0),), "repeats": 1, "global_repeats": 1, "objects": ("0",)}
+    settings = load(None, ["graph.k=12", "metrics.baselines=chamfer"])
+    assert not perturbed(scan, tmp_path / "run", settings=settings, **options).failures
+    (row,) = pd.read_parquet(tmp_path / "run" / "perturb_objects").to_dict("records")
+    assert np.isnan([row["r_lambda"], row["cdc"]]).all()
+    assert (row["status"], row["n_points_altered"]) == ("too_small", 0)
     assert "no point is left" in row["reason"]
-    (row,) = perturb_jobs.global_rows(done.tasks[0], level, [1]).to_pylist()
-    assert (row["match_rate"], row["reason"]) == (None, "0 points are left, at least 8 are needed")
+    (row,) = pd.read_parquet(tmp_path / "run" / "perturb_global").to_dict("records")
+    assert np.isnan(row["match_rate"])
+    assert row["reason"] == "0 points are left, at least 8 are needed"
+    assert not len(pd.read_parquet(tmp_path / "run" / "perturb_baselines"))
 
 
 @pytest.mark.parametrize(
@@ -303,7 +320,7 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     baselines, objects = rows(out, "perturb_baselines"), rows(out)
     assert set(baselines.seed) == set(objects.seed)
     row = baselines.query("kind == 'noise' and baseline == 'chamfer_mean_m'").iloc[0]
-    points, community = perturb_jobs.object_points(outcome.tasks[0])
+    points, community = object_points(out, "street")
     own = points[community == row.community_id]
     altered = perturb(own, Perturbation("noise", 0.01), np.random.default_rng(row.seed))
     there, back = cKDTree(altered).query(own)[0], cKDTree(own).query(altered)[0]

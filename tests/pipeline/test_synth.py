@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import shutil
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.experiments.synth import synth
 from fidpipe.pipeline.experiments.synth.scans import make_pair
 from fidpipe.pipeline.experiments.synth.synth import (
     SynthRequest,
     finish,
-    make_dataset,
     make_files,
     prepare,
     wanted_pairs,
@@ -29,6 +31,13 @@ from fidpipe.stages.sensing.ray_casting import SENSORS
 
 N_POINTS = 400  # of a small scan
 CLASSES = ("wall", "car", "tree", "vegetation")
+
+
+def make_dataset(request):
+    """Makes the dataset; gives the lines that were said."""
+    said = StringIO()
+    synth.make_dataset(request, Reporter(Console(file=said, width=200)))
+    return said.getvalue().splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +110,7 @@ def test_pairs_can_be_made_one_by_one_in_any_order(dataset, tmp_path):
     assert content(request.out) == content(dataset)
 
 
+@pytest.mark.slow
 def test_two_processes_make_the_same_dataset(dataset, tmp_path):
     make_dataset(SynthRequest(tmp_path / "two", n_pairs=2, n_points=N_POINTS, workers=2))
     assert content(tmp_path / "two") == content(dataset)
@@ -132,7 +142,7 @@ def test_the_recipe_of_something_else_is_left_alone(tmp_path):
 
 
 def test_a_folder_made_but_never_filled_is_taken(tmp_path):
-    (tmp_path / ".0badcafe0badcafe").write_text("vers")
+    (tmp_path / ".synth.toml.0badcafe").write_text("vers")
     make_dataset(SynthRequest(tmp_path, n_pairs=1, n_points=N_POINTS))
     assert len(read_dataset(tmp_path).pairs) == 1
 
@@ -172,9 +182,8 @@ def test_what_was_interrupted_goes_on_where_it_stopped(dataset, tmp_path, monkey
     with pytest.raises(KeyboardInterrupt):
         make_dataset(request)
     assert not (tmp_path / "out" / "pairs.csv").exists()
-    (tmp_path / "out" / "sim" / ".0badcafe0badcafe").write_bytes(b"half a file")
-    lines = []
-    make_dataset(request, lines.append)
+    (tmp_path / "out" / "sim" / ".0001.bin.0badcafe").write_bytes(b"half a file")
+    lines = make_dataset(request)
     assert made == [0, None, 1]
     assert lines == ["1 of 2 pairs are there already"]
     assert content(tmp_path / "out") == content(dataset)

@@ -1,0 +1,348 @@
+"""What a stage may ask for; and that its row and job are all that is needed, shown with a toy stage of each grain."""
+
+import ast
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+import fidpipe
+import toys
+from fidpipe.pipeline.engine.pool import InProcess
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import EXTRAS, STAGES
+from fidpipe.pipeline.jobs.points import object_points
+from fidpipe.pipeline.stage import SCAN, Made
+from fidpipe.pipeline.storage.folder import RunFolder
+from runs import assert_same_tables, run
+from scenes import write_dataset
+from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
+
+N_PAIRS = 2
+ALL_SPLIT = Policy(worth_splitting_s=0.0, batch_s=0.0)
+JOBS_PER_PAIR = sum(len(stage.parts) for stage in with_toys())
+
+
+class TwoAtOnce(InProcess):
+    """A pool that says it runs two tasks at once; it remembers what it was given."""
+
+    n_workers = 2
+
+    def __init__(self):
+        super().__init__()
+        self.submitted = []
+
+    def submit(self, function, *args, **options):
+        self.submitted.append(function.__name__)
+        return super().submit(function, *args, **options)
+
+
+def run_with_toys(dataset, out, settings=None, stages=None, **options):
+    return run(dataset, out, settings or ToySettings(), stages=stages or with_toys(), **options)
+
+
+def toy_results(out):
+    """The tables and the facts of the toys."""
+    tables = {
+        str(path.relative_to(out)): pq.read_table(path)
+        for table in TOY_TABLES
+        for path in sorted((out / table.name).glob("*.parquet"))
+    }
+    ledger = RunFolder(out).ledger
+    facts = {
+        record.name: record.facts
+        for pair_id in ledger.pair_ids()
+        for record in ledger.jobs(pair_id).values()
+        if set(record.files) & set(tables)
+    }
+    return tables, facts
+
+
+def assert_same_results(a, b):
+    assert_same_tables(a, b)
+    (tables, facts), (others, other_facts) = toy_results(a), toy_results(b)
+    assert len(tables) == 4 * N_PAIRS
+    assert tables.keys() == others.keys()
+    assert all(tables[name].equals(others[name]) for name in tables)
+    assert facts == other_facts
+
+
+def files(out):
+    """Modification times of the tables of finished jobs."""
+    folders = [table for stage in with_toys() for table in stage.gives]
+    found = [path for folder in folders for path in (out / folder).glob("*.parquet")]
+    return {path: path.stat().st_mtime_ns for path in found}
+
+
+def made_again(out, before):
+    """The tables whose files are not those of before."""
+    return {path.parent.name for path, mtime in files(out).items() if before.get(path) != mtime}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS, n=100)
+
+
+@pytest.fixture(scope="module")
+def whole(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    outcome = run_with_toys(dataset, out)
+    assert (outcome.n_made, outcome.failures) == (JOBS_PER_PAIR * N_PAIRS, {})
+    return out
+
+
+@pytest.fixture
+def again(whole, tmp_path):
+    return shutil.copytree(whole, tmp_path / "run")
+
+
+def test_toys_of_each_grain_have_rows_and_facts(whole):
+    tables, facts = toy_results(whole)
+    assert all(table.num_rows for table in tables.values())
+    assert facts["crowds", "000", "real"]["n_crowds"] == facts["ratios", "000", ""]["real"]
+    marks = tables["toy_marks/000.parquet"]
+    assert marks.num_rows == tables["toy_ratios/000.parquet"].num_rows > 1
+    assert facts["marks", "000", ""]["best"] == min(marks.column("mark").to_pylist())
+
+
+def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_path):
+    pool = TwoAtOnce()
+    run_with_toys(dataset, tmp_path / "run", pool=pool, policy=ALL_SPLIT)
+    n_objects = sum(table.num_rows for name, table in toy_results(whole)[0].items() if name.startswith("toy_marks"))
+    assert pool.submitted.count("score_objects") == 2 * n_objects  # before the toy of the pair, and after it
+    assert_same_results(tmp_path / "run", whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", [Policy(), ALL_SPLIT])
+def test_on_two_workers_they_give_the_same(whole, dataset, tmp_path, policy):
+    run_with_toys(dataset, tmp_path / "run", workers=2, policy=policy)
+    assert_same_results(tmp_path / "run", whole)
+
+
+def interrupted(stage):
+    """The stage, whose second job is interrupted."""
+    calls = []
+
+    def make(context):
+        calls.append(context)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return stage.make(context)
+
+    return replace(stage, make=make)
+
+
+@pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
+@pytest.mark.parametrize("toy", ["of_side", "of_pair", "of_object"])
+def test_interrupted_in_any_of_them_a_run_goes_on_where_it_was(whole, dataset, tmp_path, toy, is_split):
+    out, options = tmp_path / "run", {"policy": ALL_SPLIT, "pool": TwoAtOnce()} if is_split else {}
+    broken = interrupted({"of_side": OF_SIDE, "of_pair": OF_PAIR, "of_object": OF_OBJECT}[toy])
+    with pytest.raises(KeyboardInterrupt):
+        run_with_toys(dataset, out, stages=with_toys(**{toy: broken}), **options)
+    before = files(out)
+    n_done = sum(path.parent.name != "objects" for path in before)  # communities and objects are of one job
+    assert 0 < n_done < JOBS_PER_PAIR * N_PAIRS
+    outcome = run_with_toys(dataset, out)
+    assert (outcome.n_made, outcome.n_reused) == (JOBS_PER_PAIR * N_PAIRS - n_done, n_done)
+    assert before.items() <= files(out).items()
+    assert_same_results(out, whole)
+
+
+def test_a_second_run_makes_nothing(again, dataset):
+    before = files(again)
+    assert run_with_toys(dataset, again).n_made == 0
+    assert files(again) == before
+
+
+def test_a_changed_setting_reruns_the_stage_that_declares_it_and_what_follows(again, dataset):
+    before = files(again)
+    outcome = run_with_toys(dataset, again, ToySettings(toy=ToyGroup(least_points=50)))
+    assert outcome.n_made == 4 * N_PAIRS
+    assert made_again(again, before) == {table.name for table in TOY_TABLES}
+
+
+@pytest.mark.parametrize(
+    ("toy", "stage", "follow"),
+    [
+        ("of_side", OF_SIDE, {"toy_crowds", "toy_ratios", "toy_marks"}),
+        ("of_pair", OF_PAIR, {"toy_ratios", "toy_marks"}),
+        ("of_object", OF_OBJECT, {"toy_marks"}),
+    ],
+)
+def test_a_raised_version_reruns_the_stage_and_what_follows(again, dataset, toy, stage, follow):
+    before = files(again)
+    run_with_toys(dataset, again, stages=with_toys(**{toy: replace(stage, version=2)}))
+    assert made_again(again, before) == follow
+
+
+def test_a_setting_that_no_toy_declares_reruns_what_reads_it_alone(again, dataset):
+    before = files(again)
+    run_with_toys(dataset, again, ToySettings.model_validate({"matching": {"delta_m": 3.0}}))
+    assert made_again(again, before) == {"matching", "selection", "metrics", "toy_ratios", "toy_marks"}
+
+
+def test_one_damaged_table_is_made_again_alone(again, dataset):
+    path = again / "toy_crowds" / "001.sim.parquet"
+    path.write_bytes(path.read_bytes()[:-9])
+    assert run_with_toys(dataset, again).n_made == 1
+
+
+def test_communities_made_again_on_a_graph_that_stays_share_their_points_with_later_stages(again, dataset, tmp_path):
+    changed = ToySettings.model_validate({"communities": {"seed": 3}})
+    assert not run_with_toys(dataset, again, changed).failures
+    run_with_toys(dataset, tmp_path / "fresh", changed)
+    assert_same_results(again, tmp_path / "fresh")
+
+
+def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, tmp_path):
+    def make(context):
+        n_matched = sum(status == "matched" for status in context.table("matching", "").column("status").to_pylist())
+        rows = {"pair_id": context.pair_id, "side": context.side, "community_id": [0], "n_over": [n_matched]}
+        return Made({"toy_crowds": toys.CROWDS.build(rows)})
+
+    late = replace(OF_SIDE, takes={"matching": ("status",)}, settings=(), make=make)
+    for out, options in (("whole", {}), ("split", {"pool": TwoAtOnce(), "policy": ALL_SPLIT})):
+        outcome = run(dataset, tmp_path / out, stages=(*STAGES, late), **options)
+        n_over = pq.read_table(tmp_path / out / "toy_crowds" / "000.sim.parquet").column("n_over").to_pylist()
+        assert n_over == [outcome.rows[0]["n_matched"]]
+
+
+def other_side(context):
+    return context.table("communities", "sim" if context.side == "real" else "real")
+
+
+@pytest.mark.parametrize(
+    ("ask", "fault"),
+    [
+        (lambda own: own.table("graph"), "asks for graph; it declares communities"),
+        (lambda own: own.facts("ground"), "asks for ground; it declares communities"),
+        (
+            lambda own: own.table("communities", columns=("point_id",)),
+            "asks for communities.point_id; of communities it declares community_id",
+        ),
+        (lambda own: own.settings.graph, "asks for the settings graph; it declares toy"),
+        (other_side, "asks for communities of the sim side; its job is about the real side"),
+        (lambda own: own.scan(), "asks for scan; it declares communities"),
+        (lambda own: own.T_real_sim, "asks for scan; it declares communities"),
+        (lambda own: object_points(own, own.side), r"object points real is made of ground; it declares communities"),
+        (
+            lambda own: own.once("toy", lambda: own.table("communities")),
+            "toy is made of communities of the real side; its job is about the sim side",
+        ),
+        (
+            lambda own: own.once("toy", lambda: own.settings.toy),
+            "asks for settings in what is made once for all jobs of the pair",
+        ),
+    ],
+)
+def test_a_job_that_asks_for_what_its_stage_does_not_declare_fails(dataset, tmp_path, ask, fault):
+    def make(context):
+        ask(context)
+        return OF_SIDE.make(context)
+
+    stages = (*STAGES[: toys.N_BEFORE_MATCHING], replace(OF_SIDE, make=make))
+    reason = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000").failures["000"]
+    assert "UndeclaredError: stage crowds" in reason
+    assert fault in reason
+
+
+def test_a_job_is_given_no_column_but_those_that_its_stage_declares(dataset, tmp_path):
+    columns = []
+
+    def make(context):
+        columns.append(context.table("communities").schema.names)
+        return OF_SIDE.make(context)
+
+    run(dataset, tmp_path / "run", ToySettings(), stages=with_toys(replace(OF_SIDE, make=make)), pattern="000")
+    assert columns == [["community_id"]] * 2
+
+
+def failure_of(stage, dataset, out, stages=()):
+    return run(dataset, out, ToySettings(), stages=(*stages, stage), pattern="000").failures["000"]
+
+
+def test_a_table_of_which_the_facts_alone_are_declared_is_not_given(dataset, tmp_path):
+    stage = replace(OF_SIDE, takes={"communities": ()})
+    reason = failure_of(stage, dataset, tmp_path / "run", STAGES[: toys.N_BEFORE_MATCHING])
+    assert "stage crowds asks for the table communities; it declares its facts alone" in reason
+
+
+@pytest.mark.parametrize(
+    ("settings", "ask", "fault"),
+    [
+        ((), lambda own: own.scan(), "it does not declare the settings input, by which its columns are read"),
+        (("input",), lambda own: own.T_real_sim, "real asks for T_real_sim, which moves the simulated side"),
+    ],
+)
+def test_a_reader_of_the_input_declares_what_its_points_depend_on(dataset, tmp_path, settings, ask, fault):
+    stage = replace(OF_SIDE, takes={SCAN: ()}, settings=settings, make=ask)
+    assert fault in failure_of(stage, dataset, tmp_path / "run")
+
+
+@pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
+@pytest.mark.parametrize(
+    ("ask", "fault"),
+    [
+        (lambda own: own.facts("metrics"), "asks for the facts of metrics, not all of whose objects are done"),
+        (
+            lambda own: own.once("toy", lambda: own.table("metrics")),
+            "toy is made of metrics, whose rows differ by object",
+        ),
+        (lambda own: own.once("toy", lambda: own.objects), "asks for objects in what is made once"),
+    ],
+)
+def test_no_object_depends_on_which_others_are_scored_beside_it(dataset, tmp_path, ask, fault, is_split):
+    def make(context):
+        ask(context)
+        return OF_OBJECT.make(context)
+
+    stages = with_toys(of_object=replace(OF_OBJECT, make=make))
+    options = {"policy": ALL_SPLIT, "pool": TwoAtOnce()} if is_split else {}
+    outcome = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000", **options)
+    assert fault in outcome.failures["000"]
+
+
+def test_a_stage_that_gives_other_tables_than_it_declares_fails(dataset, tmp_path):
+    stage = replace(OF_SIDE, make=lambda context: Made({}))
+    reason = failure_of(stage, dataset, tmp_path / "run", STAGES[: toys.N_BEFORE_MATCHING])
+    assert "stage crowds gives" in reason
+
+
+def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work(dataset, tmp_path):
+    with pytest.raises(ValueError, match="stage ratios takes matching, selection, which no stage before it gives"):
+        run(dataset, tmp_path / "run", ToySettings(), stages=(*STAGES[: toys.N_BEFORE_MATCHING], OF_SIDE, OF_PAIR))
+    assert not (tmp_path / "run" / "ground").exists()
+
+
+@pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
+def test_stages_by_any_other_name_give_the_same_tables(whole, dataset, tmp_path, is_split):
+    renamed = tuple(replace(stage, name=f"stage-{i}") for i, stage in enumerate(with_toys()))
+    options = {"policy": ALL_SPLIT, "pool": TwoAtOnce()} if is_split else {}
+    outcome = run_with_toys(dataset, tmp_path / "run", stages=renamed, **options)
+    assert {row["status"] for row in outcome.rows} == {"scored"}
+    assert_same_tables(tmp_path / "run", whole)
+    assert set(pq.read_table(tmp_path / "run" / "timings.parquet").column("stage").to_pylist()) == {
+        stage.name for stage in renamed
+    }
+
+
+PIPELINE = Path(fidpipe.__file__).parent / "pipeline"
+NAMELESS = [
+    *(path for folder in ("engine", "storage", "cli") for path in sorted((PIPELINE / folder).glob("*.py"))),
+    *(PIPELINE / name for name in ("run.py", "stage.py")),
+]
+
+
+@pytest.mark.parametrize("path", NAMELESS, ids=lambda path: str(path.relative_to(PIPELINE)))
+def test_what_runs_stages_holds_the_name_of_none(path):
+    names = {stage.name for stage in (*STAGES, *EXTRAS)}
+    constants = (node.value for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if is_word(node))
+    assert not names.intersection(constants)
+
+
+def is_word(node):
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)

@@ -1,0 +1,115 @@
+"""Toy stages, one of each grain, with tables and settings of their own; a module that worker processes can import."""
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import BaseModel, ConfigDict
+
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.jobs.points import column as values_of
+from fidpipe.pipeline.stage import Grain, Made, Stage
+from fidpipe.schemas.columns import COMMUNITY, FLOAT64, INT32, PAIR, SIDE, SIDES, Table, column
+from fidpipe.schemas.settings import Settings
+from fidpipe.schemas.tables import TABLES
+
+REAL_ID = column("real_id", INT32, "community of the real side")
+
+CROWDS = Table(
+    "toy_crowds",
+    pa.schema([PAIR, SIDE, COMMUNITY, column("n_over", INT32, "points over toy.least_points")]),
+    ("community_id",),
+)
+RATIOS = Table("toy_ratios", pa.schema([PAIR, REAL_ID, column("ratio", FLOAT64, "of simulated points")]), ("real_id",))
+MARKS = Table("toy_marks", pa.schema([PAIR, REAL_ID, column("mark", FLOAT64, "cdc times ratio")]), ("real_id",))
+TOY_TABLES = (CROWDS, RATIOS, MARKS)
+TABLES.update({table.name: table for table in TOY_TABLES})
+
+
+class ToyGroup(BaseModel):
+    """What the toys read."""
+
+    model_config = ConfigDict(frozen=True)
+    least_points: int = 20
+
+
+class ToySettings(Settings):
+    """All settings, with a group for the toys."""
+
+    toy: ToyGroup = ToyGroup()
+
+
+def make_crowds(context):
+    """How many points each community has over a number, side by side."""
+    n_points = np.bincount(values_of(context.table("communities"), "community_id"))
+    n_over = np.maximum(n_points - context.settings.toy.least_points, 0).astype(np.int32)
+    ids = np.arange(len(n_over), dtype=np.int32)
+    rows = {"pair_id": context.pair_id, "side": context.side, "community_id": ids, "n_over": n_over}
+    return Made({"toy_crowds": CROWDS.build(rows)}, {"n_crowds": int(np.count_nonzero(n_over))})
+
+
+def make_ratios(context):
+    """How many of an object's points the simulated side has, object by object."""
+    n_over = {side: values_of(context.table("toy_crowds", side), "n_over") for side in SIDES}
+    rows = [
+        {"pair_id": context.pair_id, "real_id": real_id, "ratio": n_over["sim"][sim_id] / (1 + n_over["real"][real_id])}
+        for real_id, sim_id in zip(
+            *(context.table("matching").column(name).to_pylist() for name in MATCHED), strict=True
+        )
+        if real_id is not None and sim_id is not None
+    ]
+    facts = {side: context.facts("toy_crowds", side)["n_crowds"] for side in SIDES}
+    return Made({"toy_ratios": RATIOS.from_rows(rows)}, facts | {"n_kept": context.table("selection").num_rows})
+
+
+def make_marks(context):
+    """A mark for each object, from its scores and the table of the pair."""
+    ratio_of = context.once(
+        "toy ratios",
+        lambda: dict(zip(*(context.table("toy_ratios").column(name).to_pylist() for name in RATIO), strict=True)),
+    )
+    metrics = context.table("metrics")
+    own = metrics.filter(pc.is_in(metrics.column("real_id"), pa.array(context.objects, pa.int32())))
+    rows = [
+        {"pair_id": context.pair_id, "real_id": row["real_id"], "mark": row["cdc"] * ratio_of[row["real_id"]]}
+        for row in own.to_pylist()
+    ]
+    return Made({"toy_marks": MARKS.from_rows(rows)})
+
+
+def gather_marks(context, tables):
+    """The best mark of the pair."""
+    marks = tables["toy_marks"].column("mark").to_pylist()
+    return {"best": min(marks, default=None), "n_crowds": context.facts("toy_ratios")["real"]}
+
+
+MATCHED, RATIO = ("real_id", "sim_id"), ("real_id", "ratio")
+OF_SIDE = Stage(
+    name="crowds",
+    takes={"communities": ("community_id",)},
+    gives=("toy_crowds",),
+    settings=("toy",),
+    grain=Grain.SIDE,
+    make=make_crowds,
+)
+OF_PAIR = Stage(
+    name="ratios",
+    takes={"toy_crowds": ("n_over",), "matching": MATCHED, "selection": ("rank",)},
+    gives=("toy_ratios",),
+    grain=Grain.PAIR,
+    make=make_ratios,
+)
+OF_OBJECT = Stage(
+    name="marks",
+    takes={"toy_ratios": RATIO, "metrics": ("real_id", "cdc")},
+    gives=("toy_marks",),
+    grain=Grain.OBJECT,
+    make=make_marks,
+    gather=gather_marks,
+)
+
+N_BEFORE_MATCHING = next(i for i, stage in enumerate(STAGES) if stage.grain is not Grain.SIDE)
+
+
+def with_toys(of_side=OF_SIDE, of_pair=OF_PAIR, of_object=OF_OBJECT):
+    """The pipeline with a toy of the sides before matching, and a toy of the pair and one of its objects at the end."""
+    return (*STAGES[:N_BEFORE_MATCHING], of_side, *STAGES[N_BEFORE_MATCHING:], of_pair, of_object)
