@@ -131,10 +131,6 @@ class PairTables:
         self._records = {job.name: job.record for job in plan.jobs if job.record is not None}
         self._memory: dict[str, tuple[Any, set[Column]]] = {}
 
-    def learn(self, plan: PairPlan) -> None:
-        """Adds the jobs of the same pair that were finished elsewhere in the meantime."""
-        self._records |= {job.name: job.record for job in plan.jobs if job.record is not None}
-
     @property
     def objects(self) -> list[tuple[int, int]]:
         """Id and nodes of each matched object; none where nothing lists them."""
