@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ....schemas.columns import SIDES
-from ....schemas.errors import FidpipeError
-from ....schemas.settings import Settings
-from ....stages.sensing.ray_casting import SENSORS, need_ray_caster
-from ...datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
-from ...engine.engine import Engine, Machines
-from ...engine.plan import Job, PairPlan
-from ...engine.progress import Reporter, Work
-from ...stage import Context, Grain, Made, Stage
-from ...storage.files import key_of, write_whole
-from .scans import make_pair
-from .things import KINDS
+from ...schemas.columns import SIDES
+from ...schemas.errors import FidpipeError
+from ...schemas.settings import Settings
+from ...stages.sensing.ray_casting import SENSORS, need_ray_caster
+from ...stages.sensing.scans import make_pair
+from ...stages.sensing.things import KINDS
+from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
+from ..engine.engine import Engine, Machines
+from ..engine.plan import Job, PairPlan
+from ..engine.progress import Reporter, Work
+from ..stage import Context, Grain, Made, Stage
+from ..storage.files import key_of, write_whole
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
