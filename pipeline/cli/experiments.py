@@ -76,7 +76,7 @@ def perturb(
     from ..engine.progress import Reporter
     from ..experiments.perturb.perturb import LEVELS, PerturbRequest, parse_levels, perturb_source
     from ..report.figures.perturb import draw_perturbations
-    from ..report.terminal.perturb import perturb_view
+    from ..report.terminal.experiments import perturb_view
 
     check_machines(workers, scheduler)
     baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
@@ -141,7 +141,7 @@ def ablate(
     from ..engine.progress import Reporter
     from ..experiments.ablate.ablate import AblateRequest, ablate_dataset
     from ..report.figures.ablate import draw_ablation
-    from ..report.terminal.ablate import ablate_view
+    from ..report.terminal.experiments import ablate_view
 
     check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}

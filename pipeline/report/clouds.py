@@ -19,7 +19,6 @@ from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ..engine.pool import one_blas_thread
-from ..results.tables import read_table
 from .results import RunResults
 
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
@@ -40,6 +39,10 @@ class Cloud:
     points: FloatArray
     community: IntArray
 
+    def members(self, community_id: int) -> FloatArray:
+        """The points of one object, (m, 3)."""
+        return self.points[self.community == community_id]
+
 
 @dataclass(frozen=True)
 class Spectra:
@@ -56,63 +59,56 @@ class PairTables:
     Raises
     ------
     RunError
-        From every method: a table is damaged or gone.
+        From every property and method: a table is damaged or gone.
     """
 
     def __init__(self, results: RunResults, pair_id: str) -> None:
-        self.pair_id = pair_id
-        self._run = results.run
-        self._matched = results.matched[results.matched.pair_id == pair_id]
-        self._clouds: dict[str, Cloud] = {}
+        self.matched = results.matched[results.matched.pair_id == pair_id]
+        self.unmatched = results.unmatched[results.unmatched.pair_id == pair_id]
+        self._run, self._pair_id = results.run, pair_id
 
-    def cloud(self, side: str) -> Cloud:
-        """The object points of a side."""
-        if side not in self._clouds:
-            points = self._columns("ground", side, ["point_id", "x", "y", "z", "is_ground"])
-            points = points[~points.is_ground]
+    @cached_property
+    def clouds(self) -> dict[str, Cloud]:
+        """The object points by side."""
+        clouds = {}
+        for side in SIDES:
+            points = self._columns("ground", side, ["point_id", "x", "y", "z", "is_ground"]).query("~is_ground")
             community = self._columns("communities", side, ["community_id"]).community_id
-            self._clouds[side] = Cloud(
-                points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), community.to_numpy()
-            )
-        return self._clouds[side]
+            clouds[side] = Cloud(points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), community.to_numpy())
+        return clouds
 
     @cached_property
     def selection(self) -> pd.DataFrame:
         """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
         return self._columns("selection", "", ["real_id", "real_point_id", "sim_point_id"])
 
-    def kept(self, side: str) -> IntArray:
-        """Ids of the points that stand for their object in the spectral scores, (n,) int32, ascending."""
-        kept: IntArray = np.sort(self.selection[f"{side}_point_id"].to_numpy())
-        return kept
-
     def spectra(self) -> Iterator[tuple[int, Spectra]]:
         """The spectra of each matched object, by real id; with a reason in their place where they are not drawn."""
         graphs = {side: self._graphs(side) for side in SIDES}
         nodes = dict(iter(self.selection.groupby("real_id")))
         with one_blas_thread():
-            for row in self._matched.to_dict("records"):
-                if row["status"] == "too_small":
-                    yield row["real_id"], Spectra(reason="too few nodes for a spectrum")
+            for row in self.matched.itertuples():
+                if row.status == "too_small":
+                    yield row.real_id, Spectra(reason="too few nodes for a spectrum")
                 else:
-                    pair = tuple(graphs[side][row[f"{side}_id"]] for side in SIDES)
-                    yield row["real_id"], _spectra_of(pair, nodes[row["real_id"]], row["max_eigenvalue_shift"])
+                    pair = graphs["real"][row.real_id], graphs["sim"][row.sim_id]
+                    yield row.real_id, _spectra_of(pair, nodes[row.real_id], row.max_eigenvalue_shift)
 
     def _graphs(self, side: str) -> dict[int, Subgraph]:
         """The graph of each matched object of a side, by the object's id."""
-        cloud = self.cloud(side)
+        cloud = self.clouds[side]
         graph = self._columns("graph", side, ["src", "dst", "length_m"])
         src, dst = (np.searchsorted(cloud.point_ids, graph[end].to_numpy()).astype(np.int32) for end in ("src", "dst"))
         edges = Edges(src, dst, graph.length_m.to_numpy())
-        wanted = self._matched[f"{side}_id"].tolist()
+        wanted = self.matched[f"{side}_id"].tolist()
         return split_by_community(cloud.point_ids, cloud.points, edges, cloud.community, wanted)
 
     def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:
-        rows: pd.DataFrame = read_table(self._run, table, self.pair_id, side, columns).to_pandas()
+        rows: pd.DataFrame = self._run.read_table(table, self._pair_id, side, columns).to_pandas()
         return rows
 
 
-def _spectra_of(graphs: tuple[Subgraph, ...], nodes: pd.DataFrame, stored_shift: float) -> Spectra:
+def _spectra_of(graphs: tuple[Subgraph, Subgraph], nodes: pd.DataFrame, stored_shift: float) -> Spectra:
     """Both spectra of one object from its graphs and its kept nodes, in aligned pairs."""
     if len(nodes) > MOST_SPECTRUM_NODES:
         return Spectra(reason=f"{len(nodes):,} nodes: spectra are drawn of objects of up to {MOST_SPECTRUM_NODES:,}")

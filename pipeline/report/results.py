@@ -10,18 +10,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...schemas.tables import PAIRS
 from ..results.finished import FinishedRun
-from ..results.tables import check_tables, read_table
 from .quadrants import quadrant_of
 
 SHAPES = ("linear", "planar", "scattered")
 _SHAPE_COLUMNS = ["linearity", "planarity", "scattering"]
-_PLACE = ["n_points", "range_m", "bearing_deg", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"]
 
 
 @dataclass(frozen=True)
@@ -31,10 +27,13 @@ class RunResults:
     run : its folder, its record (`run.json`), and where single tables are read from
     pairs : `pairs.parquet`, the scored pairs only, worst first
     failures : why each failed pair failed
-    matched : `metrics` with place and class of the real object, `quadrant`, and the position of its pair; worst first
-    unmatched : `objects` that only one side has, with `status`; largest first
+    matched : `metrics` with place and class (`group`) of the real object, and `quadrant`; worst first
+    unmatched : `objects` that only one side has, with class and `status` (missing or hallucinated); largest first
     timings : `timings.parquet`
-    class_is : "label" where the scans are labelled, else "shape"
+    class_is : "class" where the scans are labelled, else "shape"
+
+    Objects also have `pair`, the position of their pair among `pairs`, and `name`, such as "real 3" (a matched one that
+    of its real side).
     """
 
     run: FinishedRun
@@ -75,7 +74,7 @@ def read_results(folder: Path) -> RunResults:
         The folder is no run, the run has not ended, a table is damaged, or no pair is scored.
     """
     run = FinishedRun(folder)
-    rows: pd.DataFrame = pa.Table.from_pylist(run.rows, schema=PAIRS.schema).to_pandas()
+    rows: pd.DataFrame = run.read_table("pairs").to_pandas()
     is_scored = rows.status == "scored"
     failures = dict(zip(rows.pair_id[~is_scored], rows.reason[~is_scored], strict=True))
     if not is_scored.any():
@@ -83,58 +82,52 @@ def read_results(folder: Path) -> RunResults:
     pairs = _worst_first(rows[is_scored], ("match_rate", "cdc_mean", "r_lambda_mean"))
     names = pairs.pair_id.tolist()
     for name in names:
-        check_tables(run, name)
-    objects = _with_place(_read(run, "objects", names, SIDES))
+        run.check_tables(name)
+    objects = _with_class(_read(run, "objects", names, SIDES), names)
+    matched, unmatched = _matched_and_not(_read(run, "metrics", names), objects)
     return RunResults(
         run=run,
         pairs=pairs,
         failures=failures,
-        matched=_matched(_read(run, "metrics", names), objects, names),
-        unmatched=_unmatched(_read(run, "matching", names), objects, names),
-        timings=pq.read_table(folder / "timings.parquet").to_pandas(),
-        class_is="label" if objects.label.notna().any() else "shape",
+        matched=matched,
+        unmatched=unmatched,
+        timings=run.read_table("timings").to_pandas(),
+        class_is="class" if objects.label.notna().any() else "shape",
     )
 
 
 def _read(run: FinishedRun, table: str, names: Iterable[str], sides: Iterable[str] = ("",)) -> pd.DataFrame:
     """A table of all pairs, one pair after the other."""
-    tables = [read_table(run, table, name, side) for name in names for side in sides]
-    rows: pd.DataFrame = pa.concat_tables(tables).to_pandas()
+    rows: pd.DataFrame = pa.concat_tables(
+        [run.read_table(table, name, side) for name in names for side in sides]
+    ).to_pandas()
     return rows
 
 
-def _with_place(objects: pd.DataFrame) -> pd.DataFrame:
-    """Objects with bearing (degrees, 0 ahead, 90 left), shape class, and the class that the report goes by."""
-    bearing = np.degrees(np.arctan2(objects.cy, objects.cx))
+def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    """Objects with bearing (degrees, 0 ahead, 90 left), the class that the report goes by, their pair and name."""
     shape = np.array(SHAPES)[objects[_SHAPE_COLUMNS].to_numpy().argmax(axis=1)]
-    objects = objects.assign(bearing_deg=bearing, shape=shape)
-    labels = objects.label
-    group = labels.fillna("(no label)") if labels.notna().any() else objects["shape"]
-    grouped: pd.DataFrame = objects.assign(group=group)
-    return grouped
-
-
-def _matched(metrics: pd.DataFrame, objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    real = objects[objects.side == "real"][["pair_id", "community_id", *_PLACE, "group", "shape"]]
-    both = metrics.merge(real, left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"], validate="1:1")
-    both = both.drop(columns=["community_id", "n_points"])
-    both["quadrant"] = quadrant_of(both.cdc.to_numpy(), both.r_lambda.to_numpy(dtype=float))
-    both["pair"] = both.pair_id.map({name: i for i, name in enumerate(names)})
-    return _worst_first(both, ("cdc", "r_lambda"))
-
-
-def _unmatched(matching: pd.DataFrame, objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    parts = []
-    for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True):
-        alone = matching[matching.status == status][["pair_id", f"{side}_id", "status"]]
-        alone = alone.rename(columns={f"{side}_id": "community_id"}).astype({"community_id": "int32"})
-        parts.append(objects[objects.side == side].merge(alone, on=["pair_id", "community_id"], validate="1:1"))
-    unmatched = pd.concat(parts)
-    unmatched["pair"] = unmatched.pair_id.map({name: i for i, name in enumerate(names)})
-    largest_first: pd.DataFrame = unmatched.sort_values(
-        ["n_points", "pair_id"], ascending=[False, True], ignore_index=True
+    return objects.assign(
+        bearing_deg=np.degrees(np.arctan2(objects.cy, objects.cx)),
+        group=objects.label.fillna("(no label)") if objects.label.notna().any() else shape,
+        pair=objects.pair_id.map({name: i for i, name in enumerate(names)}),
+        name=objects.side + " " + objects.community_id.astype(str),
     )
-    return largest_first
+
+
+def _matched_and_not(metrics: pd.DataFrame, objects: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Scores with what is known of the real objects, worst first; the objects without a partner, largest first."""
+    real = objects[objects.side == "real"].rename(columns={"community_id": "real_id"}).drop(columns="n_points")
+    matched = metrics.merge(real, on=["pair_id", "real_id"], validate="1:1")
+    matched["quadrant"] = quadrant_of(matched.cdc.to_numpy(), matched.r_lambda.to_numpy(dtype=float))
+    alone = []
+    for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True):
+        own = objects[objects.side == side]
+        partnered = pd.MultiIndex.from_frame(metrics[["pair_id", f"{side}_id"]])
+        is_alone = ~pd.MultiIndex.from_frame(own[["pair_id", "community_id"]]).isin(partnered)
+        alone.append(own[is_alone].assign(status=status))
+    unmatched = pd.concat(alone).sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
+    return _worst_first(matched, ("cdc", "r_lambda")), unmatched
 
 
 def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from ....stages.sensing.perturbations import Perturbation
 from ...experiments.perturb.claims import Means
 from ...experiments.perturb.perturb import PerturbOutcome, object_points
 from ..colours import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
-from .style import VIEW, box_of, draw_band, frame_of, from_above, mark_amounts, metres, new_figure, shown_name
+from .style import VIEW, box_of, dots, draw_band, frame_of, from_above, mark_amounts, metres, new_figure, shown_name
 
 FIGURE = "perturb.png"
 _DPI = 115
@@ -44,13 +44,16 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     n_rows = (len(curves) + 1) // 2
     with new_figure(11, _TOP_IN + _ROW_IN * n_rows) as figure:
         top, bottom = figure.subfigures(2, 1, height_ratios=(_TOP_IN, max(_ROW_IN * n_rows, 0.1)))
-        top.suptitle(f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats", fontsize=10)
+        top.suptitle(f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats")
         grid = top.add_gridspec(1, 1 + len(drawn), width_ratios=(1.3, *[1] * len(drawn)))
         chosen_colours = {chosen.community_id: colours[chosen.name] for chosen in drawn}
         _draw_scene(top.add_subplot(grid[0]), points, community, chosen_colours)
         for place, chosen in enumerate(drawn, start=1):
             axis = top.add_subplot(grid[place], projection="3d", **VIEW)
-            _draw_object(axis, points[community == chosen.community_id], colours[chosen.name])
+            own = points[community == chosen.community_id]
+            corner, size = box_of(own)
+            dots(axis, own - corner, 1.5, colours[chosen.name])
+            metres(axis, size, zoom=0.75)
             title = f"{shown_name(chosen.name)}: {chosen.n_points:,} points,\n{chosen.range_m:.0f} m away"
             axis.set_title(title, fontsize=8.5)
         if curves:
@@ -81,17 +84,11 @@ def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], co
 def _draw_scene(axis: Any, points: FloatArray, community: IntArray, colour_of: dict[int, str]) -> None:
     """All objects from above, the chosen ones in their colours."""
     greys = 0.62 + 0.25 * (np.arange(int(community.max()) + 1) * 0.618 % 1)  # neighbours in number differ
-    axis.scatter(*points[:, :2].T, s=0.8, c=np.repeat(greys[community, None], 3, axis=1), linewidths=0)
+    dots(axis, points, 0.8, np.repeat(greys[community, None], 3, axis=1))
     for chosen, colour in colour_of.items():
-        axis.scatter(*points[community == chosen, :2].T, s=1.6, color=colour, linewidths=0)
+        dots(axis, points[community == chosen], 1.6, colour)
     from_above(axis, frame_of(points))
     axis.set_title(f"(a) {int(community.max()) + 1} objects from above,\n{len(colour_of)} of them chosen", fontsize=8.5)
-
-
-def _draw_object(axis: Any, points: FloatArray, colour: str) -> None:
-    corner, size = box_of(points)
-    axis.scatter(*(points - corner).T, s=1.5, color=colour, linewidths=0)
-    metres(axis, size, zoom=0.75)
 
 
 def _draw_curves(axis: Any, means: Means, levels: Sequence[Perturbation], metric: str, colours: dict[str, str]) -> None:

@@ -8,14 +8,15 @@ import numpy as np
 
 from ....schemas.columns import SIDES
 from ....stages.arrays import FloatArray
-from ..clouds import Cloud, PairTables
+from ..aggregates import axis_title
+from ..clouds import PairTables
 from ..colours import FATE_COLOURS, SIDE_COLOURS
 from ..results import SHAPES, RunResults
 from .style import (
-    DOT,
     VIEW,
     box_of,
     community_colours,
+    dots,
     fidelity_colours,
     frame_of,
     from_above,
@@ -23,7 +24,7 @@ from .style import (
     new_figure,
     save,
     shown_name,
-)  # fmt: skip
+)
 
 _CLASSES = ("car", "vegetation", "tree", "wall")
 
@@ -31,66 +32,56 @@ _CLASSES = ("car", "vegetation", "tree", "wall")
 def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: the objects of the real scan, both sides with matched centroids joined, the map of r_lambda."""
     tables = PairTables(results, pair_id)
-    real, sim = (tables.cloud(side) for side in SIDES)
-    matched = results.matched[results.matched.pair_id == pair_id]
-    frame = frame_of(real.points, sim.points)
-    with new_figure(11, _height(frame, 3.2)) as figure:
-        axes = figure.subplots(1, 3, sharex=True, sharey=True)
-        colours = community_colours(int(real.community.max()) + 1)
-        axes[0].scatter(*real.points.T[:2], s=1.2, c=colours[real.community], **DOT)
-        axes[0].set_title(f"(A) {real.community.max() + 1} objects of the real scan")
+    real, matched = tables.clouds["real"], tables.matched
+    n_objects = int(real.community.max()) + 1
+    frame = frame_of(*(cloud.points for cloud in tables.clouds.values()))
+    with new_figure(11, _height(frame, 3.2), f"pair {shown_name(pair_id)}") as figure:
+        objects, sides, fidelity = figure.subplots(1, 3, sharex=True, sharey=True)
+        dots(objects, real.points, 1.2, community_colours(n_objects)[real.community])
+        objects.set_title(f"(A) {n_objects} objects of the real scan")
 
-        for side, cloud in zip(SIDES, (real, sim), strict=True):
-            axes[1].scatter(*cloud.points.T[:2], s=0.8, c=SIDE_COLOURS[side], alpha=0.5, label=side, **DOT)
-        ends = np.stack([_centroids(real, matched.real_id), _centroids(sim, matched.sim_id)])
-        axes[1].plot(*ends.transpose(2, 0, 1), color="black", linewidth=0.8)
+        _draw_sides(sides, tables)
+        ends = [
+            np.array([cloud.members(i)[:, :2].mean(axis=0) for i in matched[f"{side}_id"]]).reshape(-1, 2)
+            for side, cloud in tables.clouds.items()
+        ]
+        sides.plot(*np.stack(ends).transpose(2, 0, 1), color="black", linewidth=0.8)
         for side, centroids in zip(SIDES, ends, strict=True):
-            axes[1].scatter(*centroids.T, s=13, c=SIDE_COLOURS[side], edgecolors="black", linewidths=0.6, zorder=3)
-        axes[1].set_title(f"(B) real and simulated, {len(matched)} matched centroids joined")
-        _point_legend(axes[1])
+            sides.scatter(*centroids.T, s=13, c=SIDE_COLOURS[side], edgecolors="black", linewidths=0.6, zorder=3)
+        sides.set_title(f"(B) real and simulated, {len(matched)} matched centroids joined")
 
-        values = np.full(int(real.community.max()) + 1, np.nan)
+        values = np.full(n_objects, np.nan)
         values[matched.real_id] = matched.r_lambda.to_numpy(dtype=float)
         of_point = values[real.community]
         known = ~np.isnan(of_point)
-        axes[2].scatter(*real.points[~known].T[:2], s=1.2, c="#cccccc", label="no counterpart, no score", **DOT)
-        coloured = axes[2].scatter(
-            *real.points[known].T[:2], s=1.2, c=of_point[known], cmap=fidelity_colours(), vmin=0, vmax=1, **DOT
-        )
-        axes[2].set_title("(C) structural fidelity of the real objects")
-        _point_legend(axes[2])
-        bar = axes[2].inset_axes((1.03, 0, 0.04, 1))
-        figure.colorbar(coloured, cax=bar, label="r_lambda (0 faithful, 1 failed)")
-        for axis in axes:
+        dots(fidelity, real.points[~known], 1.2, "#cccccc", label="no counterpart, no score")
+        coloured = dots(fidelity, real.points[known], 1.2, of_point[known], cmap=fidelity_colours(), vmin=0, vmax=1)
+        fidelity.set_title("(C) structural fidelity of the real objects")
+        figure.colorbar(coloured, cax=fidelity.inset_axes((1.03, 0, 0.04, 1)), label=axis_title("r_lambda"))
+        for axis in (objects, sides, fidelity):
             from_above(axis, frame)
-        figure.suptitle(f"pair {shown_name(pair_id)}", fontsize=10)
         return save(figure, folder, "overview")
 
 
 def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: left both sides, right the objects that only one side has."""
     tables = PairTables(results, pair_id)
-    clouds = {side: tables.cloud(side) for side in SIDES}
-    alone = results.unmatched[results.unmatched.pair_id == pair_id]
-    frame = frame_of(*(cloud.points for cloud in clouds.values()))
-    with new_figure(9, _height(frame, 4.0)) as figure:
-        axes = figure.subplots(1, 2, sharex=True, sharey=True)
-        for side, cloud in clouds.items():
-            axes[0].scatter(*cloud.points.T[:2], s=0.8, c=SIDE_COLOURS[side], alpha=0.5, label=side, **DOT)
-        axes[0].set_title("all objects")
-        for cloud in clouds.values():
-            axes[1].scatter(*cloud.points.T[:2], s=0.4, c="#dddddd", **DOT)
-        for side, fate in zip(SIDES, ("missing", "hallucinated"), strict=True):
+    alone = tables.unmatched
+    frame = frame_of(*(cloud.points for cloud in tables.clouds.values()))
+    with new_figure(9, _height(frame, 4.0), f"pair {shown_name(pair_id)}") as figure:
+        sides, unmatched = figure.subplots(1, 2, sharex=True, sharey=True)
+        _draw_sides(sides, tables)
+        sides.set_title("all objects")
+        for cloud in tables.clouds.values():
+            dots(unmatched, cloud.points, 0.4, "#dddddd")
+        for (side, cloud), fate in zip(tables.clouds.items(), ("missing", "hallucinated"), strict=True):
             ids = alone[alone.status == fate].community_id
-            points = clouds[side].points[np.isin(clouds[side].community, ids)]
-            label = f"{len(ids)} {fate} ({side} only)"
-            axes[1].scatter(*points.T[:2], s=1.5, c=FATE_COLOURS[fate], label=label, **DOT)
+            points = cloud.points[np.isin(cloud.community, ids)]
+            dots(unmatched, points, 1.5, FATE_COLOURS[fate], label=f"{len(ids)} {fate} ({side} only)")
         median_m = f", median range {alone.range_m.median():.0f} m" if len(alone) else ""
-        axes[1].set_title(f"unmatched objects{median_m}")
-        for axis in axes:
+        unmatched.set_title(f"unmatched objects{median_m}")
+        for axis in (sides, unmatched):
             from_above(axis, frame)
-            _point_legend(axis)
-        figure.suptitle(f"pair {shown_name(pair_id)}", fontsize=10)
         return save(figure, folder, "unmatched")
 
 
@@ -104,73 +95,55 @@ def draw_objects(results: RunResults, folder: Any) -> Any:
         return []
     with new_figure(2.9 * max(2, len(chosen)), 5.8) as figure:
         grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
-        for place, (class_name, index) in enumerate(chosen):
-            row = results.matched.iloc[index].to_dict()
-            tables = PairTables(results, row["pair_id"])
-            members = []
-            for side in SIDES:
-                cloud = tables.cloud(side)
-                members.append(cloud.points[cloud.community == row[f"{side}_id"]])
-            corner, size = box_of(np.concatenate(members))
-            for level, (side, points) in enumerate(zip(SIDES, members, strict=True)):
+        for place, index in enumerate(chosen):
+            row = results.matched.iloc[index]
+            clouds = PairTables(results, row.pair_id).clouds
+            members = {side: cloud.members(row[f"{side}_id"]) for side, cloud in clouds.items()}
+            corner, size = box_of(np.concatenate(list(members.values())))
+            for level, (side, points) in enumerate(members.items()):
                 axis = figure.add_subplot(grid[level, place], projection="3d", **VIEW)
-                axis.scatter(*(points - corner).T, s=1.5, c=SIDE_COLOURS[side], **DOT)
+                dots(axis, points - corner, 1.5, SIDE_COLOURS[side])
                 metres(axis, size, zoom=0.87)
                 axis.set_title(f"{side}, {len(points):,} points", pad=-4, y=1.0, fontsize=8)
-            words = figure.add_subplot(grid[2, place])
-            words.set_axis_off()
-            words.text(
-                0.5,
-                1,
-                f"({'abcd'[place]}) {shown_name(class_name)}, {row['range_m']:.0f} m away\n"
-                f"CDC {row['cdc']:.2f}   r_lambda {row['r_lambda']:.2f}\n"
-                f"r_gap {row['r_gap']:.3f}   nodes {row['n_keep']:,}\n"
-                f"pair {shown_name(row['pair_id'])}, object {row['real_id']}",
-                ha="center",
-                va="top",
-                fontsize=8.5,
+            words = (
+                f"({'abcd'[place]}) {shown_name(row.group)}, {row.range_m:.0f} m away\n"
+                f"CDC {row.cdc:.2f}   r_lambda {row.r_lambda:.2f}\n"
+                f"r_gap {row.r_gap:.3f}   nodes {row.n_keep:,}\n"
+                f"pair {shown_name(row.pair_id)}, object {row.real_id}"
             )
+            axis = figure.add_subplot(grid[2, place])
+            axis.set_axis_off()
+            axis.text(0.5, 1, words, ha="center", va="top", fontsize=8.5)
         return save(figure, folder, "objects")
 
 
-def choose_objects(results: RunResults) -> list[tuple[str, int]]:
-    """Up to four objects to look at: of each class the one of median r_lambda among the larger half.
+def choose_objects(results: RunResults) -> list[int]:
+    """Up to four objects to look at, as places in `matched`: of each class that of median r_lambda in the larger half.
 
     Labelled runs show car, vegetation, tree and wall, as the paper does, where they occur, then the most frequent other
     labels; others show the shape classes, then the largest objects.
     """
     scored = results.matched[results.matched.r_lambda.notna()]
-    if results.class_is == "label":
-        frequent = scored.group.value_counts().index.tolist()
-        classes = [name for name in _CLASSES if name in frequent]
+    frequent = scored.group.value_counts().index
+    first = _CLASSES if results.class_is == "class" else SHAPES
+    classes = [name for name in first if name in frequent]
+    if results.class_is == "class":
         classes += [name for name in frequent if name not in classes]
-    else:
-        classes = [name for name in SHAPES if (scored.group == name).any()]
     chosen = []
     for name in classes[:4]:
         rows = scored[scored.group == name]
         large = rows[rows.n_keep >= rows.n_keep.median()].sort_values("r_lambda", kind="stable")
-        chosen.append((str(name), int(large.index[len(large) // 2])))
-    taken = {index for _, index in chosen}
-    for index in scored.sort_values("n_keep", ascending=False, kind="stable").index:
-        if len(chosen) < 4 and index not in taken:
-            chosen.append((str(scored.group[index]), int(index)))
-    return chosen
+        chosen.append(int(large.index[len(large) // 2]))
+    largest = scored.drop(chosen).sort_values("n_keep", ascending=False, kind="stable").index.tolist()
+    return [*chosen, *largest][:4]
 
 
-def _centroids(cloud: Cloud, ids: Any) -> FloatArray:
-    """(m, 2) means of the points of each object, seen from above."""
-    return np.array([cloud.points[cloud.community == i, :2].mean(axis=0) for i in ids]).reshape(-1, 2)
+def _draw_sides(axis: Any, tables: PairTables) -> None:
+    for side, cloud in tables.clouds.items():
+        dots(axis, cloud.points, 0.8, SIDE_COLOURS[side], alpha=0.5, label=side)
 
 
 def _height(frame: FloatArray, panel_width_in: float) -> float:
     """Inches of a figure whose panels are as wide as given, with room for titles and legends."""
     width, height = frame[1] - frame[0]
     return float(np.clip(panel_width_in * height / width, 1.5, 6)) + 1.25
-
-
-def _point_legend(axis: Any) -> None:
-    """A legend a fixed way under the axis, clear of its label, with dots that can be seen."""
-    legend = axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.3, ncols=3, handletextpad=0.1)
-    for handle in legend.legend_handles:
-        handle.set(sizes=[22], alpha=1)

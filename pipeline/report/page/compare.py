@@ -5,15 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from ....schemas.metrics import labels
 from ....stages.statistics.comparison import CONFIDENCE, N_RESAMPLES, SEED
 from ...results.compare import Comparison
 from ..charts import change_chart
-from ..terminal.compare import OBJECTS_NOTE, beyond_seeds, changed, has_seeds, remarks, signed, verdict
-from ..terminal.layout import number, percent
+from ..terminal.compare import (
+    OBJECT_HEADINGS,
+    OBJECTS_NOTE,
+    SCORE_HEADINGS,
+    SEEDS_HEADING,
+    changed,
+    kind_rows,
+    object_cells,
+    remarks,
+    score_cells,
+    seed_cells,
+    signed,
+    verdict,
+)
 from .render import render
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
-_PAIR_SCORES = ("match rate", "CDC", "r_lambda", "r_gap", "missing objects")
+_PAIR_SCORES = labels(("match_rate", "cdc", "r_lambda", "r_gap", "n_missing"))
 
 
 def compare_page(comparisons: Sequence[Comparison]) -> str:
@@ -28,39 +41,23 @@ def compare_page(comparisons: Sequence[Comparison]) -> str:
 
 
 def _section(comparison: Comparison) -> dict[str, Any]:
-    """What the page says of one run against the base; rows of tables are texts, in the order of the headings."""
-    objects = changed(comparison)
-    columns = [next(score for score in comparison.scores if score.name == name) for name in _PAIR_SCORES]
-    r_lambda = columns[_PAIR_SCORES.index("r_lambda")].of_pairs
-    pairs = sorted(comparison.pairs, key=lambda name: -(r_lambda[name] or 0.0))
+    """What the page says of one run against the base: `comparison` itself, and tables as headings and rows of texts."""
+    objects, seeds = changed(comparison), seed_cells(comparison)
+    by_name = {score.name: score.of_pairs for score in comparison.scores}
+    pairs = sorted(comparison.pairs, key=lambda name: -(by_name["r_lambda"][name] or 0.0))
     return {
-        "base": str(comparison.base),
-        "other": str(comparison.other),
+        "comparison": comparison,
         "verdict": verdict(comparison),
-        "n_pairs": len(comparison.pairs),
         "remarks": remarks(comparison),
-        "with_seeds": has_seeds(comparison),
+        "score_headings": ["score", "verdict", *SCORE_HEADINGS, *([SEEDS_HEADING] if seeds[0] else [])],
         "scores": [
-            [
-                *(score.name, score.verdict, number(score.difference.before), number(score.difference.after)),
-                *map(signed, (score.difference.difference, score.difference.low, score.difference.high)),
-                *([beyond_seeds(score)] if has_seeds(comparison) else []),
-            ]
-            for score in comparison.scores
+            [score.name, score.verdict, *score_cells(score), *beyond]
+            for score, beyond in zip(comparison.scores, seeds, strict=True)
         ],
-        "kinds": [
-            [kind, str(n), percent(n / len(comparison.objects))]
-            for kind, n in comparison.kinds.items()
-            if comparison.objects
-        ],
+        "kinds": kind_rows(comparison),
         "n_objects": len(objects),
-        "objects": [
-            [
-                *(one.pair_id, one.kind, one.label or "-", str(one.real_id), number(one.range_m, 1), str(one.n_points)),
-                *map(number, (one.cdc_before, one.cdc_after, one.r_lambda_before, one.r_lambda_after)),
-            ]
-            for one in objects[:MOST_OBJECTS]
-        ],
-        "pair_scores": _PAIR_SCORES,
-        "pairs": [[name, *(signed(score.of_pairs[name]) for score in columns)] for name in pairs[:MOST_PAIRS]],
+        "object_headings": ["pair", "what", *OBJECT_HEADINGS],
+        "objects": [[one.pair_id, one.kind, *object_cells(one)] for one in objects[:MOST_OBJECTS]],
+        "pair_headings": ["pair (change)", *_PAIR_SCORES],
+        "pairs": [[name, *(signed(by_name[score][name]) for score in _PAIR_SCORES)] for name in pairs[:MOST_PAIRS]],
     }

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from ....schemas.columns import SIDES
-from ....stages.arrays import IndexArray, IntArray
+from ....schemas.metrics import metric_of
+from ....stages.arrays import IndexArray
 from ..aggregates import plain_rows
-from ..clouds import Cloud, PairTables, Spectra
+from ..clouds import PairTables, Spectra
 from ..results import RunResults
 
 #: About so many points of a side are drawn at most, and of each object at least `_FEWEST`, if it has them.
@@ -24,37 +25,38 @@ _FEWEST = 80
 _CURVE_POINTS = 200
 _STEPS = 32767
 
-#: Columns of the objects, in the order of their rows in the page.
-MATCHED_COLUMNS = (
-    "real_id", "sim_id", "group", "quadrant", "status", "range_m", "bearing_deg", "n_real", "n_sim", "n_keep", "cdc",
-    "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim",
-    "alignment_rms_m", "centroid_distance_m", "reason",
-)  # fmt: skip
-UNMATCHED_COLUMNS = ("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points")
-#: What is told of a chosen object, and what it is called; the class has its name from the run.
-FACTS = {
-    "quadrant": "quadrant", "status": "status", "reason": "reason", "group": "", "range_m": "range (m)",
-    "bearing_deg": "bearing (°, left positive)", "n_points": "points", "n_real": "points, real",
-    "n_sim": "points, simulated", "n_keep": "nodes kept", "cdc": "CDC", "r_lambda": "r_lambda", "r_gap": "r_gap",
-    "max_eigenvalue_shift": "largest eigenvalue shift", "laplacian_change": "Laplacian change",
-    "eigenspectrum_distance": "eigenspectrum distance", "gap_real": "spectral gap, real",
-    "gap_sim": "spectral gap, simulated", "alignment_rms_m": "alignment r.m.s. (m)",
-    "centroid_distance_m": "centroid distance (m)",
+#: Headings of the columns that are no scores; other words stand for themselves.
+_HEADINGS = {
+    "pair_id": "pair", "range_m": "range (m)", "bearing_deg": "bearing (°, left positive)", "n_points": "points",
+    "n_real": "points, real", "n_sim": "points, simulated", "n_keep": "nodes kept",
+    **{name: name for name in ("object", "quadrant", "status", "reason")},
 }  # fmt: skip
+#: What is told of a chosen object.
+FACTS = (
+    "quadrant", "status", "reason", "group", "range_m", "bearing_deg", "n_points", "n_real", "n_sim", "n_keep", "cdc",
+    "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim",
+    "alignment_rms_m", "centroid_distance_m",
+)  # fmt: skip
+#: Columns of the objects, in the order of their rows in the page.
+MATCHED_COLUMNS = ("real_id", "sim_id", *(name for name in FACTS if name != "n_points"))
+UNMATCHED_COLUMNS = ("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points")
+
+
+def headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
+    """By column of a table of pairs or objects, its heading: of scores that of the catalogue, class or shape by run."""
+    known = {**_HEADINGS, "group": results.class_is}
+    return {column: known.get(column) or metric_of(column).label for column in columns}
 
 
 def pair_view(results: RunResults, pair_id: str) -> dict[str, Any]:
     """One pair for the page: points of both sides, objects, spectra; `RunError` if one of its tables is damaged."""
     tables = PairTables(results, pair_id)
-    clouds = {side: tables.cloud(side) for side in SIDES}
-    step_m = max(float(np.abs(cloud.points).max()) for cloud in clouds.values()) / _STEPS
-    matched = results.matched[results.matched.pair_id == pair_id]
-    unmatched = results.unmatched[results.unmatched.pair_id == pair_id]
+    step_m = max(float(np.abs(cloud.points).max()) for cloud in tables.clouds.values()) / _STEPS
     return {
         "step_m": step_m,
-        "sides": {side: _encoded(cloud, step_m, tables.kept(side)) for side, cloud in clouds.items()},
-        "matched": plain_rows(matched, MATCHED_COLUMNS),
-        "unmatched": plain_rows(unmatched, UNMATCHED_COLUMNS),
+        "sides": {side: _encoded(tables, side, step_m) for side in SIDES},
+        "matched": plain_rows(tables.matched, MATCHED_COLUMNS),
+        "unmatched": plain_rows(tables.unmatched, UNMATCHED_COLUMNS),
         "spectra": {str(real_id): _curve(spectra) for real_id, spectra in tables.spectra()},
     }
 
@@ -80,20 +82,16 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     return kept
 
 
-def base64_of(values: Any, dtype: str) -> str:
-    """Numbers as base64 of a little-endian type."""
-    return base64.b64encode(np.ascontiguousarray(values).astype(dtype).tobytes()).decode("ascii")
-
-
-def _encoded(cloud: Cloud, step_m: float, kept_ids: IntArray) -> dict[str, Any]:
+def _encoded(tables: PairTables, side: str, step_m: float) -> dict[str, Any]:
+    cloud = tables.clouds[side]
     shown = thinned(cloud.community, POINTS_PER_SIDE)
-    is_kept = np.isin(cloud.point_ids[shown], kept_ids)
+    is_kept = np.isin(cloud.point_ids[shown], tables.selection[f"{side}_point_id"])
     return {
         "n": len(cloud.points),
         "n_shown": len(shown),
-        "xyz": base64_of(np.rint(cloud.points[shown].T / step_m), "<i2"),
-        "community": base64_of(cloud.community[shown], "<i4"),
-        "kept": base64_of(is_kept, "u1"),
+        "xyz": _base64(np.rint(cloud.points[shown].T / step_m), "<i2"),
+        "community": _base64(cloud.community[shown], "<i4"),
+        "kept": _base64(is_kept, "u1"),
     }
 
 
@@ -106,7 +104,12 @@ def _curve(spectra: Spectra) -> dict[str, Any]:
     return {
         "n": n,
         "worst": int(np.searchsorted(index, worst)),
-        "index": base64_of(index, "<i4"),
-        "real": base64_of(spectra.real[index], "<f4"),
-        "sim": base64_of(spectra.sim[index], "<f4"),
+        "index": _base64(index, "<i4"),
+        "real": _base64(spectra.real[index], "<f4"),
+        "sim": _base64(spectra.sim[index], "<f4"),
     }
+
+
+def _base64(values: Any, dtype: str) -> str:
+    """Numbers as base64 of a little-endian type."""
+    return base64.b64encode(np.ascontiguousarray(values).astype(dtype).tobytes()).decode("ascii")
