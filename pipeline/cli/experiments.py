@@ -75,7 +75,7 @@ def perturb(
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..experiments.perturb.perturb import LEVELS, PerturbRequest, parse_levels, perturb_source
-    from ..report.figures.perturb import draw_perturbations
+    from ..report.figures.experiments import draw_perturbations
     from ..report.terminal.experiments import perturb_view
 
     check_machines(workers, scheduler)
@@ -140,7 +140,7 @@ def ablate(
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..experiments.ablate.ablate import AblateRequest, ablate_dataset
-    from ..report.figures.ablate import draw_ablation
+    from ..report.figures.experiments import draw_ablation
     from ..report.terminal.experiments import ablate_view
 
     check_machines(workers, scheduler)

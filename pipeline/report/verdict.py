@@ -11,6 +11,7 @@ from ...schemas.metrics import metric_of
 from .aggregates import band_of, quadrants
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
 from .results import RunResults
+from .terminal.layout import number
 
 _FEWEST_TO_JUDGE = 20
 _NUMBERS = ["match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "n_missing", "n_hallucinated"]
@@ -86,10 +87,10 @@ def _numbers(results: RunResults) -> list[dict[str, Any]]:
     over_pairs = results.pairs.agg({column: ["mean", "std"] for column in _NUMBERS})
     summary = results.run.record.summary
     shift, change, rms = (
-        f"{metric_of(column).label} {'-' if (mean := summary[column].mean) is None else f'{mean:.2f}'}"
+        f"{metric_of(column).heading} {number(summary[column].mean, 2)}"
         for column in ("max_eigenvalue_shift_mean", "laplacian_change_mean", "alignment_rms_m_mean")
     )
-    beside = {"r_lambda_mean": f"; {shift} over {change}, {rms}"}
+    beside = {"r_lambda_mean": f"; {shift} over {change}, {rms} m"}
     return [
         {
             "name": metric_of(column).label,

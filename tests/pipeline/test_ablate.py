@@ -15,7 +15,7 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.experiments.ablate.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
 from fidpipe.pipeline.experiments.ablate.choice import choose, influences
-from fidpipe.pipeline.report.figures.ablate import draw_ablation
+from fidpipe.pipeline.report.figures.experiments import draw_ablation
 from fidpipe.schemas.errors import DatasetError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.metrics import OBJECT_METRICS

@@ -21,7 +21,7 @@ from fidpipe.pipeline.experiments.perturb.claims import judge_claims
 from fidpipe.pipeline.experiments.perturb.jobs import GLOBAL
 from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, object_points, parse_levels, perturb_source
 from fidpipe.pipeline.experiments.perturb.reactions import react
-from fidpipe.pipeline.report.figures.perturb import draw_perturbations
+from fidpipe.pipeline.report.figures.experiments import draw_perturbations
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError

@@ -17,28 +17,6 @@ from ....stages.arrays import FloatArray
 from ...storage.files import write_whole
 from ..colours import GREY, RAMPS
 
-_STYLE = {
-    "font.size": 9,
-    "figure.titlesize": 10,
-    "axes.titlesize": 9,
-    "axes.labelsize": 9,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "grid.linewidth": 0.4,
-    "grid.color": "#dddddd",
-    "legend.frameon": False,
-    "savefig.dpi": 200,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "fidpipe",
-    "text.parse_math": False,
-}
-
-
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
 
@@ -49,11 +27,11 @@ KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}}
 @contextmanager
 def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[Any]:
     """A figure in our style that needs no display and is let go of at the end."""
-    from matplotlib import rc_context
+    from matplotlib import style
     from matplotlib.figure import Figure
 
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    with style.context(f"{__package__}.look"):
+        figure = Figure(figsize=(width_in, height_in))
         if title:
             figure.suptitle(title)
         yield figure

@@ -9,20 +9,7 @@ from ....schemas.metrics import labels
 from ....stages.statistics.comparison import CONFIDENCE, N_RESAMPLES, SEED
 from ...results.compare import Comparison
 from ..charts import change_chart
-from ..terminal.compare import (
-    OBJECT_HEADINGS,
-    OBJECTS_NOTE,
-    SCORE_HEADINGS,
-    SEEDS_HEADING,
-    changed,
-    kind_rows,
-    object_cells,
-    remarks,
-    score_cells,
-    seed_cells,
-    signed,
-    verdict,
-)
+from ..terminal.compare import OBJECTS_NOTE, changed, kind_table, object_table, remarks, score_table, signed, verdict
 from .render import render
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
@@ -42,22 +29,17 @@ def compare_page(comparisons: Sequence[Comparison]) -> str:
 
 def _section(comparison: Comparison) -> dict[str, Any]:
     """What the page says of one run against the base: `comparison` itself, and tables as headings and rows of texts."""
-    objects, seeds = changed(comparison), seed_cells(comparison)
+    objects = changed(comparison)
     by_name = {score.name: score.of_pairs for score in comparison.scores}
-    pairs = sorted(comparison.pairs, key=lambda name: -(by_name["r_lambda"][name] or 0.0))
+    pairs = sorted(comparison.pairs, key=lambda name: -(by_name["r_lambda"][name] or 0.0))[:MOST_PAIRS]
+    changes = [[name, *(signed(by_name[score][name]) for score in _PAIR_SCORES)] for name in pairs]
     return {
         "comparison": comparison,
         "verdict": verdict(comparison),
         "remarks": remarks(comparison),
-        "score_headings": ["score", "verdict", *SCORE_HEADINGS, *([SEEDS_HEADING] if seeds[0] else [])],
-        "scores": [
-            [score.name, score.verdict, *score_cells(score), *beyond]
-            for score, beyond in zip(comparison.scores, seeds, strict=True)
-        ],
-        "kinds": kind_rows(comparison),
+        "scores": score_table(comparison),
+        "kinds": kind_table(comparison),
         "n_objects": len(objects),
-        "object_headings": ["pair", "what", *OBJECT_HEADINGS],
-        "objects": [[one.pair_id, one.kind, *object_cells(one)] for one in objects[:MOST_OBJECTS]],
-        "pair_headings": ["pair (change)", *_PAIR_SCORES],
-        "pairs": [[name, *(signed(by_name[score][name]) for score in _PAIR_SCORES)] for name in pairs[:MOST_PAIRS]],
+        "objects": object_table(objects[:MOST_OBJECTS]),
+        "pairs": [["pair (change)", *_PAIR_SCORES], *changes],
     }

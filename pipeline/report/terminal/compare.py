@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -10,22 +10,14 @@ from rich.text import Text
 
 from ....schemas.metrics import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS
-from ...results.compare import SHARED_SCORES, Comparison, ObjectChange, ScoreChange
+from ...results.compare import SHARED_SCORES, Comparison, ObjectChange
 from .layout import number, percent, plain_table
 
 _MOST_OBJECTS = 10
 _MOST_LEFT_OUT = 5
-#: What may have become of an object, and the colour of the word; those that are alike are not listed.
-_COLOURS = {
-    **{"vanished": "red", "worse": "red", "mixed": "", "better": "green", "appeared": "green"},
-    **{"undecided": "yellow"},
-}
-SCORE_HEADINGS = ("before", "after", "change", "from", "to")
-OBJECT_HEADINGS = (
-    *("class", "object", "range (m)", "points"),
-    *(heading for score in SHARED_SCORES for heading in (METRIC[score].label, "after")),
-)
-SEEDS_HEADING = "more than seeds make"
+_COLOURS = {"vanished": "red", "worse": "red", "better": "green", "appeared": "green", "undecided": "yellow"}
+#: What may have become of an object; those that are alike are not listed.
+_CHANGED = ("vanished", "worse", "mixed", "better", "appeared")
 OBJECTS_NOTE = (
     f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and neither the other way. "
     "Single objects also change where Louvain cuts the simulated side otherwise: trust many, not one."
@@ -73,41 +65,48 @@ def remarks(comparison: Comparison) -> list[str]:
 
 def changed(comparison: Comparison) -> list[ObjectChange]:
     """The objects that have changed: vanished ones, then those that got worse, most first, then the others."""
-    order = {kind: i for i, kind in enumerate(("vanished", "worse", "mixed", "better", "appeared"))}
     return sorted(
-        (change for change in comparison.objects if change.kind in order),
-        key=lambda each: (order[each.kind], -abs(each.change), -each.n_points, each.pair_id, each.real_id),
+        (change for change in comparison.objects if change.kind in _CHANGED),
+        key=lambda each: (_CHANGED.index(each.kind), -abs(each.change), -each.n_points, each.pair_id, each.real_id),
     )
 
 
-def score_cells(score: ScoreChange) -> list[str]:
-    """What stands under `SCORE_HEADINGS`."""
-    change = score.difference
-    return [number(change.before), number(change.after), *map(signed, (change.difference, change.low, change.high))]
+def score_table(comparison: Comparison) -> list[list[str]]:
+    """Headings, then one row per score: name, verdict, before, after, change and its interval.
 
-
-def object_cells(change: ObjectChange) -> list[str]:
-    """What stands under `OBJECT_HEADINGS`."""
-    scores = [getattr(change, f"{name}_{when}") for name in SHARED_SCORES for when in ("before", "after")]
-    place = [change.label or "-", str(change.real_id), number(change.range_m, 1), str(change.n_points)]
-    return [*place, *map(number, scores)]
-
-
-def kind_rows(comparison: Comparison) -> list[tuple[str, str, str]]:
-    """What real objects have become, how many, and their share; no rows where none is followed."""
-    n_all = len(comparison.objects)
-    return [(kind, str(n), percent(n / n_all)) for kind, n in comparison.kinds.items() if n_all]
-
-
-def seed_cells(comparison: Comparison) -> list[list[str]]:
-    """By score a list of one cell: whether its difference is more than other Louvain seeds alone would make.
-
-    Of no cells where the two runs were not both repeated under other seeds.
+    Where both runs were repeated under other seeds, also whether the change is more than they alone would make.
     """
-    if all(score.seed_noise is None for score in comparison.scores):
-        return [[] for _ in comparison.scores]
-    words = {None: "-", True: "yes ({})", False: "no ({})"}
-    return [[words[score.beyond_seeds].format(number(score.seed_noise))] for score in comparison.scores]
+    with_seeds = any(score.seed_noise is not None for score in comparison.scores)
+    rows = [["score", "verdict", "before", "after", "change", "from", "to", *["more than seeds make"] * with_seeds]]
+    beyond = {None: "-", True: "yes ({})", False: "no ({})"}
+    for score in comparison.scores:
+        change = score.difference
+        numbers = (
+            number(change.before),
+            number(change.after),
+            *map(signed, (change.difference, change.low, change.high)),
+        )
+        seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
+        rows.append([score.name, score.verdict, *numbers, *[seeds] * with_seeds])
+    return rows
+
+
+def object_table(changes: Sequence[ObjectChange]) -> list[list[str]]:
+    """Headings, then one row per real object: pair, what has become of it, class, place, and scores before and after."""
+    scores = [f"{name}_{when}" for name in SHARED_SCORES for when in ("before", "after")]
+    headings = [heading for name in SHARED_SCORES for heading in (METRIC[name].label, "after")]
+    rows = [["pair", "what", "class", "object", "range (m)", "points", *headings]]
+    for one in changes:
+        place = (one.label or "-", str(one.real_id), number(one.range_m, 1), str(one.n_points))
+        rows.append([one.pair_id, one.kind, *place, *(number(getattr(one, name)) for name in scores)])
+    return rows
+
+
+def kind_table(comparison: Comparison) -> list[list[str]]:
+    """Headings, then what real objects have become, how many, and their share; no rows where none is followed."""
+    n_all = len(comparison.objects)
+    rows = [[kind, str(n), percent(n / n_all)] for kind, n in comparison.kinds.items() if n_all]
+    return [["what has become of them", "objects", "share"], *rows]
 
 
 def signed(value: float | None) -> str:
@@ -116,36 +115,28 @@ def signed(value: float | None) -> str:
 
 
 def _parts(comparison: Comparison) -> list[RenderableType]:
-    parts: list[RenderableType] = [_scores(comparison)]
+    headings, *scores = score_table(comparison)
+    for row in (headings, *scores):
+        row.insert(6, row.pop(1))  # the verdict, behind the numbers that it is about
+    title = f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, means and 95 % intervals"
+    parts: list[RenderableType] = [_table(f"{title} (paired bootstrap)", headings, scores, words=(0, 6, 7))]
     if comparison.objects:
-        kinds = ((_coloured(kind), *counts) for kind, *counts in kind_rows(comparison))
-        parts.append(plain_table("Real objects", ("what has become of them", "objects", "share"), kinds))
+        headings, *kinds = kind_table(comparison)
+        parts.append(_table("Real objects", headings, kinds))
         objects = changed(comparison)
         for kind in ("vanished", "worse", "better", "appeared"):
             own = [change for change in objects if change.kind == kind]
+            headings, *rows = ([pair, *row] for pair, _, *row in object_table(own[:_MOST_OBJECTS]))
+            n = f"{_MOST_OBJECTS} of {len(own)}" if len(own) > _MOST_OBJECTS else f"{len(own)}"
             if own:
-                n = f"{_MOST_OBJECTS} of {len(own)}" if len(own) > _MOST_OBJECTS else f"{len(own)}"
-                rows = ((change.pair_id, *object_cells(change)) for change in own[:_MOST_OBJECTS])
-                parts.append(plain_table(f"{kind} ({n})", ("pair", *OBJECT_HEADINGS), rows, words=(0, 1)))
+                parts.append(_table(f"{kind} ({n})", headings, rows, words=(0, 1)))
         parts.append(Text(OBJECTS_NOTE))
     parts += [Text(f"note: {text}", style="yellow") for text in remarks(comparison)]
     parts.append(Text(f"{comparison.other} against {comparison.base}: {verdict(comparison)}\n", style="bold"))
     return parts
 
 
-def _scores(comparison: Comparison) -> Table:
-    seeds = seed_cells(comparison)
-    rows = [
-        (score.name, *score_cells(score), _coloured(score.verdict), *beyond)
-        for score, beyond in zip(comparison.scores, seeds, strict=True)
-    ]
-    title = (
-        f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, "
-        "means and 95 % intervals (paired bootstrap)"
-    )
-    columns = ("score", *SCORE_HEADINGS, "verdict", *([SEEDS_HEADING] if seeds[0] else []))
-    return plain_table(title, columns, rows, words=(0, 6, 7))
-
-
-def _coloured(word: str) -> Text:
-    return Text(word, style=_COLOURS.get(word, ""))
+def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], words: Container[int] = (0,)) -> Table:
+    """A table in which words of change have their colour."""
+    coloured = ([Text(cell, style=_COLOURS.get(cell, "")) for cell in row] for row in rows)
+    return plain_table(title, headings, coloured, words)

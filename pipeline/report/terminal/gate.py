@@ -16,20 +16,15 @@ from .layout import plain_table
 
 #: What XML 1.0 cannot hold, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_VERDICTS = {True: Text("pass", style="green"), False: Text("FAIL", style="red")}
 
 
 def gate_view(result: GateResult) -> RenderableType:
     """Each criterion with value, bound and verdict; then what failed and why it is wanted."""
-    rows = (
-        (
-            judged.criterion.name,
-            judged.criterion.measure,
-            _value(judged),
-            _bound(judged),
-            Text("pass", style="green") if judged.passed else Text("FAIL", style="red"),
-        )
+    rows = [
+        (judged.criterion.name, judged.criterion.measure, _value(judged), _bound(judged), _VERDICTS[judged.passed])
         for judged in result.judged
-    )
+    ]
     failed = [judged for judged in result.judged if not judged.passed]
     verdict = f"{len(failed)} of {len(result.judged)} criteria failed" if failed else "all criteria are met"
     columns = ("criterion", "measure", "value", "bound", "verdict")
