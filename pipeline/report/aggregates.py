@@ -1,8 +1,4 @@
-"""What is drawn of many objects at once: histograms, quadrants, boxes, counts by range band, seconds by step.
-
-Plain numbers, counted once for the page (`charts`) and for the figures; counts and quantiles of finished scores, no new
-score.
-"""
+"""What is drawn of many objects at once, counted here for the page (`charts`) and for the figures; no new score."""
 
 from __future__ import annotations
 
@@ -38,7 +34,7 @@ def histograms(results: RunResults) -> dict[str, dict[str, Any]]:
     by_score = {}
     for score in SCORES:
         values = results.matched[score].dropna().to_numpy(dtype=float)
-        counts, edges = np.histogram(values, bins=_BINS, range=(0, METRIC[score].high))
+        counts, edges = np.histogram(values, bins=_BINS, range=(0.0, METRIC[score].high or 1.0))
         median = float(np.median(values)) if len(values) else None
         n_null = len(results.matched) - len(values)
         by_score[score] = {"counts": counts, "edges": edges, "median": median, "n": len(values), "n_null": n_null}
@@ -65,18 +61,15 @@ def evenly(n: int, most: int) -> list[int]:
 
 
 def boxes(results: RunResults, column: str, groups: Iterable[str]) -> list[dict[str, Any]]:
-    """For each group of objects, what a box plot shows of both scores (whiskers at 1.5 quartile distances).
+    """For each group of objects name, number (n), and what a box plot shows of both scores.
+
+    By score med, q1, q3, whislo, whishi and fliers, as matplotlib calls them (whiskers at 1.5 quartile distances); None
+    for fewer than three values.
 
     Parameters
     ----------
     column : of `RunResults.matched` to group by
     groups : values of that column, in the order of the boxes; one that no object has is left out
-
-    Returns
-    -------
-    list
-        `name`, `n`, and by score med, q1, q3, whislo, whishi, fliers (as matplotlib calls them); None for fewer than
-        three values
     """
     from matplotlib.cbook import boxplot_stats
 
@@ -94,8 +87,7 @@ def band_of(range_m: pd.Series[float]) -> pd.Series[Any]:
     """The band of distance from the sensor that each range is in, such as "10 to 20 m", in order."""
     names = [f"{low:.0f} to {high:.0f} m" for low, high in pairwise(BAND_EDGES_M)]
     edges = [*BAND_EDGES_M, math.inf]
-    bands: pd.Series[Any] = pd.cut(range_m, edges, right=False, labels=[*names, f"over {BAND_EDGES_M[-1]:.0f} m"])
-    return bands
+    return pd.cut(range_m, edges, right=False, labels=[*names, f"over {BAND_EDGES_M[-1]:.0f} m"])
 
 
 def range_bands(results: RunResults) -> pd.DataFrame:
@@ -110,9 +102,9 @@ def stage_times(results: RunResults) -> pd.DataFrame:
     times = results.timings[results.timings.pair_id.isin(results.pairs.pair_id)]
     order = [*results.run.record.stages, *times.stage]
     times = times.assign(stage=pd.Categorical(times.stage, list(dict.fromkeys(order))))
-    grouping = {"sort": False, "observed": True}
-    per_pair = times.groupby(["stage", "step", "pair_id"], **grouping).seconds.sum()
-    return per_pair.groupby(["stage", "step"], **grouping).median().reset_index().sort_values("stage", kind="stable")
+    per_pair = times.groupby(["stage", "step", "pair_id"], sort=False, observed=True).seconds.sum()
+    median = per_pair.groupby(["stage", "step"], sort=False, observed=True).median()
+    return median.reset_index().sort_values("stage", kind="stable")
 
 
 def plain_rows(rows: pd.DataFrame, columns: Sequence[str]) -> list[list[Any]]:

@@ -1,7 +1,7 @@
-"""Every chart of the pages as a plotly figure: plain dictionaries that a page holds as JSON and plotly.js draws.
+"""The charts of many objects as plotly figures: plain dictionaries that a page holds as JSON and plotly.js draws.
 
 Colours that depend on the theme stand as properties of the style sheet, such as var(--ink); the page puts in what they
-are. What the charts of one pair show is chosen on the page: they are made here without their points.
+are. What the charts of one pair show is chosen on the page, which makes them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import plotly.graph_objects as go
 from ...schemas.metrics import METRIC
 from ..results.compare import ScoreChange
 from .aggregates import SCORES, axis_title, boxes, evenly, histograms, quadrants, range_bands, stage_times
-from .colours import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, SIDE_COLOURS, of_theme, on_page
+from .colours import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, of_theme, on_page
 from .names import in_chart
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .results import RunResults
@@ -190,33 +190,11 @@ def _times(times: pd.DataFrame) -> Chart:
             x=own.seconds,
             y=own.stage.tolist(),
             marker={"color": SERIES[i % len(SERIES)], "pattern": {"shape": "/" if i >= len(SERIES) else ""}},
-            hovertemplate=f"%{{y}}, {in_chart(step)}: %{{x:.3f}} s<extra></extra>",
+            hovertemplate=f"%{{y}}, {in_chart(str(step))}: %{{x:.3f}} s<extra></extra>",
         )
     figure.update_layout(barmode="stack", showlegend=False, xaxis_title_text="seconds per pair", margin_t=30)
     figure.update_yaxes(categoryorder="array", categoryarray=times.stage.unique().tolist()[::-1])
     return _plain(figure)
-
-
-def outlines() -> dict[str, Chart]:
-    """The charts of one pair and of one object, without points: the page puts these in as pairs are chosen."""
-    sides = {side: on_page(colour) for side, colour in SIDE_COLOURS.items()}
-    chosen = _dots("chosen", _INK, 3.6, opacity=0.9, hoverinfo="skip")
-    charts = {"scene": _in_space(*(_dots(side, colour, 1.8) for side, colour in sides.items()), chosen)}
-    place = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>"
-    for side, colour in sides.items():
-        left_out = _dots("left out", _SOFT, 3, symbol="cross", hovertemplate=place)
-        charts[f"object_{side}"] = _in_space(left_out, _dots("kept", colour, 2.4, hovertemplate=f"kept: {place}"))
-    spectrum = go.Figure()
-    for side, name, dash in (("real", "real", "solid"), ("sim", "simulated", "dash")):
-        line = {"color": sides[side], "width": 2, "dash": dash}
-        spectrum.add_scatter(
-            mode="lines", name=name, line=line, hovertemplate="eigenvalue %{x}: %{y:.4f}<extra></extra>"
-        )
-    marker = {"size": 7, "color": _INK}
-    spectrum.add_scatter(mode="lines+markers", line={"color": _INK, "width": 3}, marker=marker)
-    spectrum.update_xaxes(title_text="number of the eigenvalue, in ascending order")
-    spectrum.update_yaxes(title_text="eigenvalue (0 to 2)")
-    return {**charts, "spectrum": _plain(spectrum)}
 
 
 def change_chart(scores: Sequence[ScoreChange]) -> Chart:
@@ -260,20 +238,6 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
         showline=False, zeroline=False, fixedrange=True,
     )  # fmt: skip
     figure.update_layout(showlegend=False, height=34 * n + 24, margin={"l": 10, "r": 75, "t": 12, "b": 12})
-    return _plain(figure)
-
-
-def _dots(name: str, colour: str, size: float, *, symbol: str = "circle", opacity: float = 1, **more: Any) -> Any:
-    """Points in space that have no places yet."""
-    marker = {"color": colour, "size": size, "symbol": symbol, "opacity": opacity, "line_width": 0}
-    return go.Scatter3d(mode="markers", name=name, marker=marker, **more)
-
-
-def _in_space(*traces: Any) -> Chart:
-    titles = {"x": "x forward (m)", "y": "y left (m)", "z": "z up (m)"}
-    figure = go.Figure(traces)
-    figure.update_scenes({f"{axis}axis": {"title_text": title} for axis, title in titles.items()})
-    figure.update_layout(margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=False)
     return _plain(figure)
 
 

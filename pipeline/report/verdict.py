@@ -69,7 +69,7 @@ def _weakest(results: RunResults) -> str:
     """
     missing = results.unmatched[results.unmatched.status == "missing"]
     real = pd.concat([results.matched, missing], ignore_index=True)
-    classes = pd.Categorical(real.group, real.group.unique())
+    classes = pd.Series(pd.Categorical(real.group, real.group.unique()))
     parts = []
     for kind, groups, word, is_so, sign in (
         (results.class_is, classes, "faithful", real.quadrant == "faithful", -1),
@@ -77,9 +77,8 @@ def _weakest(results: RunResults) -> str:
     ):
         shares = is_so.groupby(groups, observed=True).agg(["mean", "size"]).query("size >= @_FEWEST_TO_JUDGE")
         if len(shares) > 1:
-            worst = (sign * shares["mean"]).idxmax()
-            share, n = shares.loc[worst]
-            parts.append(f"{kind} {worst} ({100 * share:.0f} % {word} of {n:.0f})")
+            worst = shares.iloc[int((sign * shares["mean"]).argmax())]
+            parts.append(f"{kind} {worst.name} ({100 * worst['mean']:.0f} % {word} of {worst['size']:.0f})")
     return f"Weakest: {'; '.join(parts)}." if parts else ""
 
 

@@ -62,7 +62,7 @@ class FinishedRun:
             ) from error
         self.store = RunFolder(folder)
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
-        self._row_of = {row["pair_id"]: row for row in self.rows}
+        self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     @property
     def scored(self) -> list[Row]:

@@ -98,8 +98,9 @@ def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], co
         if i > 1:
             axis.sharey(axes[i % 2])
         _draw_answers(axis, means, [level for level in outcome.levels if level.kind == kind], metric, colours)
-        axis.set_ylim(bottom=0)
         axis.set_title(f"({'bcdefghi'[i]})", loc="left")
+    for axis in axes[:2]:
+        axis.set_ylim(bottom=0)
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(colours))

@@ -15,14 +15,12 @@ import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
-from ....schemas.results import RunRecord
 from ....stages.arrays import IndexArray
 from ..aggregates import SCORES, plain_rows
-from ..charts import MOST_DOTS, MOST_SCANS, outlines, run_charts
-from ..clouds import PairTables, Spectra
+from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..colours import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, on_page
 from ..names import STEERING
-from ..results import RunResults
+from ..results import PairTables, RunResults, Spectra
 from ..verdict import limits_in_words, verdict_of
 
 #: More rows would make the page slow; the table then says what part it shows.
@@ -66,11 +64,11 @@ _UNMATCHED_COLUMNS = ("side", "community_id", "group", "status", "range_m", "bea
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """What the page's JavaScript reads of the whole run: charts, colours, tables; no points."""
+    pairs_note = "Worst first, by the mean of the ranks in match rate, CDC and r_lambda."
     return {
         "steering": STEERING,
         "names": results.pairs.pair_id.tolist(),
         "charts": run_charts(results),
-        "outlines": outlines(),
         "colours": {
             "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
             "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
@@ -78,8 +76,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "none": GREY,
         },
         "scores": {score: {"name": METRIC[score].label, "bound": METRIC[score].high} for score in SCORES},
-        "pairs": _table(results, results.pairs, _PAIR_COLUMNS)
-        | {"note": "Worst first, by the mean of the ranks in match rate, CDC and r_lambda."},
+        "pairs": _table(results, results.pairs, _PAIR_COLUMNS, pairs_note),
         "objects": _objects(results),
         "facts": _headings(results, _FACTS),
         "matched_columns": _MATCHED_COLUMNS,
@@ -88,15 +85,22 @@ def page_data(results: RunResults) -> dict[str, Any]:
 
 
 def page_words(results: RunResults) -> dict[str, Any]:
-    """What the page's template shows of the whole run."""
+    """What the page's template shows of the whole run; versions by group, what made it."""
+    record = results.run.record
     return {
         "title": results.run.folder.resolve().name,
         "verdict": verdict_of(results),
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
-        "settings": results.run.record.settings,
-        "versions": _versions(results.run.record),
+        "settings": record.settings,
+        "versions": {
+            "": {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}
+            | {"seconds": round(record.wall_s["total"], 1)},
+            "stage version": record.stages,
+            "library": record.libraries,
+            "machine": record.machine.as_dict(),
+        },
     }
 
 
@@ -140,7 +144,7 @@ def _headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
     return {column: known.get(column) or metric_of(column).label for column in columns}
 
 
-def _table(results: RunResults, rows: pd.DataFrame, columns: Sequence[str]) -> dict[str, Any]:
+def _table(results: RunResults, rows: pd.DataFrame, columns: Sequence[str], note: str) -> dict[str, Any]:
     """A table with its columns; `up` is set where the lowest values are the worst."""
     described = [
         {
@@ -152,7 +156,7 @@ def _table(results: RunResults, rows: pd.DataFrame, columns: Sequence[str]) -> d
         }
         for key, title in _headings(results, columns).items()
     ]
-    return {"columns": described, "rows": plain_rows(rows.round(_DIGITS), columns)}
+    return {"columns": described, "rows": plain_rows(rows.round(_DIGITS), columns), "note": note}
 
 
 def _objects(results: RunResults) -> dict[str, Any]:
@@ -161,12 +165,11 @@ def _objects(results: RunResults) -> dict[str, Any]:
     matched = matched.assign(object=matched.name + ", sim " + matched.sim_id.astype(str))
     counts = {f"n_{side}": lone.n_points.where(lone.side == side) for side in SIDE_COLOURS}
     both = pd.concat([matched, lone.assign(object=lone.name, **counts)])
-    rows, n_all = both.head(_MOST_ROWS), len(both)
-    cut = f" The page holds {len(rows):,} of {n_all:,}; the rest is in the run's tables." if len(rows) < n_all else ""
-    return _table(results, rows, _OBJECT_COLUMNS) | {
-        "note": "Worst first: matched objects by the mean of their ranks in CDC and r_lambda, then unmatched ones, "
-        f"largest first.{cut}"
-    }
+    order = "matched objects by the mean of their ranks in CDC and r_lambda, then unmatched ones, largest first"
+    note = f"Worst first: {order}."
+    if len(both) > _MOST_ROWS:
+        note += f" The page holds {_MOST_ROWS:,} of {len(both):,}; the rest is in the run's tables."
+    return _table(results, both.head(_MOST_ROWS), _OBJECT_COLUMNS, note)
 
 
 def _notes(results: RunResults) -> dict[str, str]:
@@ -181,23 +184,16 @@ def _notes(results: RunResults) -> dict[str, str]:
     dots = " objects are drawn, evenly over the order from worst to best; the counts are of all"
     seen = "Unmatched objects of all pairs around the sensor, at their centroids, seen from above."
     return {
-        "quadrants": f"Limits: {limits_in_words()}.{_drawn(min(n_scored, MOST_DOTS), n_matched, dots)}",
-        "polar": f"{seen}{_drawn(min(n_unmatched, MOST_DOTS), n_unmatched, ' are drawn, largest first')}",
+        "quadrants": f"Limits: {limits_in_words()}.{_part(min(n_scored, MOST_DOTS), n_matched, dots)}",
+        "polar": f"{seen}{_part(MOST_DOTS, n_unmatched, ' are drawn, largest first')}",
         "box_scan": f"By scan, {chosen}. {whiskers}",
         "box_class": f"By {kind}, the most frequent first. {whiskers}",
     }
 
 
-def _drawn(n: int, n_all: int, how: str) -> str:
-    """Which part is drawn, "" if all is."""
-    return f" {n:,} of {n_all:,}{how}." if n < n_all else ""
-
-
-def _versions(record: RunRecord) -> dict[str, Any]:
-    """By group, what made the run."""
-    run = {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}
-    run["seconds"] = round(record.wall_s["total"], 1)
-    return {"": run, "stage version": record.stages, "library": record.libraries, "machine": record.machine.as_dict()}
+def _part(most: int, n_all: int, how: str) -> str:
+    """Which part is shown, "" if all is."""
+    return f" {most:,} of {n_all:,}{how}." if most < n_all else ""
 
 
 def _encoded(tables: PairTables, side: str, step_m: float) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def score_table(comparison: Comparison) -> list[list[str]]:
 
 
 def object_table(changes: Sequence[ObjectChange]) -> list[list[str]]:
-    """Headings, then one row per real object: pair, what has become of it, class, place, and scores before and after."""
+    """Headings, then one row per real object: pair, what has become of it, class, place, scores before and after."""
     scores = [f"{name}_{when}" for name in SHARED_SCORES for when in ("before", "after")]
     headings = [heading for name in SHARED_SCORES for heading in (METRIC[name].label, "after")]
     rows = [["pair", "what", "class", "object", "range (m)", "points", *headings]]

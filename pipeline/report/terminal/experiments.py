@@ -15,7 +15,7 @@ from ....stages.sensing.perturbations import Perturbation
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
 from ...experiments.ablate.choice import RULE, along, choose, influences
 from ...experiments.experiment import ExperimentOutcome
-from ...experiments.perturb.claims import Claim, Mean, Means, judge_claims
+from ...experiments.perturb.claims import Mean, Means, judge_claims
 from ...experiments.perturb.perturb import PerturbOutcome
 from ...experiments.perturb.reactions import OWN_METRICS, react, strongest_levels
 from .layout import mean_and_spread, number, plain_table
@@ -45,15 +45,9 @@ _PARAMETERS = {
     "delta_m": "matching.delta_m: centroids nearer than this match, metres",
     "t": "selection.t: diffusion time of the heat kernel",
 }
+_OBJECT_SCORES = ("r_lambda", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "cdc")
 #: Means over pairs; of the first two also the standard deviation.
-_ABLATED_SCORES = (
-    "match_rate",
-    "r_lambda_mean",
-    "max_eigenvalue_shift_mean",
-    "laplacian_change_mean",
-    "alignment_rms_m_mean",
-    "cdc_mean",
-)
+_ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_SCORES))
 
 
 def perturb_view(outcome: PerturbOutcome) -> RenderableType:
@@ -68,9 +62,13 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         parts.append(_detail_table(outcome, means))
         if len(react(outcome.summary, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
-        claims = judge_claims(outcome.summary, levels)
+        claims = [
+            (claim.claim, claim.paper, claim.here, Text(*_VERDICTS[claim.holds]))
+            for claim in judge_claims(outcome.summary, levels)
+        ]
         if claims:
-            parts.append(_claims_table(claims))
+            headings = ("claim", "paper", "here", "holds")
+            parts.append(plain_table("What the paper says of them", headings, claims, words=range(4)))
     results = "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (one row per repeat), perturb.png"
     return Group(*parts, *_last_lines(outcome, results))
 
@@ -84,11 +82,8 @@ def ablate_view(outcome: AblateOutcome) -> RenderableType:
         parts += _influence_tables(outcome)
         parts += [Text("The choice", style="bold"), Text(f"Rule: {RULE}.")]
         parts += [Text(f"  {verdict.name.removesuffix('_m')}: {verdict.words}") for verdict in choose(outcome)]
-        parts.append(
-            Text(
-                "A small r_lambda can also come of a bad alignment (a large change): read it beside shift and change.\n"
-            )
-        )
+        note = "A small r_lambda can also come of a bad alignment (a large change): read it beside shift and change.\n"
+        parts.append(Text(note))
     results = "ablate_summary.parquet (means over pairs), ablate/ (one row per pair and choice of settings), ablate.png"
     return Group(*parts, *_last_lines(outcome, results))
 
@@ -134,11 +129,11 @@ def _table_i(outcome: PerturbOutcome, means: Means) -> Table:
 
 def _chosen_table(outcome: PerturbOutcome) -> Table:
     rows = (
-        (chosen.name, chosen.pair_id, chosen.community_id, chosen.n_points, number(chosen.range_m, 1), chosen.why)
+        (chosen.name, chosen.pair_id, chosen.community_id, chosen.n_points, chosen.range_m, chosen.why)
         for chosen in outcome.objects
     )
     columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
-    return plain_table("The chosen objects", columns, rows, words=(0, 1, 5))
+    return plain_table("The chosen objects", columns, rows, words=(0, 1, 5), digits={4: 1})
 
 
 def _object_table(outcome: PerturbOutcome, means: Means, column: str) -> Table:
@@ -146,12 +141,11 @@ def _object_table(outcome: PerturbOutcome, means: Means, column: str) -> Table:
     n = max((means.get(name, level, column).n for name in names for level in outcome.levels), default=0)
     metric = METRIC[column]
     title = f"{metric.label} of single objects ({metric.scale}), mean ± std over {n} repeats"
-    return _level_table(
-        title,
-        names,
-        outcome,
-        lambda level: [_spread(means.get(name, level, column)).replace(" ", "") for name in names],
-    )
+
+    def cells(level: Perturbation) -> list[str]:
+        return [_spread(means.get(name, level, column)).replace(" ", "") for name in names]
+
+    return _level_table(title, names, outcome, cells)
 
 
 def _detail_table(outcome: PerturbOutcome, means: Means) -> Table:
@@ -165,23 +159,14 @@ def _detail_table(outcome: PerturbOutcome, means: Means) -> Table:
 
 def _reaction_table(outcome: PerturbOutcome) -> Table:
     levels = [_NARROW_LEVELS[level.kind].format(level.amount) for level in strongest_levels(outcome.levels)]
-    rows = [
-        (
-            reaction.metric,
-            *map(_number, reaction.values),
-            "" if reaction.most is None else _NARROW_LEVELS[reaction.most.kind].partition("\n")[0],
-        )
-        for reaction in react(outcome.summary, outcome.levels)
-    ]
+    rows = []
+    for reaction in react(outcome.summary, outcome.levels):
+        most = _NARROW_LEVELS[reaction.most.kind].partition("\n")[0] if reaction.most else ""
+        rows.append((reaction.metric, *map(_number, reaction.values), most))
     title = "Which metric reacts to what: means over the objects at the strongest level of each kind"
     table = plain_table(title, ("metric", *levels, "most to"), rows, words=(0, len(levels) + 1))
     table.rows[len(OWN_METRICS) - 1].end_section = True
     return table
-
-
-def _claims_table(claims: Sequence[Claim]) -> Table:
-    rows = ((claim.claim, claim.paper, claim.here, Text(*_VERDICTS[claim.holds])) for claim in claims)
-    return plain_table("What the paper says of them", ("claim", "paper", "here", "holds"), rows, words=range(4))
 
 
 def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> Table:
@@ -189,19 +174,16 @@ def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> T
     points, counts = along(outcome, name), ["n_communities_real", "n_communities_sim"]
     spreads = rows.groupby(list(PARAMETERS))[[*counts, *_ABLATED_SCORES]].agg(["mean", "std"])
     spreads = spreads.reindex(pd.MultiIndex.from_tuples([tuple(vars(point).values()) for point in points]))
-    cells = [
-        (
-            f"{'*' if point == outcome.base else ''}{getattr(point, name):g}",
-            *(number(own[count, "mean"], 0) for count in counts),
-            *(mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]),
-            *(own[score, "mean"] for score in _ABLATED_SCORES[2:]),
-        )
-        for point, own in zip(points, spreads.to_dict("records"), strict=True)
-    ]
+    n_pairs, cells = rows.pair_id.nunique(), []
+    for point, own in zip(points, spreads.to_dict("records"), strict=True):
+        values: list[object] = [own[column, "mean"] for column in (*counts, *_ABLATED_SCORES)]
+        if n_pairs > 1:
+            values[2:4] = [mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]]
+        cells.append((f"{'*' if point == outcome.base else ''}{getattr(point, name):g}", *values))
     paper = f"; the paper chose {CHOSEN[name]:g}" if name in CHOSEN else ""
-    title = f"{_PARAMETERS[name]}; mean ± std over {rows.pair_id.nunique()} pairs, * in force{paper}"
+    title = f"{_PARAMETERS[name]}; mean ± std over {n_pairs} pairs, * in force{paper}"
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
-    table = plain_table(title, columns, cells, words=())
+    table = plain_table(title, columns, cells, words=(), digits={1: 0, 2: 0})
     table.columns[1].min_width = 7
     table.rows[points.index(outcome.base)].style = "bold"
     return table
@@ -211,17 +193,11 @@ def _influence_tables(outcome: AblateOutcome) -> list[Table]:
     """How far a setting moves a score; no table where too few pairs tell."""
     rows = []
     for influence in influences(outcome):
+        setting, score = influence.name.removesuffix("_m"), metric_of(influence.metric).label
         verdict = "within the spread" if influence.is_within_spread else "beyond it"
-        rows.append(
-            (
-                influence.name.removesuffix("_m"),
-                metric_of(influence.metric).label,
-                influence.range_of_means,
-                influence.std_over_pairs,
-                verdict if influence.range_of_means else "does not move",
-                INFLUENCES.get((influence.name, influence.metric), ""),
-            )
-        )
+        verdict = verdict if influence.range_of_means else "does not move"
+        paper = INFLUENCES.get((influence.name, influence.metric), "")
+        rows.append((setting, score, influence.range_of_means, influence.std_over_pairs, verdict, paper))
     title = "How far a setting moves a score, beside how far the pairs differ"
     columns = ("setting", "score", "moved by", "std over pairs", "verdict", "the paper")
     return [plain_table(title, columns, rows, words=(0, 1, 4, 5))] if rows else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -11,15 +11,20 @@ from rich.text import Text
 
 
 def plain_table(
-    title: str, columns: Iterable[str], rows: Iterable[Sequence[object]], words: Container[int] = (0,)
+    title: str,
+    columns: Iterable[str],
+    rows: Iterable[Sequence[object]],
+    words: Container[int] = (0,),
+    digits: Mapping[int, int] | None = None,
 ) -> Table:
-    """A table without rules; no name in it is read as markup.
+    """A table without rules; no name in it is read as markup, and None is shown as a dash.
 
     Parameters
     ----------
     columns : headings
-    rows : cells in the order of the columns; a float is shown with three digits, None as a dash
+    rows : cells in the order of the columns
     words : indices of the columns that hold words; the others hold numbers, which are not broken into lines
+    digits : by index of a column, the digits of its floats; by default three
     """
     table = Table(
         title=Text(title, style="bold"), title_justify="left", title_style="", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
@@ -28,7 +33,7 @@ def plain_table(
         is_words = i in words
         table.add_column(column, justify="left" if is_words else "right", overflow="fold", no_wrap=not is_words)
     for row in rows:
-        table.add_row(*map(_cell, row))
+        table.add_row(*(_cell(value, (digits or {}).get(i, 3)) for i, value in enumerate(row)))
     return table
 
 
@@ -47,7 +52,7 @@ def mean_and_spread(mean: float | None, std: float | None, digits: int = 3) -> s
     return f"{number(mean, digits)} ± {number(std, digits)}"
 
 
-def _cell(value: object) -> Text:
+def _cell(value: object, digits: int) -> Text:
     if isinstance(value, Text):
         return value
-    return Text(number(value) if value is None or isinstance(value, float) else str(value))
+    return Text(number(value, digits) if value is None or isinstance(value, float) else str(value))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 
 from rich.console import Group, RenderableType
@@ -74,22 +75,17 @@ def claims_view(claims: Sequence[Claim]) -> RenderableType:
 def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
     """Mean and deviation over pairs of each baseline, of matched objects and of whole scans, and seconds per pair."""
     by_name = {(row.baseline, row.level): row for row in rows}
-    cells = [
-        (
-            METRIC[name].heading,
-            unit_words(METRIC[name].unit),
-            *_baseline_cells(by_name.get((name, OF_OBJECTS))),
-            *_baseline_cells(by_name.get((name, OF_SCAN))),
-        )
-        for name in dict.fromkeys(row.baseline for row in rows)
-    ]
+    cells = []
+    for name in dict.fromkeys(row.baseline for row in rows):
+        values = (cell for level in (OF_OBJECTS, OF_SCAN) for cell in _baseline_cells(by_name.get((name, level))))
+        cells.append((METRIC[name].heading, unit_words(METRIC[name].unit), *values))
     columns = ("baseline", "unit", "objects", "s", "whole scans", "s")
     table = plain_table("Baselines (mean and standard deviation over pairs)", columns, cells, words=(0, 1))
     table.columns[0].no_wrap = True
+    total_s = sum(row.seconds or 0.0 for row in rows)
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its two scans.",
-        "s: seconds per pair, beside the first number of a method; all together "
-        f"{sum(row.seconds or 0.0 for row in rows):.1f}",
+        f"s: seconds per pair, beside the first number of a method; all together {total_s:.1f}",
         *(f"{row.baseline} is null for {row.n_null} of {row.n + row.n_null} {row.level}" for row in rows if row.n_null),
     )
     return Group(table, *map(Text, lines))
@@ -97,19 +93,10 @@ def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
 
 def seeds_view(seeds: SeedSummary) -> RenderableType:
     """Spread over seeds beside spread over pairs, and mean and deviation over seeds of each pair."""
-    columns = (
-        "score",
-        "mean",
-        "std over\npairs",
-        "std over\nseeds",
-        "real above\n(one pair)",
-        "real above\n(all pairs)",
-    )
-    spreads = (
-        (label, spread.mean, spread.std_pairs, spread.std_seeds, spread.least_pair, spread.least_dataset)
-        for label, spread in zip(labels(HEADLINE_SCORES), map(seeds.dataset.__getitem__, HEADLINE_SCORES), strict=True)
-    )
-    dataset = plain_table(f"How stable the scores are ({seeds.n_seeds} seeds, {seeds.n_pairs} pairs)", columns, spreads)
+    spreads = [(metric_of(name).label, *vars(seeds.dataset[name]).values()) for name in HEADLINE_SCORES]
+    headings = ("std over\npairs", "std over\nseeds", "real above\n(one pair)", "real above\n(all pairs)")
+    title = f"How stable the scores are ({seeds.n_seeds} seeds, {seeds.n_pairs} pairs)"
+    dataset = plain_table(title, ("score", "mean", *headings), spreads)
     chosen, title = list(seeds.pairs.items()), "Pairs (mean ± standard deviation over seeds)"
     if len(chosen) > _MOST_PAIRS:
         chosen = sorted(chosen, key=lambda pair: -(pair[1]["match_rate"].std or 0.0))[:_MOST_PAIRS]
@@ -170,16 +157,11 @@ def _findings_parts(findings: Findings) -> list[RenderableType]:
 
 
 def _distributions(findings: Findings) -> Table:
-    columns = {
-        **{"min": "min", "q05": "5 %", "q25": "25 %", "median": "median", "q75": "75 %", "q95": "95 %"},
-        **{"max": "max", "std": "std", "cv": "std/mean"},
-    }
-    rows = (
-        (METRIC[name].label, *(getattr(getattr(findings.distributions, name), column) for column in columns))
-        for name in DISTRIBUTED
-    )
+    values = attrgetter("min", "q05", "q25", "median", "q75", "q95", "max", "std", "cv")
+    headings = ("score", "min", "5 %", "25 %", "median", "75 %", "95 %", "max", "std", "std/mean")
+    rows = ((METRIC[name].label, *values(getattr(findings.distributions, name))) for name in DISTRIBUTED)
     title = f"Objects (the {findings.n_matched} that both sides have, of all pairs together)"
-    return plain_table(title, ("score", *columns.values()), rows)
+    return plain_table(title, headings, rows)
 
 
 def _bands(findings: Findings) -> Table:
@@ -209,22 +191,13 @@ def _classes(findings: Findings) -> Table:
 
 def _scans(findings: Findings) -> Table:
     scans = findings.scans
-    kind = (
-        "more than a minute apart (quartiles over their objects)"
-        if scans.apart
-        else "evenly spaced by name (quartiles; no timestamps say that they are a minute apart)"
-    )
+    kind = "evenly spaced by name (quartiles; no timestamps say that they are a minute apart)"
+    if scans.apart:
+        kind = "more than a minute apart (quartiles over their objects)"
     quartiles = [heading for name in _BOXES for heading in (f"{METRIC[name].label} 25 %", "50 %", "75 %")]
-    rows = (
-        (
-            scan.pair,
-            number(scan.timestamp_s, 0),
-            scan.cdc.n,
-            *(number(getattr(getattr(scan, name), q), 2) for name in _BOXES for q in ("q25", "median", "q75")),
-        )
-        for scan in scans.scans
-    )
-    return plain_table(f"{len(scans.scans)} scans {kind}", ("pair", "time (s)", "objects", *quartiles), rows)
+    values = attrgetter("pair", "timestamp_s", "cdc.n", *(f"{n}.{q}" for n in _BOXES for q in ("q25", "median", "q75")))
+    headings, digits = ("pair", "time (s)", "objects", *quartiles), {1: 0, **dict.fromkeys(range(3, 9), 2)}
+    return plain_table(f"{len(scans.scans)} scans {kind}", headings, map(values, scans.scans), digits=digits)
 
 
 def _unmatched(group: Unmatched) -> tuple[object, ...]:

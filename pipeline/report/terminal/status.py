@@ -11,7 +11,7 @@ from ....schemas.columns import SIDES
 from ....schemas.paper import TIMINGS
 from ...datasets.scan_checks import DatasetCheck
 from ...results.status import STATES, RunStatus
-from .layout import number, plain_table
+from .layout import plain_table
 
 
 def check_view(dataset: DatasetCheck) -> RenderableType:
@@ -50,7 +50,7 @@ def status_view(status: RunStatus) -> RenderableType:
 def _timing_tables(mean: Mapping[str, Mapping[str, float]]) -> tuple[RenderableType, RenderableType]:
     """Mean milliseconds per pair by stage and step, in the order of the run; then what the paper has figures for."""
     steps = [
-        (stage if i == 0 else "", step, number(1e3 * seconds, 1))
+        (stage if i == 0 else "", step, 1e3 * seconds)
         for stage, own in mean.items()
         for i, (step, seconds) in enumerate(own.items())
     ]
@@ -60,10 +60,12 @@ def _timing_tables(mean: Mapping[str, Mapping[str, float]]) -> tuple[RenderableT
             value for stage, step in timing.steps for name, value in mean.get(stage, {}).items() if step in ("", name)
         )
         words = timing.words or ", ".join(f"{stage} {step}" for stage, step in timing.steps)
-        beside.append((timing.name, words, number(1e3 * seconds, 0), timing.milliseconds))
+        beside.append((timing.name, words, 1e3 * seconds, timing.milliseconds))
     own_title = "Time of a pair (mean over pairs, both sides, one core)"
     paper_title = "Beside the paper (its scans and its machine are others)"
     return (
-        plain_table(own_title, ("stage", "step", "ms"), steps, words=(0, 1)),
-        plain_table(paper_title, ("step", "counted here", "here (ms)", "paper (ms)"), beside, words=(0, 1)),
+        plain_table(own_title, ("stage", "step", "ms"), steps, words=(0, 1), digits={2: 1}),
+        plain_table(
+            paper_title, ("step", "counted here", "here (ms)", "paper (ms)"), beside, words=(0, 1), digits={2: 0}
+        ),
     )
