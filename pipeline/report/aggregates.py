@@ -56,8 +56,7 @@ def evenly(n: int, most: int) -> list[int]:
     >>> evenly(9, 3), evenly(2, 3), evenly(0, 3)
     ([0, 4, 8], [0, 1], [])
     """
-    places: list[int] = np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)).tolist()
-    return places
+    return list(map(int, np.unique(np.linspace(0, n - 1, min(n, most)).round())))
 
 
 def boxes(results: RunResults, column: str, groups: Iterable[str]) -> list[dict[str, Any]]:

@@ -17,8 +17,7 @@ import plotly.graph_objects as go
 from ...schemas.metrics import METRIC
 from ..results.compare import ScoreChange
 from .aggregates import SCORES, axis_title, boxes, evenly, histograms, quadrants, range_bands, stage_times
-from .colours import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, of_theme, on_page
-from .names import in_chart
+from .look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .results import RunResults
 
@@ -118,22 +117,26 @@ def _quadrants(results: RunResults) -> Chart:
 def _boxes(groups: Sequence[dict[str, Any]]) -> Chart:
     """Both scores of each group side by side; names can be alike when shortened, so that boxes stand at numbers."""
     figure = go.Figure()
-    for score in SCORES:
-        known = [{"x": i, **group[score]} for i, group in enumerate(groups) if group[score]]
-        columns = {"x": "x", "q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
+    names = {"q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
+    for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
+        known = [(i + offset, group[score]) for i, group in enumerate(groups) if group[score]]
+        outside = [(x, y) for x, box in known for y in box["fliers"]]
+        look = {"marker": {"color": on_page(SCORE_COLOURS[score]), "size": 3}, "hoverinfo": "y"}
         figure.add_box(
             name=METRIC[score].label,
-            **{theirs: [box[ours] for box in known] for theirs, ours in columns.items()},
-            y=[box["fliers"].tolist() for box in known],
-            marker={"color": on_page(SCORE_COLOURS[score]), "size": 3},
+            x=[x for x, _ in known],
+            width=0.34,
+            **{theirs: [box[ours] for _, box in known] for theirs, ours in names.items()},
             line_width=1.2,
-            hoverinfo="y",
+            **look,
         )
+        xs, ys = [x for x, _ in outside], [y for _, y in outside]
+        figure.add_scatter(mode="markers", showlegend=False, x=xs, y=ys, **look)
     ticks = [f"{in_chart(group['name'], 14)} ({group['n']})" for group in groups]
     places = {"tickvals": list(range(len(groups))), "range": [-0.6, len(groups) - 0.4]}
     figure.update_xaxes(ticktext=ticks, showgrid=False, **places)
     figure.update_yaxes(range=[0, 2.05], title_text="score of an object")
-    figure.update_layout(boxmode="group", margin_t=30)
+    figure.update_layout(boxmode="overlay", margin_t=30)
     return _plain(figure)
 
 

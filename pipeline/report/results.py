@@ -194,9 +194,8 @@ class PairTables:
 
 def _read(run: FinishedRun, table: str, names: Iterable[str], sides: Iterable[str] = ("",)) -> pd.DataFrame:
     """A table of all pairs, one pair after the other."""
-    rows: pd.DataFrame = pa.concat_tables(
-        [run.read_table(table, name, side) for name in names for side in sides]
-    ).to_pandas()
+    tables = [run.read_table(table, name, side) for name in names for side in sides]
+    rows: pd.DataFrame = pa.concat_tables(tables).to_pandas()
     return rows
 
 

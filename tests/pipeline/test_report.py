@@ -13,7 +13,7 @@ from PIL import Image
 
 from fidpipe.pipeline.report.aggregates import histograms, quadrants
 from fidpipe.pipeline.report.charts import run_charts
-from fidpipe.pipeline.report.colours import SIDE_COLOURS
+from fidpipe.pipeline.report.look import SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data, thinned
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
 from fidpipe.pipeline.report.page.render import render

@@ -16,7 +16,7 @@ from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
 from ...experiments.ablate.choice import along
 from ...experiments.perturb.claims import Means
 from ...experiments.perturb.perturb import PerturbOutcome, object_points
-from ..colours import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from ..look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from .style import VIEW, box_of, dots, draw_band, frame_of, from_above, mark_amounts, metres, new_figure, shown_name
 
 _TOP_IN, _ROW_IN = 3.0, 2.3

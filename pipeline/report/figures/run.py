@@ -12,7 +12,7 @@ from ....schemas.metrics import METRIC
 from ....stages.arrays import FloatArray
 from ...storage.files import remove_stale
 from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
-from ..colours import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
+from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
 from ..quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..results import SHAPES, PairTables, RunResults
 from . import style

@@ -15,7 +15,7 @@ import numpy as np
 
 from ....stages.arrays import FloatArray
 from ...storage.files import write_whole
-from ..colours import GREY, RAMPS
+from ..look import GREY, RAMPS
 
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}

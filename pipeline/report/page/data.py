@@ -18,8 +18,7 @@ from ....schemas.metrics import METRIC, metric_of
 from ....stages.arrays import IndexArray
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
-from ..colours import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, on_page
-from ..names import STEERING
+from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
 from ..results import PairTables, RunResults, Spectra
 from ..verdict import limits_in_words, verdict_of
 
@@ -129,8 +128,7 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     """
     ids = np.asarray(community)
     share = min(1.0, most / max(1, len(ids)))
-    rng = np.random.default_rng(0)
-    chosen = []
+    rng, chosen = np.random.default_rng(0), []
     for members in np.split(np.argsort(ids, kind="stable"), np.cumsum(np.bincount(ids))[:-1]):
         n = min(len(members), max(_FEWEST, int(np.ceil(share * len(members)))))
         chosen.append(rng.choice(members, n, replace=False))

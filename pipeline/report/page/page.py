@@ -58,7 +58,6 @@ def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: b
     data = page_data(results) | {"links": {name: quote(file) for name, file in files.items()}}
     words, plotly_source = page_words(results), ""
     pages = {folder / PAGE: (shown, _view_note(len(shown), len(chosen), len(results.pairs), pattern))}
-    written = set(pages)
     if one_page_a_pair:
         pages = {
             folder / PAGES / file: ([name], "This page shows one pair; the tables lead to the others.")
@@ -67,13 +66,12 @@ def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: b
         note = f"The 3D views of {len(chosen)} pairs have pages of their own: choose one in the tables."
         pages[folder / PAGES / _INDEX] = ([], note)
         plotly_source = _PLOTLY
-        written = {*pages, folder / PAGES / _PLOTLY}
         write_whole(folder / PAGES / _PLOTLY, get_plotlyjs().encode())
     for page, (names, note) in pages.items():
         views = {name: pair_view(results, name) for name in names}
         content = render("report.html", {**data, "views": views}, plotly_source, view_note=note, **words)
         write_whole(page, content.encode())
-    _remove_others(folder, written)
+    _remove_others(folder, {*pages, folder / PAGES / plotly_source})
     figures = draw_figures(results, chosen, folder / FIGURES)
     return ReportFiles(page, len(pages), figures, len(shown), len(results.pairs))
 

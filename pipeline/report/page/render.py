@@ -17,8 +17,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ..charts import TEMPLATE
-from ..colours import THEMES
-from ..names import shortened, shown
+from ..look import THEMES, shortened, shown
 
 
 def render(template: str, report: dict[str, Any], plotly_source: str = "", **words: Any) -> str:

@@ -185,6 +185,8 @@ def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> T
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
     table = plain_table(title, columns, cells, words=(), digits={1: 0, 2: 0})
     table.columns[1].min_width = 7
+    for column in table.columns[1:3]:
+        column.no_wrap = False
     table.rows[points.index(outcome.base)].style = "bold"
     return table
 

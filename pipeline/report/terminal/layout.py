@@ -23,15 +23,17 @@ def plain_table(
     ----------
     columns : headings
     rows : cells in the order of the columns
-    words : indices of the columns that hold words; the others hold numbers, which are not broken into lines
+    words : indices of the columns that hold words; the others hold numbers, which are never broken into lines
     digits : by index of a column, the digits of its floats; by default three
     """
     table = Table(
         title=Text(title, style="bold"), title_justify="left", title_style="", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
     for i, column in enumerate(columns):
-        is_words = i in words
-        table.add_column(column, justify="left" if is_words else "right", overflow="fold", no_wrap=not is_words)
+        if i in words:
+            table.add_column(column, overflow="fold")
+        else:
+            table.add_column(column, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*(_cell(value, (digits or {}).get(i, 3)) for i, value in enumerate(row)))
     return table

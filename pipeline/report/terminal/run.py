@@ -124,6 +124,8 @@ def _pairs_table(scored: Sequence[Row]) -> Table:
     rows = ([row[column] for column in ("pair_id", *counts, *HEADLINE_SCORES)] for row in scored)
     table = plain_table(title, headings, rows)
     table.columns[0].min_width = 6
+    for column in table.columns[1 : 1 + len(counts)]:
+        column.no_wrap = False
     return table
 
 

@@ -1,8 +1,14 @@
-"""The colours of pages and figures, in one table; colour-blind readers tell them apart."""
+"""The look that pages and figures share: colours, which colour-blind readers tell apart, and names of any signs."""
 
 from __future__ import annotations
 
+import re
+from html import escape
+
 from .quadrants import QUADRANTS, UNKNOWN
+
+#: Signs that steer the text around them (controls, direction marks); as JavaScript also reads it.
+STEERING = r"[\u0000-\u001f\u007f-\u009f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff]"
 
 #: Okabe and Ito, Color Universal Design (2008).
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
@@ -41,3 +47,24 @@ def of_theme(name: str) -> str:
 def on_page(colour: str) -> str:
     """A colour as a page has it: on black, blue is too dark and gives way to sky blue."""
     return of_theme("blue") if colour == BLUE else colour
+
+
+def shown(text: object) -> str:
+    r"""A text with its steering signs shown by their numbers.
+
+    Examples
+    --------
+    >>> shown("a\u202eb")
+    'a\\u202eb'
+    """
+    return re.sub(STEERING, lambda sign: f"\\u{ord(sign[0]):04x}", str(text))
+
+
+def shortened(text: str, most: int = 22) -> str:
+    """A text of at most `most` signs, the last one an ellipsis where something is left out."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def in_chart(name: str, most: int = 22) -> str:
+    """A name for a text of plotly, which reads a little markup: shown, shortened, and without meaning as markup."""
+    return escape(shortened(shown(name), most), quote=False)
