@@ -77,12 +77,14 @@ def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers
 
 
 def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path):
-    pool = WatchedPool(memory=3 * GIB, costs=LARGE_NODES)
-    policy = Policy(LARGE_NODES, least_weight=1.0)  # one task per pair
-    assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
-    usable = 3 * GIB - 2 * LARGE_NODES.process_bytes
-    assert 0 < max(need for n, need in pool.at_once if n > 1) <= usable
-    assert any(n == 1 and need > usable / 2 for n, need in pool.at_once[1:])  # had to wait until nothing ran beside it
+    policy = Policy(LARGE_NODES, worth_splitting_s=0.0, batch_s=0.0)  # one task per object
+    ample, scarce = (WatchedPool(memory=memory, costs=LARGE_NODES) for memory in (64 * GIB, 2 * GIB))
+    for name, pool in (("ample", ample), ("scarce", scarce)):
+        assert not run(dataset, tmp_path / name, pool=pool, policy=policy).failures
+    usable = 2 * GIB - 2 * LARGE_NODES.process_bytes
+    assert max(need for _, need in ample.at_once) > usable
+    assert max(need for n, need in scarce.at_once if n > 1) <= usable
+    assert_same_tables(tmp_path / "ample", tmp_path / "scarce")
 
 
 @pytest.mark.parametrize("function", ["run_batch", "score_objects", "gather_objects"])
