@@ -20,9 +20,9 @@ STAGE_NAMES = [stage.name for stage in STAGES]
 FOLDERS = [table for stage in STAGES for table in stage.gives]
 
 
-def run(dataset, out, settings=None, *, workers=1, pool=None, policy=None, **options):
+def run(dataset, out, settings=None, *, workers=1, scheduler=None, pool=None, policy=None, **options):
     """A run in this process, or on workers or a pool."""
-    machines = Machines(workers, pool=pool, policy=policy or Policy())
+    machines = Machines(workers, scheduler, pool, policy or Policy())
     request = RunRequest(dataset, out, settings or Settings(), machines=machines, **options)
     return run_dataset(request, Reporter(Console(quiet=True)))
 

@@ -1,4 +1,4 @@
-"""A run's folder: safe names, tables that are whole or not at all, the lock, and what the tables tell without a ledger."""
+"""A run's folder: safe names, tables that are whole or not at all, the lock, and what tables tell of their jobs."""
 
 import random
 import subprocess
