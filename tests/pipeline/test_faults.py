@@ -189,6 +189,28 @@ def test_a_pool_tells_of_a_dead_worker_and_goes_on(tmp_path):
         pool.close(now=True)
 
 
+def note(path):
+    """A line in a file, so that a test can count how often this was called."""
+    with path.open("a") as file:
+        file.write("called\n")
+    return path.read_text()
+
+
+def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    pool = DaskPool(1, None, tmp_path, {})
+    try:
+        handle = pool.submit(note, tmp_path / "calls")
+        assert pool.next_done() == (handle, "called\n")
+        pool.submit(os._exit, 1)
+        assert isinstance(pool.next_done()[1], WorkerDied)
+        pool.submit(pow, 2, 5)
+        assert pool.next_done()[1] == 32
+        assert (tmp_path / "calls").read_text() == "called\n"
+    finally:
+        pool.close(now=True)
+
+
 def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_KILL_S", 0.0)
     pool = DaskPool(1, None, tmp_path, {})
