@@ -176,7 +176,11 @@ class DaskPool:
             if error is None or isinstance(error, self._killed_worker):
                 return handle, WorkerDied(str(error or future.status))
             raise error
-        return handle, None if keep else future.result()
+        if keep:
+            return handle, None
+        result = future.result()
+        future.release()  # or it would be made again, and its files written again, if the worker that holds it dies
+        return handle, result
 
     def close(self, *, now: bool = False) -> None:
         """See `Pool`."""

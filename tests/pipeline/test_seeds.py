@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 import fidpipe
-from fidpipe.pipeline.engine import schedule
+from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.report.terminal.seeds import seeds_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
@@ -118,9 +118,8 @@ def test_python_gives_the_same_numbers_as_the_command(repeated, dataset):
 
 
 @pytest.mark.slow
-def test_two_workers_give_the_same_table(dataset, repeated, tmp_path, monkeypatch):
-    monkeypatch.setattr(schedule, "_WORTH_SPLITTING_S", 0.0)
-    run(dataset, tmp_path / "run", THREE, workers=2)
+def test_two_workers_give_the_same_table(dataset, repeated, tmp_path):
+    run(dataset, tmp_path / "run", THREE, workers=2, policy=Policy(worth_splitting_s=0.0))
     assert_same_tables(tmp_path / "run", repeated[0])
     found, wanted = seeds(tmp_path / "run"), seeds(repeated[0])
     assert found.keys() == wanted.keys()
