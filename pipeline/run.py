@@ -123,7 +123,9 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
         run.inspect(selected)
         survey = run.survey(selected)
         run.replace(survey)
-        run.make(survey)
+        if survey.todo:
+            with engine.scheduling_missing(survey, run.plan) as schedule:
+                schedule.run()
         return run.write(survey)
 
 
@@ -190,7 +192,7 @@ class _Run:
         names, first = list(self._versions), self._request.from_stage
         redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
         chosen = {pair.pair_id for pair in selected}
-        return self._engine.survey(self._dataset.pairs, self._plan, selected=chosen, redo=redo)
+        return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo)
 
     def replace(self, survey: Survey) -> None:
         """Removes what is out of date, and writes the head of the record."""
@@ -199,13 +201,9 @@ class _Run:
         write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
         write_record(self._request.out, self._header(), self._folder.check_token)
 
-    def make(self, survey: Survey) -> None:
-        """Makes what is not there."""
-        self._engine.make_missing(survey, self._plan)
-        self._end_phase("stages")
-
     def write(self, survey: Survey) -> RunOutcome:
         """Writes the tables of the whole run and its record."""
+        self._end_phase("stages")
         seconds, pair_ids = StageSeconds(), [pair.pair_id for pair in survey.usable]
         keys, n_current = [], 0
         for record in self._records(pair_ids):
@@ -244,7 +242,8 @@ class _Run:
         n_made = self._engine.n_made
         return RunOutcome(self._request.out, pairs, told, n_made, n_current - n_made, failed_extras)
 
-    def _plan(self, pair: ScanPair) -> PairPlan:
+    def plan(self, pair: ScanPair) -> PairPlan:
+        """The jobs of a pair that are wanted."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
     def _header(self) -> dict[str, Any]:
@@ -289,7 +288,7 @@ class _Run:
         past = self._folder.ledger.failure(pair.pair_id) if pair else None
         if pair is None or past is None:
             return None
-        plan, _ = with_results(self._plan(pair), self._folder)
+        plan, _ = with_results(self.plan(pair), self._folder)
         return str(past["reason"]) if any(past["key"] == job.key for job in plan.todo) else None
 
     def _timing_parts(self, pair_ids: Iterable[str]) -> Iterator[pa.Table]:

@@ -39,7 +39,7 @@ def synth(
     """
     from ...stages.sensing.ray_casting import SENSORS
     from ..engine.progress import Reporter
-    from ..experiments.synth.synth import SynthRequest, make_dataset
+    from ..experiments.synth import SynthRequest, make_dataset
 
     if sensor not in SENSORS:
         raise typer.BadParameter(

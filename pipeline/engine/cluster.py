@@ -48,10 +48,12 @@ _KILL_S = 0.2
 _SECONDS_BETWEEN_COUNTS = 1.0
 
 
-#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news.
+#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; and what was sent is
+#: not kept, for it grows with the pairs.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.admin.tick.limit": "1h",
+    "distributed.comm.recent-messages-log-length": 0,
 }
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +23,7 @@ from ..storage.record import LIBRARIES, library_versions
 from ..storage.tables import JobName, JobRecord
 from .cluster import start_pool
 from .plan import PairPlan, with_results
-from .pool import InProcess, Pool
+from .pool import InProcess, Pool, WorkerDied
 from .progress import Reporter, Work, seconds_of
 from .schedule import Policy, Schedule
 from .worker import BatchResult, JobFailure, failures_in_words
@@ -131,8 +132,9 @@ class Engine:
         """Workers of the pool; 0 where none was needed."""
         return 0 if self._pool is None else self._pool.n_workers
 
-    def make(self, plans: Iterable[PairPlan], work: Work) -> None:
-        """Makes the jobs of pairs that are not done.
+    @contextmanager
+    def scheduling(self, plans: Iterable[PairPlan], work: Work) -> Iterator[Schedule]:
+        """The schedule that makes the jobs of pairs that are not done; while it runs, progress is told.
 
         Parameters
         ----------
@@ -142,7 +144,7 @@ class Engine:
         pool = self.pool
         self.reporter.start(work)
         try:
-            Schedule(pool, plans, work.n_pairs, self, self._machines.policy).run()
+            yield Schedule(pool, plans, work.n_pairs, self, self._machines.policy)
         finally:
             self.reporter.stop()
 
@@ -225,17 +227,19 @@ class RunEngine(Engine):
                 self._judge(pair, facts, sides, is_noted)
         pool = self.pool if len(unknown) > _FEW_PAIRS else InProcess()
         n = max(1, min(_MOST_PAIRS_PER_BATCH, len(unknown) // _LEAST_BATCHES))
-        parts = [unknown[i : i + n] for i in range(0, len(unknown), n)]
-        handles = {pool.submit(inspect_pairs, part, self.settings.input, label_names): part for part in parts}
         known: dict[str, dict[str, ScanFacts]] = {}
-        while handles:
-            handle, read = pool.next_done()
-            for pair, facts in zip(handles.pop(handle), read, strict=True):
-                for side, scan in facts.items() if is_noted else ():
-                    self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
-                known[pair.pair_id] = facts
+        for pair, facts in self._read_files(pool, [unknown[i : i + n] for i in range(0, len(unknown), n)], label_names):
+            for side, scan in facts.items() if is_noted else ():
+                self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
+            known[pair.pair_id] = facts
         for pair in unknown:  # in their order, whichever was read first
-            self._judge(pair, known[pair.pair_id], sides, is_noted)
+            if pair.pair_id in known:
+                self._judge(pair, known[pair.pair_id], sides, is_noted)
+            else:
+                self.fail(
+                    pair.pair_id, "the worker process died while it read the files, and again when it did so alone"
+                )
+                self._unusable.add(pair.pair_id)
 
     def survey(
         self,
@@ -302,18 +306,21 @@ class RunEngine(Engine):
                 if record is not None:
                     self.folder.forget(record)
         survey.unwanted.clear()
+        if self.folder.is_of_older_version:
+            self.reporter.say("replacing all tables: an older fidpipe wrote them")
         if n_strays := self.folder.remove_strays():
             self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
         self.folder.ledger.commit()
 
-    def make_missing(self, survey: Survey, plan_pair: PlanPair) -> None:
-        """Makes the jobs that are not there, of the pairs that are to be worked on."""
-        if not survey.todo:
-            return
+    @contextmanager
+    def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
+        """The schedule that makes the jobs that are not there, of the pairs that are to be worked on."""
         counts = {stage: (n, survey.n_done[stage]) for stage, n in survey.n_jobs.items()}
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
+        work = Work(len(survey.todo), survey.seconds, counts, self._machines.policy.costs)
         try:
-            self.make(plans, Work(len(survey.todo), survey.seconds, counts, self._machines.policy.costs))
+            with self.scheduling(plans, work) as schedule:
+                yield schedule
         finally:
             self.folder.ledger.commit()
         if self.failures:
@@ -334,6 +341,25 @@ class RunEngine(Engine):
             self.folder.ledger.put_failure(plan.pair_id, {"key": key, "reason": self.failures[plan.pair_id]})
         else:
             self.folder.ledger.drop_failure(plan.pair_id)
+
+    def _read_files(
+        self, pool: Pool, parts: Sequence[Sequence[ScanPair]], label_names: dict[int, str]
+    ) -> Iterator[tuple[ScanPair, dict[str, ScanFacts]]]:
+        """What the files of pairs hold, in any order; pairs at which a worker dies twice, last alone, are left out."""
+        handles = {pool.submit(inspect_pairs, part, self.settings.input, label_names): part for part in parts}
+        suspects: list[ScanPair] = []
+        while handles:
+            handle, read = pool.next_done()
+            part = handles.pop(handle)
+            if isinstance(read, WorkerDied):
+                suspects.extend(part)
+            else:
+                yield from zip(part, read, strict=True)
+        for pair in suspects:
+            pool.submit(inspect_pairs, [pair], self.settings.input, label_names)
+            _, read = pool.next_done()
+            if not isinstance(read, WorkerDied):
+                yield pair, read[0]
 
     def _recall(self, pair: ScanPair, sides: Sequence[str]) -> dict[str, ScanFacts] | None:
         """What a pair's files hold, if it is known from the last time and still so."""

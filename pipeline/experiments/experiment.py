@@ -185,7 +185,9 @@ class Experiment:
             self._source.pairs, self._plan, selected=wanted, exhaustive=exhaustive, why_absent="not asked for"
         )
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
-        self.engine.make_missing(survey, self._plan)
+        if survey.todo:
+            with self.engine.scheduling_missing(survey, self._plan) as schedule:
+                schedule.run()
 
 
 @contextmanager

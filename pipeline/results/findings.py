@@ -5,7 +5,7 @@ Reads a few columns of three small files per pair, about a millisecond, and only
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from ..storage.tables import TableFolder
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
 _VERSION = 2
+_FILES_AT_ONCE = 200
 
 
 def run_findings(
@@ -78,10 +79,14 @@ def read_objects(folder: TableFolder, pair_ids: list[str]) -> tuple[SideObjects,
     return real, sim, MatchedObjects(pair, real.range_m[matched_rows[0]], real.label[matched_rows[0]], **scores)
 
 
-def _read(paths: Iterable[Path], columns: list[str]) -> tuple[dict[str, NDArray[Any]], IntArray]:
+def _read(paths: list[Path], columns: list[str]) -> tuple[dict[str, NDArray[Any]], IntArray]:
     """Columns of some files one after the other, nulls of numbers as NaN, and which file each row comes from."""
-    files = (pa.BufferReader(path.read_bytes()) for path in paths)  # in one read each: there are many, and small
-    parts = [pq.ParquetFile(file).read(columns=columns, use_threads=False) for file in files]
-    table = pa.concat_tables(parts)
-    pair = np.repeat(np.arange(len(parts), dtype=np.int32), [part.num_rows for part in parts])
+    chunks, n_rows = [], []
+    for start in range(0, len(paths), _FILES_AT_ONCE):  # a table of few rows is larger than they are
+        files = (pa.BufferReader(path.read_bytes()) for path in paths[start : start + _FILES_AT_ONCE])
+        parts = [pq.ParquetFile(file).read(columns=columns, use_threads=False) for file in files]
+        n_rows += [part.num_rows for part in parts]
+        chunks.append(pa.concat_tables(parts).combine_chunks())
+    table = pa.concat_tables(chunks)
+    pair = np.repeat(np.arange(len(n_rows), dtype=np.int32), n_rows)
     return {name: table.column(name).to_numpy(zero_copy_only=False) for name in columns}, pair

@@ -21,18 +21,23 @@ _OF_OLDER_VERSIONS = ("index.jsonl", ".journal")
 
 
 class RunFolder(TableFolder):
-    """A run's folder; to be read, or, while `locked`, to be written.
-
-    Attributes
-    ----------
-    ledger : finished jobs, input files and failures
-    """
+    """A run's folder; to be read, or, while `locked`, to be written."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, secrets.token_hex(8))
-        self.ledger = Ledger(folder / LEDGER, is_writable=False)
-        if not self.ledger.is_complete:
-            self._adopt()
+        self._ledger: Ledger | None = None
+
+    @property
+    def ledger(self) -> Ledger:
+        """The ledger: to be read, or while `locked` to be written; opened when first asked for."""
+        if self._ledger is None:
+            self._ledger = self._open_ledger(is_writable=False)
+        return self._ledger
+
+    @property
+    def is_of_older_version(self) -> bool:
+        """Whether a fidpipe wrote here whose tables do not tell of their jobs."""
+        return any((self.folder / name).exists() for name in _OF_OLDER_VERSIONS)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -43,29 +48,33 @@ class RunFolder(TableFolder):
         Raises
         ------
         RunError
-            Another run holds it.
+            Another run holds it, or the folder cannot be written.
         """
         from filelock import FileLock, Timeout
 
-        self.folder.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.folder / _LOCK)
         try:
+            self.folder.mkdir(parents=True, exist_ok=True)
             lock.acquire(timeout=0)
+            self.token_path.write_text(self.token)
         except Timeout:
             raise RunError(
                 f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
             ) from None
+        except OSError as error:
+            lock.release()
+            raise RunError(f"run {self.folder}: cannot be written ({error.strerror}); give another --out") from error
         try:
-            self.token_path.write_text(self.token)
-            self.ledger.close()
-            self.ledger = Ledger(self.folder / LEDGER, is_writable=True)
-            if not self.ledger.is_complete:
-                self._adopt()
+            if self._ledger is not None:
+                self._ledger.close()
+            self._ledger = self._open_ledger(is_writable=True)
             self.ledger.set_complete(False)
-            yield
-            self.ledger.set_complete(True)
+            try:
+                yield
+                self.ledger.set_complete(True)
+            finally:
+                self.ledger.commit()
         finally:
-            self.ledger.commit()
             lock.release()
 
     def read_table(self, table: str, pair_id: str, part: str = "", columns: list[str] | None = None) -> pa.Table:
@@ -95,7 +104,7 @@ class RunFolder(TableFolder):
     def remove_strays(self) -> int:
         """Removes files that no finished job accounts for, half-written ones among them; gives how many were whole."""
         n_whole = 0
-        for name in list(self._unknown_files()):
+        for name in list(self._unknown_files(self.ledger)):
             n_whole += not Path(name).name.startswith(".")
             (self.folder / name).unlink()
         for name in _OF_OLDER_VERSIONS:
@@ -103,10 +112,13 @@ class RunFolder(TableFolder):
             rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
         return n_whole
 
-    def _adopt(self) -> None:
-        """Adds to the ledger the finished jobs that it does not know, from the footers of their files."""
+    def _open_ledger(self, *, is_writable: bool) -> Ledger:
+        """The ledger; if it may not know every finished job, with those that the footers of their files tell of."""
+        ledger = Ledger(self.folder / LEDGER, is_writable=is_writable)
+        if ledger.is_complete:
+            return ledger
         parts: dict[tuple[str, str, str, str], JobRecord] = {}
-        for name in self._unknown_files():
+        for name in self._unknown_files(ledger):
             told = read_footer(self.folder, name)
             if told is None:
                 continue
@@ -114,13 +126,17 @@ class RunFolder(TableFolder):
             known = parts.setdefault((*record.name, record.key), record)
             known.files.update(record.files)
             if set(known.files) == set(names):
-                self.ledger.put_job(known)
+                ledger.put_job(known)
+        return ledger
 
-    def _unknown_files(self) -> Iterator[str]:
-        """Files in the folders of tables that the ledger does not know, by name relative to the run."""
+    def _unknown_files(self, ledger: Ledger) -> Iterator[str]:
+        """Tables of pairs and of the whole run that the ledger does not know, by name relative to the run."""
         for table in TABLES:
+            whole = f"{table}.parquet"
+            if not ledger.knows_file(whole) and (self.folder / whole).is_file():
+                yield whole
             if (self.folder / table).is_dir():
                 for entry in os.scandir(self.folder / table):
                     name = f"{table}/{entry.name}"
-                    if entry.is_file() and not self.ledger.knows_file(name):
+                    if entry.is_file() and not ledger.knows_file(name):
                         yield name

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import sqlite3
+import weakref
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from time import monotonic
@@ -16,11 +18,13 @@ from typing import Any
 
 import orjson
 
+from ...schemas.errors import RunError
 from .tables import JobName, JobRecord, StoredFile
 
 LEDGER = "ledger.sqlite"
 _VERSION = 1
 _SECONDS_BETWEEN_COMMITS = 1.0
+_SECONDS_FOR_READERS = 60.0
 
 _TABLES = f"""
 PRAGMA page_size = 16384;
@@ -42,6 +46,11 @@ class Ledger:
     ----------
     path : of the file
     is_writable : else nothing is written to disk, whatever is put in
+
+    Raises
+    ------
+    RunError
+        It cannot be written: here, and later where something is put in.
     """
 
     def __init__(self, path: Path, *, is_writable: bool) -> None:
@@ -50,11 +59,11 @@ class Ledger:
         try:
             self._db = self._open(path, is_writable)
         except sqlite3.DatabaseError:  # not a database, torn, or of another version: it is made again
-            self._db = _in_memory()
             if is_writable:
                 path.unlink(missing_ok=True)
                 path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
-                self._db = self._open(path, is_writable)
+            self._db = self._open(path, is_writable) if is_writable else _in_memory()
+        weakref.finalize(self, self._db.close)
 
     def close(self) -> None:
         """Writes what is not written yet, and ends the use of the file."""
@@ -64,8 +73,9 @@ class Ledger:
     def commit(self) -> None:
         """Writes what was put in since the last time."""
         if self._begun is not None:
-            self._db.execute("COMMIT")
             self._begun = None
+            with self._writing():
+                self._db.execute("COMMIT")
 
     @property
     def is_complete(self) -> bool:
@@ -165,10 +175,11 @@ class Ledger:
 
     def _change(self, order: str, *values: Any) -> None:
         now = monotonic()
-        if self._begun is None:
-            self._db.execute("BEGIN")
-            self._begun = now
-        self._db.execute(order, values)
+        with self._writing():
+            if self._begun is None:
+                self._db.execute("BEGIN")
+                self._begun = now
+            self._db.execute(order, values)
         if now - self._begun > _SECONDS_BETWEEN_COMMITS:
             self.commit()
 
@@ -176,11 +187,26 @@ class Ledger:
     def _open(path: Path, is_writable: bool) -> sqlite3.Connection:
         if not is_writable:
             return _read_only(path) if path.exists() else _in_memory()
-        db = sqlite3.connect(path, isolation_level=None)
-        if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
-            db.executescript(_TABLES)
-        _check(db)
+        db = sqlite3.connect(path, timeout=_SECONDS_FOR_READERS, isolation_level=None)
+        try:
+            if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
+                db.executescript(_TABLES)
+            _check(db)
+        except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
+            db.close()
+            raise RunError(f"{path}: cannot be written ({error}); give another --out") from error
+        except sqlite3.DatabaseError:
+            db.close()
+            raise
         return db
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.OperationalError as error:
+            self._begun = None
+            raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
 
 
 def _in_memory() -> sqlite3.Connection:
@@ -201,6 +227,9 @@ def _read_only(path: Path) -> sqlite3.Connection:
         except sqlite3.OperationalError:
             db.close()
             continue
+        except sqlite3.DatabaseError:
+            db.close()
+            raise
         if _is_complete(db):
             return db
         copy = sqlite3.connect(":memory:", isolation_level=None)
@@ -211,9 +240,11 @@ def _read_only(path: Path) -> sqlite3.Connection:
 
 
 def _check(db: sqlite3.Connection) -> None:
-    """Raises `sqlite3.DatabaseError` where it is no ledger of this version."""
+    """Raises `sqlite3.DatabaseError` where it is no ledger of this version, or damaged."""
     if db.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
         raise sqlite3.DatabaseError("a ledger of another version")
+    if db.execute("PRAGMA quick_check(1)").fetchone()[0] != "ok":
+        raise sqlite3.DatabaseError("a damaged ledger")
 
 
 def _is_complete(db: sqlite3.Connection) -> bool:

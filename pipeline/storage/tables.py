@@ -138,16 +138,7 @@ class TableFolder:
             Another run has taken over the folder, or it cannot be written.
         """
         names = {table: table_name(table, record.pair_id, record.part) for table in tables}
-        footer = {
-            "stage": record.stage,
-            "pair_id": record.pair_id,
-            "part": record.part,
-            "files": list(names.values()),
-            "reads": record.reads,
-            "facts": record.facts,
-            "steps": record.steps,
-        }
-        job = orjson.dumps(footer).decode()
+        job = _job_in_footer(record, names.values())
         return {
             name: self.write_at(self.folder / name, table, tables[table], record.key, job)
             for table, name in names.items()
@@ -162,13 +153,13 @@ class TableFolder:
         ----------
         rows : checked against the table's schema; or parts of them, in their order
         key : of the result, for the footer
-        job : the job as JSON, for the footer; None for a table of the whole run
+        job : the job as JSON, for the footer; None for a table of the whole run, which nothing else belongs to
         """
         schema = TABLES[table]
         parts = [rows] if isinstance(rows, pa.Table) else rows
+        job = job or _job_in_footer(JobRecord(table, "", "", key, {}), [path.name])
         own = {"fidpipe.table": table, "fidpipe.schema_version": str(schema.version), "fidpipe.key": key}
-        if job is not None:
-            own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
+        own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
         words = [field.name for field in schema.schema if field.type not in _ENCODINGS]
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(
@@ -218,8 +209,8 @@ class TableFolder:
 def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
     """The job that made a table, told by its footer, and the names of all its files; None where it cannot be believed.
 
-    A file is believed if its footer agrees with the hash that stands in it, every page with its checksum, and the
-    columns with the table's schema. `files` of the record holds this file alone.
+    A file is believed if its job agrees with the hash beside it, every page with its checksum, the columns with the
+    table's schema, and all counts of rows with each other. `files` of the record holds this file alone.
 
     Parameters
     ----------
@@ -233,7 +224,10 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         job, key, table = (footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table"))
         if footer.get(b"fidpipe.check") != key_of(key, job).encode():
             return None
-        TABLES[table].check(file.read(use_threads=False).cast(TABLES[table].schema))
+        rows = file.read(use_threads=False)
+        TABLES[table].check(rows)
+        if _row_counts(file.metadata) != {rows.num_rows}:
+            return None
     except (OSError, ValueError, KeyError, pa.ArrowException):
         return None
     own = orjson.loads(job)
@@ -242,6 +236,20 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
     steps = tuple((step, seconds) for step, seconds in own.pop("steps"))
     record = JobRecord(**own | {"reads": tuple(own["reads"]), "key": key, "files": {name: stored}, "steps": steps})
     return (record, names) if name in names else None
+
+
+def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
+    """A job as the footers of its files have it, without what is known only when they are written."""
+    own = {name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "facts", "steps")}
+    return orjson.dumps(own | {"files": list(names)}).decode()
+
+
+def _row_counts(metadata: pq.FileMetaData) -> set[int]:
+    """What the footer says of the number of rows: in all, and of each column."""
+    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
+    columns = range(metadata.num_columns)
+    in_columns = {sum(group.column(i).num_values for group in groups) for i in columns}
+    return {metadata.num_rows, sum(group.num_rows for group in groups)} | in_columns
 
 
 def is_as_stored(path: str, stored: StoredFile) -> bool:

@@ -1,1 +1,1 @@
-"""What sensors see and how scans are altered: ray casting and perturbations."""
+"""Ray casting, and what it is tried on: made streets, their flawed twins, perturbed scans."""

@@ -13,21 +13,21 @@ from scipy.spatial import cKDTree
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.experiments.synth import synth
-from fidpipe.pipeline.experiments.synth.scans import make_pair
-from fidpipe.pipeline.experiments.synth.synth import (
+from fidpipe.pipeline.experiments import synth
+from fidpipe.pipeline.experiments.synth import (
     SynthRequest,
     finish,
     make_files,
     prepare,
     wanted_pairs,
 )
-from fidpipe.pipeline.experiments.synth.things import KINDS
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
 from fidpipe.stages.sensing.ray_casting import SENSORS
+from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.things import KINDS
 
 N_POINTS = 400  # of a small scan
 CLASSES = ("wall", "car", "tree", "vegetation")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....stages.arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray
 from .things import EMPTY_MESH, Mesh, Thing, build_grid, join_meshes
 
 DENSITY_BOUNDS = (0.1, 8.0)

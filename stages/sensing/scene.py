@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ....stages.arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray
 from .things import (
     EMPTY_MESH,
     Mesh,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....stages.arrays import Float32Array, FloatArray, IndexArray
-from ....stages.sensing.ray_casting import Beams, RayTarget, SensorModel, fire, measure_ranges, return_probability
+from ..arrays import Float32Array, FloatArray, IndexArray
+from .ray_casting import Beams, RayTarget, SensorModel, fire, measure_ranges, return_probability
 from .scene import build_scene
 from .things import Mesh, join_meshes
 from .twin import Copy, build_twin

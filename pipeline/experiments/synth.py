@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ....schemas.columns import SIDES
-from ....schemas.errors import FidpipeError
-from ....schemas.settings import Settings
-from ....stages.sensing.ray_casting import SENSORS, need_ray_caster
-from ...datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
-from ...engine.engine import Engine, Machines
-from ...engine.plan import Job, PairPlan
-from ...engine.progress import Reporter, Work
-from ...stage import Context, Grain, Made, Stage
-from ...storage.files import key_of, write_whole
-from .scans import make_pair
-from .things import KINDS
+from ...schemas.columns import SIDES
+from ...schemas.errors import FidpipeError
+from ...schemas.settings import Settings
+from ...stages.sensing.ray_casting import SENSORS, need_ray_caster
+from ...stages.sensing.scans import make_pair
+from ...stages.sensing.things import KINDS
+from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
+from ..engine.engine import Engine, Machines
+from ..engine.plan import Job, PairPlan
+from ..engine.progress import Reporter, Work
+from ..stage import Context, Grain, Made, Stage
+from ..storage.files import key_of, write_whole
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
@@ -185,7 +185,9 @@ def _make_pairs(request: SynthRequest, wanted: list[int], reporter: Reporter) ->
         reporter.say(f"{request.n_pairs - len(wanted)} of {request.n_pairs} pairs are there already")
     plans = (_plan(request, index) for index in wanted)
     with Engine(Settings(), Machines(request.workers), reporter, [__name__]) as engine:
-        engine.make(plans, Work(len(wanted), float(len(wanted)), {_STAGE.name: (len(wanted), 0)}))
+        work = Work(len(wanted), float(len(wanted)), {_STAGE.name: (len(wanted), 0)})
+        with engine.scheduling(plans, work) as schedule:
+            schedule.run()
         if engine.failures:
             raise FidpipeError(f"dataset {request.out}: {next(iter(engine.failures.values()))}")
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....stages.arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray
 
 #: Class names by number, as in `.label` files.
 KINDS = ("ground", "wall", "car", "tree", "vegetation", "pole")

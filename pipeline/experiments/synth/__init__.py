@@ -1,1 +1,0 @@
-"""Synthetic streets and their flawed twins."""
