@@ -238,4 +238,4 @@ def _needed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
 
 def _header(name: str, source: Path, settings: Settings) -> dict[str, Any]:
     versions = {stage.name: stage.version for stage in STAGES}
-    return {"experiment": name, **run_header(source, settings, versions)}
+    return {"experiment": name, **run_header(source, settings, versions).as_dict()}

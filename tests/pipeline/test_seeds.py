@@ -97,7 +97,7 @@ def test_they_stay_while_they_are_true_and_go_when_the_results_change(again, dat
 def test_the_record_holds_the_spread_over_seeds_and_pairs(repeated):
     out, outcome = repeated
     record = json.loads((out / "run.json").read_text())["seeds"]
-    assert record == outcome.record["seeds"]
+    assert record == outcome.record.as_dict()["seeds"]
     by_pair = pd.read_parquet(out / "seeds").groupby("pair_id")
     assert (record["n_seeds"], record["n_pairs"]) == (3, 2)
     for name in SEEDED_SCORES:
@@ -129,7 +129,7 @@ def test_two_workers_give_the_same_table(dataset, repeated, tmp_path, monkeypatc
 
 def test_the_terminal_shows_the_spread(repeated):
     shown = io.StringIO()
-    Console(width=80, file=shown).print(seeds_view(SeedSummary.from_dict(repeated[1].record["seeds"])))
+    Console(width=80, file=shown).print(seeds_view(SeedSummary.from_dict(repeated[1].record.as_dict()["seeds"])))
     text = shown.getvalue()
     assert "How stable the scores are (3 seeds, 2 pairs)" in text
     for word in ("match rate", "r_lambda", "real above", "000", "001"):

@@ -23,7 +23,7 @@ _MOST_PAIRS = 20
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The results of a run, as a newcomer should see them first."""
-    record = RunRecord.from_dict(outcome.record)
+    record = outcome.record
     return Group(
         summary_view(outcome.folder, outcome.rows, record),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
