@@ -53,7 +53,7 @@ _SECONDS_BETWEEN_COUNTS = 1.0
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.admin.tick.limit": "1h",
-    "distributed.comm.recent-messages-log-length": 0,
+    "distributed.admin.low-level-log-length": 0,
 }
 
 
