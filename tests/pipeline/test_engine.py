@@ -1,6 +1,4 @@
-"""Jobs and parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
-
-from dataclasses import replace
+"""Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
 
 import pytest
 from rich.console import Console
@@ -11,14 +9,14 @@ from fidpipe.pipeline.engine.plan import Part, Planner
 from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.jobs import STAGES, baselines
-from fidpipe.pipeline.stage import Context, Grain, Made, Stage, UndeclaredError
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.stage import Context, Grain, Made, Stage
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
 from pools import DyingPool, WatchedPool
-from runs import no_temporary_files, run
+from runs import run
 from scenes import write_dataset
 
 N_BASE = 7  # both sides of ground, graph and communities, and matching
@@ -61,7 +59,8 @@ def make_parts(dataset, out, parts, pool):
 
         survey = engine.survey(pairs, plan, selected={pair.pair_id for pair in pairs})
         engine.replace(survey)
-        engine.make_missing(survey, plan)
+        with engine.scheduling_missing(survey, plan) as schedule:
+            schedule.run()
         return engine, {pair.pair_id: folder.ledger.jobs(pair.pair_id) for pair in pairs}
 
 
@@ -113,57 +112,6 @@ def test_two_parts_of_one_name_are_refused(dataset, tmp_path):
         make_parts(dataset, tmp_path, [Part(SEES_GROUND, "a"), Part(SEES_GROUND, "a")], InProcess())
 
 
-def test_what_is_not_declared_cannot_be_asked_for(dataset, tmp_path):
-    faults = {}
-
-    def ask(context):
-        for name, question in {
-            "table": lambda: context.table("graph", "real"),
-            "column": lambda: context.table("ground", "real", ("x",)),
-            "facts": lambda: context.facts("matching"),
-            "settings": lambda: context.settings.graph,
-            "scan": context.scan,
-        }.items():
-            with pytest.raises(UndeclaredError) as told:
-                question()
-            faults[name] = str(told.value)
-
-    stage = probe({"ground": ("point_id",)}, ask)
-    engine, _ = make_parts(dataset, tmp_path, [Part(stage, "curious")], InProcess())
-    assert engine.failures == {}
-    assert faults == {
-        "table": f"stage {stage.name} asks for graph; it declares ground",
-        "column": f"stage {stage.name} asks for x of ground; not declared",
-        "facts": f"stage {stage.name} asks for matching; it declares ground",
-        "settings": f"stage {stage.name} asks for the settings graph; it declares none",
-        "scan": f"stage {stage.name} asks for scan; it declares ground",
-    }
-
-
-def test_what_jobs_share_is_made_once_and_only_of_what_both_declare(dataset, tmp_path):
-    made = []
-
-    def share(columns):
-        def ask(context):
-            def read():
-                made.append(context.part)
-                return context.table("ground", "real", columns).num_rows
-
-            assert context.once("size", read) > 0
-
-        return ask
-
-    frugal, greedy = ("point_id",), ("point_id", "x")
-    stage = probe({"ground": greedy}, share(frugal))
-    other = replace(probe({"ground": frugal}, share(frugal), gives="perturb_baselines"), name="other")
-    engine, _ = make_parts(dataset, tmp_path / "a", [Part(stage, "first"), Part(other, "second")], InProcess())
-    assert (engine.failures, made) == ({}, ["first", "first"])  # once for each of the two pairs
-    stage = probe({"ground": greedy}, share(greedy))
-    engine, _ = make_parts(dataset, tmp_path / "b", [Part(stage, "first"), Part(other, "second")], InProcess())
-    assert set(engine.failures) == {"000, second", "001, second"}
-    assert "size is made of ground.x, which it does not declare" in engine.failures["000, second"]
-
-
 @pytest.mark.parametrize("n_deaths", [1, 2])
 def test_a_file_at_which_the_worker_dies_fails_its_pair_alone(tmp_path, n_deaths):
     many = write_dataset(tmp_path / "streets", 17, n=40)
@@ -175,11 +123,3 @@ def test_a_file_at_which_the_worker_dies_fails_its_pair_alone(tmp_path, n_deaths
         reason = "the worker process died while it read the files, and again when it did so alone"
         assert outcome.failures == {"005": reason}
         assert run(many, tmp_path / "run").n_made == 9
-
-
-def test_a_stage_that_gives_other_tables_than_it_declares_is_our_bug(dataset, tmp_path):
-    wrong = replace(baselines.STAGE, make=lambda context: Made({}))
-    outcome = run(dataset, tmp_path / "run", stages=(*STAGES, wrong))
-    assert {row["status"] for row in outcome.rows} == {"scored"}
-    assert "internal error: ValueError: stage baselines gives" in outcome.failures["000"]
-    assert no_temporary_files(tmp_path / "run")

@@ -165,7 +165,7 @@ def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monk
     assert set(outcome.failures) == {faults.POISON}
     assert outcome.failures[faults.POISON].startswith("stage baselines: the worker process died, and again")
     assert {row["status"] for row in outcome.rows} == {"scored"}
-    assert outcome.record["seeds"]["n_pairs"] == 4
+    assert outcome.record.seeds.n_pairs == 4
     assert run(dataset, tmp_path / "run", settings).n_made == 1
     assert_same_tables(tmp_path / "run", finished)
 

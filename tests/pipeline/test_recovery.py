@@ -124,7 +124,7 @@ def test_results_without_a_ledger_are_those_from_before(again, finished, dataset
     outcome = run(dataset, again)
     before = json.loads((finished / "run.json").read_text())
     for part in ("summary", "findings", "inputs", "pairs"):
-        assert outcome.record[part] == before[part]
+        assert outcome.record.as_dict()[part] == before[part]
     steps = pd.read_parquet(again / "timings.parquet")
     assert steps.reused.all()
     assert set(steps.stage) == set(STAGE_NAMES)

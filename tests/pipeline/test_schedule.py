@@ -178,7 +178,7 @@ def test_a_failed_extra_leaves_its_pair_scored_and_is_told(dataset, finished, tm
 def test_a_failed_extra_does_not_stop_another(dataset, finished, tmp_path):
     outcome = run(dataset, tmp_path / "run", EXTRA, stages=extras(baselines=fail))
     assert outcome.failures == dict.fromkeys(("000", "001", "002"), "stage baselines: no such thing")
-    assert outcome.record["seeds"]["n_pairs"] == 3
+    assert outcome.record.seeds.n_pairs == 3
     assert outcome.n_made == N_JOBS + 3
     mended = run(dataset, tmp_path / "run", EXTRA)
     assert (mended.failures, mended.n_made) == ({}, 3)
