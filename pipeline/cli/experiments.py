@@ -146,7 +146,7 @@ def ablate(
     check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}
     request = AblateRequest(
-        dataset=dataset,
+        source=dataset,
         out=out or _experiment_folder(dataset, "ablate"),
         settings=load(settings, assignments or []),
         values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
