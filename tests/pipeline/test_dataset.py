@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.datasets.scan_checks import check_dataset, implausible, widest_azimuth_gap_deg
+from fidpipe.pipeline.datasets.scan_checks import check_dataset
 from fidpipe.schemas.errors import DatasetError
 from fidpipe.schemas.settings import Settings, load
+from fidpipe.stages.sensing.plausibility import implausible, widest_azimuth_gap_deg
 from scenes import road, street, write_bin
 
 
