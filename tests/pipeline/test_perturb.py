@@ -22,12 +22,11 @@ from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, object_
 from fidpipe.pipeline.report.figures.perturb import draw_perturbations
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
-from fidpipe.schemas.experiment_tables import PERTURB_SUMMARY
 from fidpipe.schemas.settings import load
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.sensing.perturbations import Perturbation, perturb
 from fidpipe.stages.sensing.typical_objects import ScanObjects
-from fidpipe.stages.statistics.sweeps import Means, judge_claims, react
+from fidpipe.stages.statistics.sweeps import react
 from runs import command
 from scenes import street, write_bin, write_dataset
 
@@ -328,31 +327,6 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     reactions = {of.metric: of for of in react(outcome.means, LEVELS)}
     assert reactions["f_score"].most.kind == "rigid"
     assert reactions["r_lambda"].most.kind == "dropout"
-
-
-def test_claims_are_judged_by_the_numbers():
-    def summary(rates, curve):
-        levels = [Perturbation("dropout", amount) for amount in (0.1, 0.2)]
-        found = [(None, "match_rate", rates), ("car", "r_lambda", curve)]
-        rows = PERTURB_SUMMARY.from_rows(
-            {**vars(level), "scope": "global", "object": of, "metric": metric, "n": 1, "mean": value}
-            for of, metric, values in found
-            for level, value in zip(levels, values, strict=True)
-        )
-        return levels, Means(rows.to_pylist())
-
-    levels, good = summary((0.9, 0.8), (0.1, 0.2))
-    assert [claim.holds for claim in judge_claims(good, levels)] == [True, True]
-    levels, bad = summary((0.8, 0.9), (0.2, 0.1))
-    claims = judge_claims(bad, levels)
-    assert [claim.holds for claim in claims] == [False, False]
-    assert claims[0].here == "0 of 1, not car"
-    levels, flat = summary((0.8, 0.8), (0.2, 0.2))
-    assert [claim.holds for claim in judge_claims(flat, levels)] == [False, False]
-    levels, gap = summary((0.9, None), (None, 0.2))
-    claims = judge_claims(gap, levels)
-    assert [claim.holds for claim in claims] == [None, None]
-    assert [claim.here for claim in claims] == ["no value for dropout 0.1 of car", "no value for dropout 0.2"]
 
 
 @pytest.mark.slow

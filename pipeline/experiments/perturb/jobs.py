@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ....schemas.columns import Row
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ....schemas.metrics import OBJECT_METRICS
-from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray
 from ....stages.baselines import compare_objects
 from ....stages.ground import MIN_OBJECT_POINTS
@@ -116,32 +116,24 @@ def _repeats(
         yield row, perturb(points, perturbation, np.random.default_rng(seed))
 
 
-_SETTINGS = ("graph", "communities", "matching", "selection")
-
-
-def _stage(
-    name: str,
-    make: Callable[[Context], Made],
-    settings: tuple[str, ...] = _SETTINGS,
-    libraries: Callable[[Settings], tuple[str, ...]] = seeds.STAGE.libraries,
-) -> Stage:
-    """A stage that works on the real side's communities, with a table of its own name.
-
-    Versions are to be raised when the same request gives other numbers.
-    """
-    takes = {"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)}
-    return Stage(
-        name=name,
-        takes=takes,
-        gives=(name,),
-        settings=settings,
-        grain=Grain.PAIR,
-        version=1,
-        make=make,
-        libraries=libraries,
-    )
-
-
-GLOBAL = _stage("perturb_global", make_global)
-OBJECT = _stage("perturb_objects", make_objects)
-BASELINE = _stage("perturb_baselines", make_baselines, (*_SETTINGS, "metrics"), baseline_libraries)
+#: Versions are to be raised when the same request gives other numbers.
+GLOBAL = Stage(
+    name="perturb_global",
+    takes={"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)},
+    gives=("perturb_global",),
+    settings=("graph", "communities", "matching", "selection"),
+    grain=Grain.PAIR,
+    version=1,
+    make=make_global,
+    libraries=seeds.STAGE.libraries,
+)
+OBJECT = replace(GLOBAL, name="perturb_objects", gives=("perturb_objects",), version=1, make=make_objects)
+BASELINE = replace(
+    GLOBAL,
+    name="perturb_baselines",
+    gives=("perturb_baselines",),
+    settings=(*GLOBAL.settings, "metrics"),
+    version=1,
+    make=make_baselines,
+    libraries=baseline_libraries,
+)

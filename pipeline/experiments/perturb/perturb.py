@@ -150,11 +150,6 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
     return tuple(levels)
 
 
-def seed_of(*name: object) -> int:
-    """A seed from the name of a job: 60 bits of its hash."""
-    return int(key_of(*name)[:15], 16)
-
-
 def _level(word: str, kind: str, text: str) -> Perturbation:
     shift, colon, amount = text.rpartition(":")
     low, high = _BOUNDS[kind]
@@ -175,14 +170,19 @@ def _parts(request: PerturbRequest, experiment: Experiment, scan: str, objects: 
     sizes = experiment.folder.read_table("objects", scan, "real", ["n_points"]).column("n_points").to_pylist()
     scan_seconds = sum(costs.object_seconds(n) for n in sizes)
     parts = []
+
+    def seeds_of(what: int | str, level: Perturbation, n: int) -> list[int]:
+        """Seeds of n repeats: 60 bits of the hash of what each is about."""
+        name = ("perturb", request.seed, scan, what, level.kind, level.amount, level.shift_m)
+        return [int(key_of(*name, i)[:15], 16) for i in range(n)]
+
     for level in request.levels:
-        plain = [level.kind, level.amount, level.shift_m]
-        seeds = [seed_of("perturb", request.seed, scan, "all", *plain, i) for i in range(request.global_repeats)]
+        seeds = seeds_of("all", level, request.global_repeats)
         if seeds:
             parts.append(Part(GLOBAL, _name(level), (level, seeds), len(seeds) * scan_seconds))
         for chosen in objects:
             number = chosen.community_id
-            seeds = [seed_of("perturb", request.seed, scan, number, *plain, i) for i in range(request.repeats)]
+            seeds = seeds_of(number, level, request.repeats)
             name, arguments = f"{number}-{_name(level)}", (number, chosen.name, level, seeds)
             seconds = len(seeds) * costs.object_seconds(chosen.n_points)
             parts.append(Part(OBJECT, name, arguments, seconds))
