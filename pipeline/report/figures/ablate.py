@@ -10,7 +10,6 @@ import pandas as pd
 
 from ....stages.summary import mean_and_std
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
-from ...experiments.ablate.choice import along
 from ..colours import BLUE, GREEN
 from .style import draw_band, mark_amounts, new_figure
 
@@ -51,7 +50,7 @@ def _draw_curves(axis: Any, rows: pd.DataFrame, outcome: AblateOutcome, name: st
     for column, label, colour, marker in _SCORES:
         spread = [
             mean_and_std(by_point[point.k, point.tau_m, point.delta_m, point.t][column].to_numpy(dtype=float))
-            for point in along(outcome, name)
+            for point in outcome.along(name)
         ]
         mean, std = np.array(spread, dtype=float).T
         draw_band(axis, values, mean, np.nan_to_num(std), marker=marker, color=colour, label=label)

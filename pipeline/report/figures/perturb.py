@@ -10,7 +10,7 @@ import numpy as np
 
 from ....stages.arrays import FloatArray, IntArray
 from ....stages.sensing.perturbations import Perturbation
-from ...experiments.perturb.claims import Means
+from ....stages.statistics.sweeps import Means
 from ...experiments.perturb.perturb import PerturbOutcome, object_points
 from ..colours import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from .style import VIEW, box_of, draw_band, frame_of, from_above, mark_amounts, metres, new_figure, shown_name
@@ -62,7 +62,7 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
 
 def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], colours: dict[str, str]) -> None:
     """Two panels for each kind of alteration; those of one metric have the same scale."""
-    means = Means(outcome.summary)
+    means = outcome.means
     panels = [(kind, metric) for kind in curves for metric in ("r_lambda", "r_gap")]
     axes = figure.subplots((len(panels) + 3) // 4, 4, squeeze=False).ravel()
     for axis, letter, (kind, metric) in zip(axes, "bcdefghi", panels, strict=False):

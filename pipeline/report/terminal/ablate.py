@@ -10,9 +10,9 @@ from rich.text import Text
 from ....schemas.metrics import metric_of, narrow_labels
 from ....schemas.paper import CHOSEN, INFLUENCES
 from ....stages.arrays import FloatArray
+from ....stages.statistics.parameter_choice import RULE, Influence
 from ....stages.summary import mean_and_std
-from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
-from ...experiments.ablate.choice import RULE, Influence, along, choose, influences
+from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome, choose, influences
 from .experiments import sweep_lines
 
 WORDS = {
@@ -65,7 +65,7 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
     for heading in narrow_labels(_SCORES):
         table.add_column(heading, justify="right", no_wrap=True)
     rows = outcome.rows.to_pandas()
-    for point in along(outcome, name):
+    for point in outcome.along(name):
         own = rows[(rows.k == point.k) & (rows.tau_m == point.tau_m) & (rows.delta_m == point.delta_m)]
         own = own[own.t == point.t]
         cells = [_spread(own[column].to_numpy(dtype=float), i < 2) for i, column in enumerate(_SCORES)]

@@ -10,9 +10,17 @@ from rich.text import Text
 from ....schemas.metrics import METRIC, PaperMean, labels
 from ....schemas.paper import TABLE_I, TABLE_I_SCORES
 from ....stages.sensing.perturbations import Perturbation
-from ...experiments.perturb.claims import Claim, Mean, Means, judge_claims
+from ....stages.statistics.sweeps import (
+    OWN_METRICS,
+    Claim,
+    Mean,
+    Means,
+    Reaction,
+    judge_claims,
+    react,
+    strongest_levels,
+)
 from ...experiments.perturb.perturb import PerturbOutcome
-from ...experiments.perturb.reactions import OWN_METRICS, Reaction, react, strongest_levels
 from .experiments import sweep_lines
 
 _SHORT = {
@@ -34,7 +42,7 @@ _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance"
 
 def perturb_view(outcome: PerturbOutcome) -> RenderableType:
     """The results of the experiment, as a newcomer should see them first."""
-    means = Means(outcome.summary)
+    means = outcome.means
     scans = ", ".join(outcome.scans)
     parts: list[RenderableType] = []
     if outcome.scans:
@@ -43,10 +51,10 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         parts.append(_chosen_table(outcome))
         parts += [_object_table(outcome, means, metric) for metric in ("r_lambda", "r_gap")]
         parts.append(_detail_table(outcome, means))
-        reactions = react(outcome.summary, outcome.levels)
+        reactions = react(means, outcome.levels)
         if len(reactions) > len(OWN_METRICS):
             parts.append(_reaction_table(reactions, outcome))
-        claims = judge_claims(outcome.summary, outcome.levels)
+        claims = judge_claims(means, outcome.levels)
         if claims:
             parts.append(_claims_table(claims))
     parts += sweep_lines(
