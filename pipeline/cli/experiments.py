@@ -75,8 +75,8 @@ def perturb(
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..experiments.perturb.perturb import LEVELS, PerturbRequest, parse_levels, perturb_source
-    from ..report.figures.perturb import draw_perturbations
-    from ..report.terminal.perturb import perturb_view
+    from ..report.figures.experiments import draw_perturbations
+    from ..report.terminal.experiments import perturb_view
 
     check_machines(workers, scheduler)
     baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
@@ -139,8 +139,8 @@ def ablate(
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..experiments.ablate.ablate import AblateRequest, ablate_dataset
-    from ..report.figures.ablate import draw_ablation
-    from ..report.terminal.ablate import ablate_view
+    from ..report.figures.experiments import draw_ablation
+    from ..report.terminal.experiments import ablate_view
 
     check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}

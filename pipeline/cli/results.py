@@ -37,8 +37,7 @@ def show(
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
     """
-    from ..report.terminal.findings import claims_view
-    from ..report.terminal.run import summary_view
+    from ..report.terminal.run import claims_view, summary_view
     from ..report.terminal.show import object_view, pair_view
     from ..results.finished import FinishedRun, object_facts, pair_facts, run_facts
 

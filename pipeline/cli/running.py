@@ -33,7 +33,7 @@ def check(
     """
     from ...schemas.settings import load
     from ..datasets.scan_checks import check_dataset
-    from ..report.terminal.dataset import check_view
+    from ..report.terminal.status import check_view
 
     dataset_check = check_dataset(dataset, load(settings, assignments or []))
     print_view(check_view(dataset_check))

@@ -1,27 +1,36 @@
-"""The tables of a finished run as a report reads them: one frozen object, checked before anything is drawn."""
+"""A finished run as a report reads it: its tables in one frozen object, and the points and spectra of one pair.
+
+All is checked before anything is drawn. Spectra are the only thing that is computed anew, from the stored nodes, and
+only shown where their largest shift is the stored one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...schemas.tables import PAIRS
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.linalg.laplacian import induced_laplacian
+from ...stages.linalg.spectrum import eigenvalues
+from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
+from ..engine.pool import one_blas_thread
 from ..results.finished import FinishedRun
-from ..results.tables import check_tables, read_table
 from .quadrants import quadrant_of
 
 SHAPES = ("linear", "planar", "scattered")
 _SHAPE_COLUMNS = ["linearity", "planarity", "scattering"]
-_PLACE = ["n_points", "range_m", "bearing_deg", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"]
+#: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
+MOST_SPECTRUM_NODES = 1500
+_AGREES = 1e-6
 
 
 @dataclass(frozen=True)
@@ -31,10 +40,13 @@ class RunResults:
     run : its folder, its record (`run.json`), and where single tables are read from
     pairs : `pairs.parquet`, the scored pairs only, worst first
     failures : why each failed pair failed
-    matched : `metrics` with place and class of the real object, `quadrant`, and the position of its pair; worst first
-    unmatched : `objects` that only one side has, with `status`; largest first
+    matched : `metrics` with place and class (`group`) of the real object, and `quadrant`; worst first
+    unmatched : `objects` that only one side has, with class and `status` (missing or hallucinated); largest first
     timings : `timings.parquet`
-    class_is : "label" where the scans are labelled, else "shape"
+    class_is : "class" where the scans are labelled, else "shape"
+
+    Objects also have `pair`, the position of their pair among `pairs`, and `name`, such as "real 3" (a matched one that
+    of its real side).
     """
 
     run: FinishedRun
@@ -75,7 +87,7 @@ def read_results(folder: Path) -> RunResults:
         The folder is no run, the run has not ended, a table is damaged, or no pair is scored.
     """
     run = FinishedRun(folder)
-    rows: pd.DataFrame = pa.Table.from_pylist(run.rows, schema=PAIRS.schema).to_pandas()
+    rows: pd.DataFrame = run.read_table("pairs").to_pandas()
     is_scored = rows.status == "scored"
     failures = dict(zip(rows.pair_id[~is_scored], rows.reason[~is_scored], strict=True))
     if not is_scored.any():
@@ -83,58 +95,135 @@ def read_results(folder: Path) -> RunResults:
     pairs = _worst_first(rows[is_scored], ("match_rate", "cdc_mean", "r_lambda_mean"))
     names = pairs.pair_id.tolist()
     for name in names:
-        check_tables(run, name)
-    objects = _with_place(_read(run, "objects", names, SIDES))
+        run.check_tables(name)
+    objects = _with_class(_read(run, "objects", names, SIDES), names)
+    matched, unmatched = _matched_and_not(_read(run, "metrics", names), objects)
     return RunResults(
         run=run,
         pairs=pairs,
         failures=failures,
-        matched=_matched(_read(run, "metrics", names), objects, names),
-        unmatched=_unmatched(_read(run, "matching", names), objects, names),
-        timings=pq.read_table(folder / "timings.parquet").to_pandas(),
-        class_is="label" if objects.label.notna().any() else "shape",
+        matched=matched,
+        unmatched=unmatched,
+        timings=run.read_table("timings").to_pandas(),
+        class_is="class" if objects.label.notna().any() else "shape",
     )
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """The object points of one side.
+
+    point_ids : (n,) int32, ascending
+    points : (n, 3) float64, metres, real sensor's frame
+    community : (n,) int32
+    """
+
+    point_ids: IntArray
+    points: FloatArray
+    community: IntArray
+
+    def members(self, community_id: int) -> FloatArray:
+        """The points of one object, (m, 3)."""
+        members: FloatArray = self.points[self.community == community_id]
+        return members
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """The ordered spectra of one matched object, (n_keep,) each, or the reason why they are not drawn."""
+
+    real: FloatArray | None = None
+    sim: FloatArray | None = None
+    reason: str = ""
+
+
+class PairTables:
+    """The tables of one scored pair, each read when it is first asked for.
+
+    Raises
+    ------
+    RunError
+        From every property and method: a table is damaged or gone.
+    """
+
+    def __init__(self, results: RunResults, pair_id: str) -> None:
+        self.matched = results.matched[results.matched.pair_id == pair_id]
+        self.unmatched = results.unmatched[results.unmatched.pair_id == pair_id]
+        self._run, self._pair_id = results.run, pair_id
+
+    @cached_property
+    def clouds(self) -> dict[str, Cloud]:
+        """The object points by side."""
+        clouds = {}
+        for side in SIDES:
+            points = self._columns("ground", side, ["point_id", "x", "y", "z", "is_ground"]).query("~is_ground")
+            community = self._columns("communities", side, ["community_id"]).community_id
+            clouds[side] = Cloud(points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), community.to_numpy())
+        return clouds
+
+    @cached_property
+    def selection(self) -> pd.DataFrame:
+        """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
+        return self._columns("selection", "", ["real_id", "real_point_id", "sim_point_id"])
+
+    def spectra(self) -> Iterator[tuple[int, Spectra]]:
+        """The spectra of each matched object, by real id; with a reason in their place where they are not drawn."""
+        graphs = {side: self._graphs(side) for side in SIDES}
+        nodes = dict(iter(self.selection.groupby("real_id")))
+        with one_blas_thread():
+            for row in self.matched.to_dict("records"):
+                if row["status"] == "too_small":
+                    yield row["real_id"], Spectra(reason="too few nodes for a spectrum")
+                else:
+                    pair = graphs["real"][row["real_id"]], graphs["sim"][row["sim_id"]]
+                    yield row["real_id"], _spectra_of(pair, nodes[row["real_id"]], row["max_eigenvalue_shift"])
+
+    def _graphs(self, side: str) -> dict[int, Subgraph]:
+        """The graph of each matched object of a side, by the object's id."""
+        cloud = self.clouds[side]
+        graph = self._columns("graph", side, ["src", "dst", "length_m"])
+        src, dst = (np.searchsorted(cloud.point_ids, graph[end].to_numpy()).astype(np.int32) for end in ("src", "dst"))
+        edges = Edges(src, dst, graph.length_m.to_numpy())
+        wanted = self.matched[f"{side}_id"].tolist()
+        return split_by_community(cloud.point_ids, cloud.points, edges, cloud.community, wanted)
+
+    def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:
+        rows: pd.DataFrame = self._run.read_table(table, self._pair_id, side, columns).to_pandas()
+        return rows
 
 
 def _read(run: FinishedRun, table: str, names: Iterable[str], sides: Iterable[str] = ("",)) -> pd.DataFrame:
     """A table of all pairs, one pair after the other."""
-    tables = [read_table(run, table, name, side) for name in names for side in sides]
-    rows: pd.DataFrame = pa.concat_tables(tables).to_pandas()
+    rows: pd.DataFrame = pa.concat_tables(
+        [run.read_table(table, name, side) for name in names for side in sides]
+    ).to_pandas()
     return rows
 
 
-def _with_place(objects: pd.DataFrame) -> pd.DataFrame:
-    """Objects with bearing (degrees, 0 ahead, 90 left), shape class, and the class that the report goes by."""
-    bearing = np.degrees(np.arctan2(objects.cy, objects.cx))
+def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
+    """Objects with bearing (degrees, 0 ahead, 90 left), the class that the report goes by, their pair and name."""
     shape = np.array(SHAPES)[objects[_SHAPE_COLUMNS].to_numpy().argmax(axis=1)]
-    objects = objects.assign(bearing_deg=bearing, shape=shape)
-    labels = objects.label
-    group = labels.fillna("(no label)") if labels.notna().any() else objects["shape"]
-    grouped: pd.DataFrame = objects.assign(group=group)
-    return grouped
-
-
-def _matched(metrics: pd.DataFrame, objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    real = objects[objects.side == "real"][["pair_id", "community_id", *_PLACE, "group", "shape"]]
-    both = metrics.merge(real, left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"], validate="1:1")
-    both = both.drop(columns=["community_id", "n_points"])
-    both["quadrant"] = quadrant_of(both.cdc.to_numpy(), both.r_lambda.to_numpy(dtype=float))
-    both["pair"] = both.pair_id.map({name: i for i, name in enumerate(names)})
-    return _worst_first(both, ("cdc", "r_lambda"))
-
-
-def _unmatched(matching: pd.DataFrame, objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    parts = []
-    for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True):
-        alone = matching[matching.status == status][["pair_id", f"{side}_id", "status"]]
-        alone = alone.rename(columns={f"{side}_id": "community_id"}).astype({"community_id": "int32"})
-        parts.append(objects[objects.side == side].merge(alone, on=["pair_id", "community_id"], validate="1:1"))
-    unmatched = pd.concat(parts)
-    unmatched["pair"] = unmatched.pair_id.map({name: i for i, name in enumerate(names)})
-    largest_first: pd.DataFrame = unmatched.sort_values(
-        ["n_points", "pair_id"], ascending=[False, True], ignore_index=True
+    return objects.assign(
+        bearing_deg=np.degrees(np.arctan2(objects.cy, objects.cx)),
+        group=objects.label.fillna("(no label)") if objects.label.notna().any() else shape,
+        pair=objects.pair_id.map({name: i for i, name in enumerate(names)}),
+        name=objects.side + " " + objects.community_id.astype(str),
     )
-    return largest_first
+
+
+def _matched_and_not(metrics: pd.DataFrame, objects: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Scores with what is known of the real objects, worst first; the objects without a partner, largest first."""
+    real = objects[objects.side == "real"].rename(columns={"community_id": "real_id"}).drop(columns="n_points")
+    matched = metrics.merge(real, on=["pair_id", "real_id"], validate="1:1")
+    matched["quadrant"] = quadrant_of(matched.cdc.to_numpy(), matched.r_lambda.to_numpy(dtype=float))
+    alone = []
+    for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True):
+        own = objects[objects.side == side]
+        partnered = pd.MultiIndex.from_frame(metrics[["pair_id", f"{side}_id"]])
+        is_alone = ~pd.MultiIndex.from_frame(own[["pair_id", "community_id"]]).isin(partnered)
+        alone.append(own[is_alone].assign(status=status))
+    unmatched = pd.concat(alone).sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
+    return _worst_first(matched, ("cdc", "r_lambda")), unmatched
 
 
 def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
@@ -144,3 +233,17 @@ def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
     ordered = rows.assign(_order=order).sort_values(["_order", "pair_id"], na_position="last", kind="stable")
     plain: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
     return plain
+
+
+def _spectra_of(graphs: tuple[Subgraph, Subgraph], nodes: pd.DataFrame, stored_shift: float) -> Spectra:
+    """Both spectra of one object from its graphs and its kept nodes, in aligned pairs."""
+    if len(nodes) > MOST_SPECTRUM_NODES:
+        return Spectra(reason=f"{len(nodes):,} nodes: spectra are drawn of objects of up to {MOST_SPECTRUM_NODES:,}")
+    real, sim = (
+        eigenvalues(induced_laplacian(graph, np.searchsorted(graph.point_ids, nodes[f"{side}_point_id"].to_numpy())))
+        for side, graph in zip(SIDES, graphs, strict=True)
+    )
+    shift = float(np.max(np.abs(sim - real)))
+    if abs(shift - stored_shift) > _AGREES:
+        return Spectra(reason=f"recomputed shift {shift:.6f} is not the stored {stored_shift:.6f}: not drawn")
+    return Spectra(real=real, sim=sim)

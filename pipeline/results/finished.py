@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES, Row
@@ -60,8 +61,8 @@ class FinishedRun:
                 f"finish it with: fidpipe run {record.get('dataset')} --out {folder}"
             ) from error
         self.store = RunFolder(folder)
-        self.rows = self._read("pairs.parquet")
-        self._row_of = {row["pair_id"]: row for row in self.rows}
+        self.rows: list[Row] = self.read_table("pairs").to_pylist()
+        self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     @property
     def scored(self) -> list[Row]:
@@ -90,7 +91,7 @@ class FinishedRun:
         if row["status"] != "scored":
             raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
         sides = {side: self.side_objects(pair_id, side) for side in SIDES}
-        matched = self._read(table_name("metrics", pair_id))
+        matched = self.read_table("metrics", pair_id).to_pylist()
         missing, hallucinated = (
             sorted({own["community_id"] for own in sides[side]} - {scores[f"{side}_id"] for scores in matched})
             for side in SIDES
@@ -99,12 +100,33 @@ class FinishedRun:
 
     def side_objects(self, pair_id: str, side: str) -> list[Row]:
         """The objects of one side of a scored pair."""
-        return self._read(table_name("objects", pair_id, side))
-
-    def _read(self, name: str) -> list[Row]:
-        self.check_file(name)
-        rows: list[Row] = pq.read_table(self.folder / name, use_threads=False).to_pylist()
+        rows: list[Row] = self.read_table("objects", pair_id, side).to_pylist()
         return rows
+
+    def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
+        """A table of one pair (of one side where each side has its own), or of the whole run where `pair_id` is "".
+
+        Parameters
+        ----------
+        columns : only these; by default all
+
+        Raises
+        ------
+        RunError
+            The file is damaged or gone.
+        """
+        name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
+        self.check_file(name)
+        try:
+            return pq.read_table(self.folder / name, columns=columns, use_threads=False, partitioning=None)
+        except (OSError, pa.ArrowInvalid) as error:
+            raise RunError(f"run {self.folder}: {name} cannot be read ({error}); run fidpipe run again") from error
+
+    def check_tables(self, pair_id: str) -> None:
+        """Raises `RunError` if any table of a scored pair is damaged or gone."""
+        for record in self.store.ledger.jobs(pair_id).values():
+            for name in record.files:
+                self.check_file(name)
 
     def check_file(self, name: str) -> None:
         """Raises `RunError` if a file is not as the job wrote it, or gone."""

@@ -21,7 +21,7 @@ from fidpipe.pipeline.experiments.ablate.ablate import (
     influences,
     parameter_sets,
 )
-from fidpipe.pipeline.report.figures.ablate import draw_ablation
+from fidpipe.pipeline.report.figures.experiments import draw_ablation
 from fidpipe.schemas.errors import DatasetError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.metrics import OBJECT_METRICS

@@ -12,7 +12,7 @@ import fidpipe
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.baselines import summarise_baselines
-from fidpipe.pipeline.report.terminal.baselines import baselines_view
+from fidpipe.pipeline.report.terminal.run import baselines_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.tables import JobRecord
 from fidpipe.schemas.results import BaselineSummary

@@ -19,7 +19,7 @@ from fidpipe.pipeline.experiments.experiment import experimenting, read_source
 from fidpipe.pipeline.experiments.perturb.jobs import GLOBAL
 from fidpipe.pipeline.experiments.perturb.objects import choose_objects
 from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, object_points, parse_levels, perturb_source
-from fidpipe.pipeline.report.figures.perturb import draw_perturbations
+from fidpipe.pipeline.report.figures.experiments import draw_perturbations
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.settings import load

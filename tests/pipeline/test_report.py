@@ -13,13 +13,11 @@ from PIL import Image
 
 from fidpipe.pipeline.report.aggregates import histograms, quadrants
 from fidpipe.pipeline.report.charts import run_charts
-from fidpipe.pipeline.report.clouds import PairTables
 from fidpipe.pipeline.report.colours import SIDE_COLOURS
-from fidpipe.pipeline.report.page.data import page_data
+from fidpipe.pipeline.report.page.data import page_data, thinned
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
-from fidpipe.pipeline.report.page.pair import thinned
 from fidpipe.pipeline.report.page.render import render
-from fidpipe.pipeline.report.results import read_results
+from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load

@@ -10,7 +10,7 @@ from rich.console import Console
 
 import fidpipe
 from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.report.terminal.seeds import seeds_view
+from fidpipe.pipeline.report.terminal.run import seeds_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.metrics import SEEDED_SCORES

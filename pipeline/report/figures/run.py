@@ -1,21 +1,26 @@
-"""The paper's figures of a run, each as PNG and SVG: scores over all objects here, points of one scan in `scan`."""
+"""The paper's figures of a run, each as PNG and SVG: scores over all objects, and the points of one scan."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ....schemas.columns import SIDES
+from ....schemas.metrics import METRIC
+from ....stages.arrays import FloatArray
 from ...storage.files import remove_stale
-from ..aggregates import SCORES, boxes, groups_by_size, histograms, quadrants
-from ..colours import QUADRANT_COLOURS, SCORE_COLOURS
-from ..quadrants import CDC_LIMIT, R_LAMBDA_LIMIT, UNKNOWN
-from ..results import RunResults
-from .scan import draw_objects, draw_overview, draw_unmatched
-from .style import KINDS, new_figure, save, shown_name
+from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
+from ..colours import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
+from ..quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
+from ..results import SHAPES, PairTables, RunResults
+from . import style
 
 NAMES = ("overview", "unmatched", "distributions", "box_plots", "objects")
 _MOST_CLASSES = 8
 _MOST_LETTERS = 70  # that fit side by side under the boxes
+_CLASSES = ("car", "vegetation", "tree", "wall")
 
 
 def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[Path]:
@@ -36,57 +41,131 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
         *draw_boxes(results, folder),
         *draw_objects(results, folder),
     ]
-    for path in (folder / f"{name}.{kind}" for name in NAMES for kind in KINDS):
+    for path in (folder / f"{name}.{kind}" for name in NAMES for kind in style.KINDS):
         if path not in drawn:
             remove_stale(path)
     return drawn
 
 
+def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
+    """Seen from above: the objects of the real scan, both sides with matched centroids joined, the map of r_lambda."""
+    tables = PairTables(results, pair_id)
+    real, matched = tables.clouds["real"], tables.matched
+    n_objects = int(real.community.max()) + 1
+    frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
+    with style.new_figure(11, _height(frame, 3.2), f"pair {style.shown_name(pair_id)}") as figure:
+        objects, sides, fidelity = figure.subplots(1, 3, sharex=True, sharey=True)
+        style.dots(objects, real.points, 1.2, style.community_colours(n_objects)[real.community])
+        objects.set_title(f"(A) {n_objects} objects of the real scan")
+
+        _draw_sides(sides, tables)
+        ends = [
+            np.array([cloud.members(i)[:, :2].mean(axis=0) for i in matched[f"{side}_id"]]).reshape(-1, 2)
+            for side, cloud in tables.clouds.items()
+        ]
+        sides.plot(*np.stack(ends).transpose(2, 0, 1), color="black", linewidth=0.8)
+        for side, centroids in zip(SIDES, ends, strict=True):
+            sides.scatter(*centroids.T, s=13, c=SIDE_COLOURS[side], edgecolors="black", linewidths=0.6, zorder=3)
+        sides.set_title(f"(B) real and simulated, {len(matched)} matched centroids joined")
+
+        values = np.full(n_objects, np.nan)
+        values[matched.real_id] = matched.r_lambda.to_numpy(dtype=float)
+        of_point = values[real.community]
+        known = ~np.isnan(of_point)
+        style.dots(fidelity, real.points[~known], 1.2, "#cccccc", label="no counterpart, no score")
+        coloured = style.dots(
+            fidelity, real.points[known], 1.2, of_point[known], cmap=style.fidelity_colours(), vmin=0, vmax=1
+        )
+        fidelity.set_title("(C) structural fidelity of the real objects")
+        figure.colorbar(coloured, cax=fidelity.inset_axes((1.03, 0, 0.04, 1)), label=axis_title("r_lambda"))
+        for axis in (objects, sides, fidelity):
+            style.from_above(axis, frame)
+        return style.save(figure, folder, "overview")
+
+
+def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:
+    """Seen from above: left both sides, right the objects that only one side has."""
+    tables = PairTables(results, pair_id)
+    alone = tables.unmatched
+    frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
+    with style.new_figure(9, _height(frame, 4.0), f"pair {style.shown_name(pair_id)}") as figure:
+        sides, unmatched = figure.subplots(1, 2, sharex=True, sharey=True)
+        _draw_sides(sides, tables)
+        sides.set_title("all objects")
+        for cloud in tables.clouds.values():
+            style.dots(unmatched, cloud.points, 0.4, "#dddddd")
+        for (side, cloud), fate in zip(tables.clouds.items(), ("missing", "hallucinated"), strict=True):
+            ids = alone[alone.status == fate].community_id
+            points = cloud.points[np.isin(cloud.community, ids)]
+            style.dots(unmatched, points, 1.5, FATE_COLOURS[fate], label=f"{len(ids)} {fate} ({side} only)")
+        median_m = f", median range {alone.range_m.median():.0f} m" if len(alone) else ""
+        unmatched.set_title(f"unmatched objects{median_m}")
+        for axis in (sides, unmatched):
+            style.from_above(axis, frame)
+        return style.save(figure, folder, "unmatched")
+
+
+def draw_objects(results: RunResults, folder: Any) -> Any:
+    """Four chosen objects, real above simulated, with their CDC and r_lambda; metres from the object's corner.
+
+    Where no object has a spectral score there is no such figure.
+    """
+    chosen = _choose_objects(results)
+    if not chosen:
+        return []
+    with style.new_figure(2.9 * max(2, len(chosen)), 5.8) as figure:
+        grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
+        for place, index in enumerate(chosen):
+            row = results.matched.iloc[index]
+            clouds = PairTables(results, row.pair_id).clouds
+            members = {side: cloud.members(row[f"{side}_id"]) for side, cloud in clouds.items()}
+            corner, size = style.box_of(np.concatenate(list(members.values())))
+            for level, (side, points) in enumerate(members.items()):
+                axis = figure.add_subplot(grid[level, place], projection="3d", **style.VIEW)
+                style.dots(axis, points - corner, 1.5, SIDE_COLOURS[side])
+                style.metres(axis, size, zoom=0.87)
+                axis.set_title(f"{side}, {len(points):,} points", pad=-4, y=1.0, fontsize=8)
+            words = (
+                f"({'abcd'[place]}) {style.shown_name(row.group)}, {row.range_m:.0f} m away\n"
+                f"CDC {row.cdc:.2f}   r_lambda {row.r_lambda:.2f}\n"
+                f"r_gap {row.r_gap:.3f}   nodes {row.n_keep:,}\n"
+                f"pair {style.shown_name(row.pair_id)}, object {row.real_id}"
+            )
+            axis = figure.add_subplot(grid[2, place])
+            axis.set_axis_off()
+            axis.text(0.5, 1, words, ha="center", va="top", fontsize=8.5)
+        return style.save(figure, folder, "objects")
+
+
 def draw_distributions(results: RunResults, folder: Any) -> Any:
     """Histograms of r_lambda and CDC over all matched objects, and one against the other with the four quadrants."""
-    with new_figure(10, 3.3) as figure:
-        axes = figure.subplots(1, 3, width_ratios=(1, 1, 1.35))
-        for axis, (score, counted) in zip(axes, histograms(results).items(), strict=False):
-            axis.stairs(counted["shares"], counted["edges"], fill=True, color=SCORE_COLOURS[score], alpha=0.85)
-            median = counted["median"]
-            if median is not None:
-                axis.axvline(median, color="black", linewidth=1, linestyle="--")
-                axis.annotate(
-                    f"median {median:.2f}",
-                    (median, 1),
-                    xycoords=("data", "axes fraction"),
-                    xytext=(4, -2),
-                    textcoords="offset points",
-                    va="top",
-                    fontsize=8,
-                )
-            axis.set(xlim=(0, counted["bound"]), ylim=(0, max(0.01, *counted["shares"]) * 1.15))
-            axis.set(xlabel=f"{counted['name']} (no unit)", ylabel="share of matched objects")
-            axis.set_title(f"{counted['n']:,} objects")
-        _quadrants(axes[2], results)
-        return save(figure, folder, "distributions")
+    with style.new_figure(10, 3.3) as figure:
+        *axes, cross = figure.subplots(1, 3, width_ratios=(1, 1, 1.35))
+        for axis, (score, counted) in zip(axes, histograms(results).items(), strict=True):
+            shares = counted["counts"] / max(1, counted["n"])
+            axis.stairs(shares, counted["edges"], fill=True, color=SCORE_COLOURS[score], alpha=0.85)
+            if counted["median"] is not None:
+                axis.axvline(counted["median"], color="black", linewidth=1, linestyle="--")
+                place = {"xycoords": ("data", "axes fraction"), "xytext": (4, -2), "textcoords": "offset points"}
+                words = f"median {counted['median']:.2f}"
+                axis.annotate(words, (counted["median"], 1), va="top", fontsize=8, **place)
+            axis.set(xlim=(0, METRIC[score].high), ylim=(0, max(0.01, *shares) * 1.15))
+            axis.set(xlabel=axis_title(score), ylabel="share of matched objects", title=f"{counted['n']:,} objects")
+        _draw_quadrants(cross, results)
+        return style.save(figure, folder, "distributions")
 
 
-def _quadrants(axis: Any, results: RunResults) -> None:
+def _draw_quadrants(axis: Any, results: RunResults) -> None:
     """The scatter; each quadrant is named outside of the cloud, with its share."""
-    for key, counted in quadrants(results).items():
-        if key == UNKNOWN:
-            continue
+    counted = quadrants(results)
+    for key, title in QUADRANTS.items():
         rows = results.matched[results.matched.quadrant == key]
-        axis.scatter(
-            rows.cdc,
-            rows.r_lambda,
-            s=9,
-            color=QUADRANT_COLOURS[key],
-            linewidths=0,
-            alpha=0.75,
-            label=f"{counted['title']}: {100 * counted['share']:.0f} %",
-            clip_on=False,
-            rasterized=len(rows) > 2000,
-        )
+        label = f"{title}: {100 * counted[key]['share']:.0f} %"
+        look = {"s": 9, "linewidths": 0, "alpha": 0.75, "clip_on": False, "rasterized": len(rows) > 2000}
+        axis.scatter(rows.cdc, rows.r_lambda, color=QUADRANT_COLOURS[key], label=label, **look)
     axis.axhline(R_LAMBDA_LIMIT, color="black", linewidth=0.7)
     axis.axvline(CDC_LIMIT, color="black", linewidth=0.7)
-    axis.set(xlim=(0, 2), ylim=(0, 1), xlabel="geometry: CDC (no unit)", ylabel="structure: r_lambda (no unit)")
+    axis.set(xlim=(0, 2), ylim=(0, 1), xlabel=axis_title("cdc"), ylabel=axis_title("r_lambda"))
     axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2, handletextpad=0.2, columnspacing=0.8, fontsize=7)
 
 
@@ -94,56 +173,74 @@ def draw_boxes(results: RunResults, folder: Any) -> Any:
     """Box plots of both scores for the four scans of the run's findings, and for each class (or shape)."""
     findings = results.run.record.findings
     scans = [scan.pair for scan in findings.scans.scans] if findings else []
-    classes = groups_by_size(results)[:_MOST_CLASSES]
+    classes = results.matched.group.value_counts().index[:_MOST_CLASSES]
     parts = {"scan": boxes(results, "pair_id", scans), results.class_is: boxes(results, "group", classes)}
-    if results.class_is == "label":
-        parts["class"] = parts.pop("label")
     width = [1 + len(groups) for groups in parts.values()]
-    with new_figure(10, 3.3) as figure:
+    with style.new_figure(10, 3.3) as figure:
         axes = figure.subplots(1, 2, width_ratios=width, sharey=True)
         for axis, (kind, groups) in zip(axes, parts.items(), strict=True):
-            _draw_groups(axis, groups)
+            drawn = _draw_groups(axis, groups)
             axis.set_xlabel(kind)
         axes[0].set_ylabel("score of an object (no unit)")
-        handles = [_patch(SCORE_COLOURS[score], name) for score, (name, _) in SCORES.items()]
-        figure.legend(handles=handles, loc="outside upper center", ncols=2)
-        return save(figure, folder, "box_plots")
+        figure.legend(handles=drawn, loc="outside upper center", ncols=2)
+        return style.save(figure, folder, "box_plots")
 
 
-def _draw_groups(axis: Any, groups: list[dict[str, Any]]) -> None:
-    keys = {"med": "median", "q1": "q1", "q3": "q3", "whislo": "low", "whishi": "high", "fliers": "outside"}
+def _draw_groups(axis: Any, groups: list[dict[str, Any]]) -> list[Any]:
+    """Two boxes per group; gives what a legend shows of each score."""
+    handles = []
     for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
-        known = [(i, group[score]) for i, group in enumerate(groups) if group[score]]
-        stats = [{key: box[ours] for key, ours in keys.items()} for _, box in known]
+        known = [(i + offset, group[score]) for i, group in enumerate(groups) if group[score]]
+        box = {"facecolor": SCORE_COLOURS[score], "linewidth": 0.6}
+        flier = {"marker": "o", "markersize": 2.5, "markerfacecolor": box["facecolor"], "markeredgewidth": 0}
         axis.bxp(
-            stats,
-            positions=[i + offset for i, _ in known],
+            [stats for _, stats in known],
+            positions=[place for place, _ in known],
             widths=0.32,
             patch_artist=True,
-            boxprops={"facecolor": SCORE_COLOURS[score], "linewidth": 0.6},
+            boxprops=box,
             medianprops={"color": "black"},
-            flierprops={
-                "markersize": 2.5,
-                "marker": "o",
-                "markerfacecolor": SCORE_COLOURS[score],
-                "markeredgewidth": 0,
-            },
+            flierprops=flier,
             manage_ticks=False,
         )
-    names = [shown_name(group["name"], most=16) for group in groups]
-    if len(names) * max(map(len, names), default=0) > _MOST_LETTERS:
-        labels = [f"{name} ({group['n']})" for name, group in zip(names, groups, strict=True)]
-        axis.set_xticks(range(len(groups)), labels, rotation=25, ha="right", rotation_mode="anchor")
-    else:
-        axis.set_xticks(
-            range(len(groups)), [f"{name}\n({group['n']})" for name, group in zip(names, groups, strict=True)]
-        )
-    axis.set_xlim(-0.6, len(groups) - 0.4)
-    axis.set_ylim(0, 2.02)
+        handles.append(axis.bar(0, 0, edgecolor="black", label=METRIC[score].label, **box))
+    names = [style.shown_name(group["name"], most=16) for group in groups]
+    is_narrow = len(names) * max(map(len, names), default=0) > _MOST_LETTERS
+    tilted = {"rotation": 25, "ha": "right", "rotation_mode": "anchor"} if is_narrow else {}
+    ticks = [f"{name}{' ' if is_narrow else chr(10)}({group['n']})" for name, group in zip(names, groups, strict=True)]
+    axis.set_xticks(range(len(groups)), ticks, **tilted)
+    axis.set(xlim=(-0.6, len(groups) - 0.4), ylim=(0, 2.02))
     axis.grid(axis="y")
+    return handles
 
 
-def _patch(colour: str, label: str) -> Any:
-    from matplotlib.patches import Patch
+def _choose_objects(results: RunResults) -> list[int]:
+    """Up to four objects to look at, as places in `matched`: of each class that of median r_lambda in the larger half.
 
-    return Patch(facecolor=colour, edgecolor="black", linewidth=0.6, label=label)
+    Labelled runs show car, vegetation, tree and wall, as the paper does, where they occur, then the most frequent other
+    labels; others show the shape classes, then the largest objects.
+    """
+    scored = results.matched[results.matched.r_lambda.notna()]
+    frequent = scored.group.value_counts().index
+    first = _CLASSES if results.class_is == "class" else SHAPES
+    classes = [name for name in first if name in frequent]
+    if results.class_is == "class":
+        classes += [name for name in frequent if name not in classes]
+    chosen = []
+    for name in classes[:4]:
+        rows = scored[scored.group == name]
+        large = rows[rows.n_keep >= rows.n_keep.median()].sort_values("r_lambda", kind="stable")
+        chosen.append(int(large.index[len(large) // 2]))
+    largest = scored.drop(chosen).sort_values("n_keep", ascending=False, kind="stable").index.tolist()
+    return [*chosen, *largest][:4]
+
+
+def _draw_sides(axis: Any, tables: PairTables) -> None:
+    for side, cloud in tables.clouds.items():
+        style.dots(axis, cloud.points, 0.8, SIDE_COLOURS[side], alpha=0.5, label=side)
+
+
+def _height(frame: FloatArray, panel_width_in: float) -> float:
+    """Inches of a figure whose panels are as wide as given, with room for titles and legends."""
+    width, height = frame[1] - frame[0]
+    return float(np.clip(panel_width_in * height / width, 1.5, 6)) + 1.25

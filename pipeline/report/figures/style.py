@@ -17,29 +17,7 @@ from ....stages.arrays import FloatArray
 from ...storage.files import write_whole
 from ..colours import GREY, RAMPS
 
-_STYLE = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.labelsize": 9,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "grid.linewidth": 0.4,
-    "grid.color": "#dddddd",
-    "legend.frameon": False,
-    "savefig.dpi": 200,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "fidpipe",
-    "text.parse_math": False,
-}
-
-
-#: Points seen from above are pictures inside an SVG; points in space are seen from here.
-DOT = {"linewidths": 0, "rasterized": True}
+#: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
 
 #: Formats in which each figure is written, each with what its file says of itself.
@@ -47,15 +25,15 @@ KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}}
 
 
 @contextmanager
-def new_figure(width_in: float, height_in: float, **layout: Any) -> Iterator[Any]:
+def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[Any]:
     """A figure in our style that needs no display and is let go of at the end."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib import style
     from matplotlib.figure import Figure
 
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(width_in, height_in), layout="constrained", **layout)
-        FigureCanvasAgg(figure)
+    with style.context(f"{__package__}.look"):
+        figure = Figure(figsize=(width_in, height_in))
+        if title:
+            figure.suptitle(title)
         yield figure
 
 
@@ -87,6 +65,12 @@ def community_colours(n: int) -> Any:
     return wheel[np.arange(n) % len(wheel)]
 
 
+def dots(axis: Any, points: FloatArray, size: float, colour: Any, **look: Any) -> Any:
+    """Draws points, (n, 3) metres, from above or in space; in an SVG they are a picture."""
+    places = points.T if axis.name == "3d" else points.T[:2]
+    return axis.scatter(*places, s=size, c=colour, linewidths=0, rasterized=True, **look)
+
+
 def frame_of(*clouds: FloatArray) -> FloatArray:
     """(2, 2) corners of what is shown from above: all but the farthest hundredth of the points, and the sensor."""
     low, high = np.quantile(np.concatenate(clouds)[:, :2], [0.005, 0.995], axis=0)
@@ -96,13 +80,17 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
 
 
 def from_above(axis: Any, frame: FloatArray) -> None:
-    """Sets an axis to a frame in metres, with a cross at the sensor."""
+    """Sets an axis to a frame in metres, with a cross at the sensor, and a legend if the dots have names."""
     axis.set(xlim=frame[:, 0], ylim=frame[:, 1])
     axis.set_aspect("equal")
     axis.plot(0, 0, marker="+", color="black", markersize=8, markeredgewidth=1.2)
     axis.set_xlabel("x, forward (m)")
     if axis.get_subplotspec().is_first_col():
         axis.set_ylabel("y, left (m)")
+    if axis.get_legend_handles_labels()[0]:  # a fixed way under the axis, clear of its label
+        legend = axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.3, ncols=3, handletextpad=0.1)
+        for handle in legend.legend_handles:
+            handle.set(sizes=[22], alpha=1)
 
 
 def box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:

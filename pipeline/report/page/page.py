@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from plotly.offline import get_plotlyjs
@@ -12,9 +11,8 @@ from plotly.offline import get_plotlyjs
 from ...storage.files import remove_stale, write_whole
 from ...storage.tables import file_stem
 from ..figures.run import draw_figures
-from ..results import RunResults, read_results
-from .data import page_data, page_words
-from .pair import pair_view
+from ..results import read_results
+from .data import page_data, page_words, pair_view
 from .render import render
 
 PAGE = "report.html"
@@ -22,10 +20,8 @@ PAGES = "report"
 FIGURES = "figures"
 #: A page holds the points of so many pairs at most: a third of them worst, median and best each.
 MOST_VIEWS = 15
-_TEMPLATE = "report.html"
 _PLOTLY = "plotly.min.js"
 _INDEX = "index.html"
-_PAIR_PAGES = "pair-*.html"
 
 
 @dataclass(frozen=True)
@@ -56,18 +52,30 @@ def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: b
     """
     results = read_results(folder)
     chosen = results.select(pattern)
+    shown = chosen if one_page_a_pair else some_of(chosen, MOST_VIEWS)
+    files = {name: f"pair-{file_stem(name)}.html" for name in chosen} if one_page_a_pair else {}
+    # An address must escape the per cent signs that the names of the files hold.
+    data = page_data(results) | {"links": {name: quote(file) for name, file in files.items()}}
+    words, plotly_source = page_words(results), ""
+    pages = {folder / PAGE: (shown, _view_note(len(shown), len(chosen), len(results.pairs), pattern))}
+    written = set(pages)
     if one_page_a_pair:
-        page, n_pages, n_views = *_write_folder(results, chosen), len(chosen)
-        remove_stale(folder / PAGE)
-    else:
-        shown = some_of(chosen, MOST_VIEWS)
-        report = {**page_data(results), "views": {name: pair_view(results, name) for name in shown}, "links": {}}
-        note = _view_note(len(shown), len(chosen), len(results.pairs), pattern)
-        page, n_pages, n_views = folder / PAGE, 1, len(shown)
-        write_whole(page, render(_TEMPLATE, report, view_note=note, **page_words(results)).encode())
-        _remove_folder(folder / PAGES)
+        pages = {
+            folder / PAGES / file: ([name], "This page shows one pair; the tables lead to the others.")
+            for name, file in files.items()
+        }
+        note = f"The 3D views of {len(chosen)} pairs have pages of their own: choose one in the tables."
+        pages[folder / PAGES / _INDEX] = ([], note)
+        plotly_source = _PLOTLY
+        written = {*pages, folder / PAGES / _PLOTLY}
+        write_whole(folder / PAGES / _PLOTLY, get_plotlyjs().encode())
+    for page, (names, note) in pages.items():
+        views = {name: pair_view(results, name) for name in names}
+        content = render("report.html", {**data, "views": views}, plotly_source, view_note=note, **words)
+        write_whole(page, content.encode())
+    _remove_others(folder, written)
     figures = draw_figures(results, chosen, folder / FIGURES)
-    return ReportFiles(page, n_pages, figures, n_views, len(results.pairs))
+    return ReportFiles(page, len(pages), figures, len(shown), len(results.pairs))
 
 
 def some_of(names: list[str], most: int) -> list[str]:
@@ -85,34 +93,13 @@ def some_of(names: list[str], most: int) -> list[str]:
     return names[:n] + names[middle : middle + n] + names[-n:]
 
 
-def _write_folder(results: RunResults, chosen: list[str]) -> tuple[Path, int]:
-    """The index and the number of pages: one per pair, with one plotly.js for all; earlier pages go away."""
-    folder = results.run.folder / PAGES
-    write_whole(folder / _PLOTLY, get_plotlyjs().encode())
-    files = {name: f"pair-{file_stem(name)}.html" for name in chosen}
-    # An address must escape the per cent signs that the names of the files hold.
-    data = page_data(results) | {"links": {name: quote(file) for name, file in files.items()}}
-    words = page_words(results)
-
-    def write(file: str, views: dict[str, Any], note: str) -> None:
-        page = render(_TEMPLATE, {**data, "views": views}, _PLOTLY, view_note=note, **words)
-        write_whole(folder / file, page.encode())
-
-    for name, file in files.items():
-        write(file, {name: pair_view(results, name)}, "This page shows one pair; the tables lead to the others.")
-    write(_INDEX, {}, f"The 3D views of {len(chosen)} pairs have pages of their own: choose one in the tables.")
-    for path in folder.glob(_PAIR_PAGES):
-        if path.name not in files.values():
-            remove_stale(path)
-    return folder / _INDEX, len(chosen) + 1
-
-
-def _remove_folder(folder: Path) -> None:
-    """Removes the pages that an earlier report wrote; a folder in which there is something else stays."""
-    for path in (folder / _INDEX, folder / _PLOTLY, *folder.glob(_PAIR_PAGES)):
+def _remove_others(folder: Path, written: set[Path]) -> None:
+    """Removes the pages that only an earlier report wrote; a folder in which there is something else stays."""
+    pages = folder / PAGES
+    for path in {folder / PAGE, pages / _INDEX, pages / _PLOTLY, *pages.glob("pair-*.html")} - written:
         remove_stale(path)
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
+    if pages.is_dir() and not any(pages.iterdir()):
+        pages.rmdir()
 
 
 def _view_note(n_shown: int, n_chosen: int, n_all: int, pattern: str | None) -> str:

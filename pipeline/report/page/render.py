@@ -6,6 +6,7 @@ Everything is inside the page: style, code, data, and plotly.js as installed.
 from __future__ import annotations
 
 import json
+import math
 import re
 from functools import cache
 from importlib import resources
@@ -64,5 +65,5 @@ def _in_words(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def _fixed(value: float | None, digits: int) -> str:
-    return "\N{EN DASH}" if value is None else f"{value:.{digits}f}"
+def _fixed(value: float, digits: int) -> str:
+    return "\N{EN DASH}" if math.isnan(value) else f"{value:.{digits}f}"

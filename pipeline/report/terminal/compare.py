@@ -1,8 +1,8 @@
-"""A comparison of runs in the terminal."""
+"""A comparison of runs in the terminal; the cells of its tables and its remarks are the same on its page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -10,16 +10,19 @@ from rich.text import Text
 
 from ....schemas.metrics import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS
-from ...results.compare import SHARED_SCORES, Comparison, ObjectChange, ScoreChange
-from .layout import number, plain_table
+from ...results.compare import SHARED_SCORES, Comparison, ObjectChange
+from .layout import number, percent, plain_table
 
 _MOST_OBJECTS = 10
-COLOURS = {"better": "green", "worse": "red", "vanished": "red", "appeared": "green", "undecided": "yellow"}
+_MOST_LEFT_OUT = 5
+_COLOURS = {"vanished": "red", "worse": "red", "better": "green", "appeared": "green", "undecided": "yellow"}
+#: What may have become of an object; those that are alike are not listed.
+_CHANGED = ("vanished", "worse", "mixed", "better", "appeared")
 OBJECTS_NOTE = (
     f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and neither the other way. "
     "Single objects also change where Louvain cuts the simulated side otherwise: trust many, not one."
 )
-#: Few pairs make an interval that is too narrow.
+#: Fewer pairs make an interval that is too narrow.
 FEW_PAIRS = 10
 
 
@@ -31,8 +34,9 @@ def compare_view(comparisons: Sequence[Comparison]) -> RenderableType:
 def verdict(comparison: Comparison) -> str:
     """In words, which scores are better and which are worse."""
     named = {word: [score.name for score in comparison.scores if score.verdict == word] for word in ("better", "worse")}
-    said = [f"{word}: {', '.join(names)}" for word, names in named.items() if names]
-    return "; ".join(said) or "no score is decidedly better or worse"
+    return "; ".join(f"{word}: {', '.join(names)}" for word, names in named.items() if names) or (
+        "no score is decidedly better or worse"
+    )
 
 
 def remarks(comparison: Comparison) -> list[str]:
@@ -46,96 +50,93 @@ def remarks(comparison: Comparison) -> list[str]:
     lines += [f"undecided: {', '.join(names)}: {why}" for why, names in undecided.items()]
     if LEAST_PAIRS <= len(comparison.pairs) < FEW_PAIRS:
         lines.append(f"{len(comparison.pairs)} pairs are few: the intervals are too narrow rather than too wide")
-    if comparison.unfollowed:
-        lines.append(
-            f"{len(comparison.unfollowed)} pairs have other real objects in the two runs: "
-            "their objects are not followed"
-        )
-    lines += [f"left out: pair {name}: {why}" for name, why in list(comparison.left_out.items())[:5]]
-    if len(comparison.left_out) > 5:
-        lines.append(f"left out: {len(comparison.left_out) - 5} more pairs")
+    n_unfollowed = len(comparison.unfollowed)
+    if n_unfollowed:
+        lines.append(f"{n_unfollowed} pairs have other real objects in the two runs: their objects are not followed")
+    left_out = [f"left out: pair {name}: {why}" for name, why in comparison.left_out.items()]
+    lines += left_out[:_MOST_LEFT_OUT]
+    if len(left_out) > _MOST_LEFT_OUT:
+        lines.append(f"left out: {len(left_out) - _MOST_LEFT_OUT} more pairs")
     verdicts = {score.name: score.verdict for score in comparison.scores}
-    r_lambda, alignment = (verdicts[METRIC[name].label] for name in ("r_lambda", "alignment_rms_m"))
-    if r_lambda == "better" and alignment == "worse":
+    if (verdicts[METRIC["r_lambda"].label], verdicts[METRIC["alignment_rms_m"].label]) == ("better", "worse"):
         lines.append("r_lambda fell while the alignment got worse: a bad alignment alone lowers r_lambda")
     return lines
 
 
 def changed(comparison: Comparison) -> list[ObjectChange]:
     """The objects that have changed: vanished ones, then those that got worse, most first, then the others."""
-    order = {"vanished": 0, "worse": 1, "mixed": 2, "better": 3, "appeared": 4}
-    objects = [change for change in comparison.objects if change.kind in order]
     return sorted(
-        objects, key=lambda each: (order[each.kind], -abs(each.change), -each.n_points, each.pair_id, each.real_id)
+        (change for change in comparison.objects if change.kind in _CHANGED),
+        key=lambda each: (_CHANGED.index(each.kind), -abs(each.change), -each.n_points, each.pair_id, each.real_id),
     )
 
 
+def score_table(comparison: Comparison) -> list[list[str]]:
+    """Headings, then one row per score: name, verdict, before, after, change and its interval.
+
+    Where both runs were repeated under other seeds, also whether the change is more than they alone would make.
+    """
+    with_seeds = any(score.seed_noise is not None for score in comparison.scores)
+    rows = [["score", "verdict", "before", "after", "change", "from", "to", *["more than seeds make"] * with_seeds]]
+    beyond = {None: "-", True: "yes ({})", False: "no ({})"}
+    for score in comparison.scores:
+        change = score.difference
+        numbers = (
+            number(change.before),
+            number(change.after),
+            *map(signed, (change.difference, change.low, change.high)),
+        )
+        seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
+        rows.append([score.name, score.verdict, *numbers, *[seeds] * with_seeds])
+    return rows
+
+
+def object_table(changes: Sequence[ObjectChange]) -> list[list[str]]:
+    """Headings, then one row per real object: pair, what has become of it, class, place, scores before and after."""
+    scores = [f"{name}_{when}" for name in SHARED_SCORES for when in ("before", "after")]
+    headings = [heading for name in SHARED_SCORES for heading in (METRIC[name].label, "after")]
+    rows = [["pair", "what", "class", "object", "range (m)", "points", *headings]]
+    for one in changes:
+        place = (one.label or "-", str(one.real_id), number(one.range_m, 1), str(one.n_points))
+        rows.append([one.pair_id, one.kind, *place, *(number(getattr(one, name)) for name in scores)])
+    return rows
+
+
+def kind_table(comparison: Comparison) -> list[list[str]]:
+    """Headings, then what real objects have become, how many, and their share; no rows where none is followed."""
+    n_all = len(comparison.objects)
+    rows = [[kind, str(n), percent(n / n_all)] for kind, n in comparison.kinds.items() if n_all]
+    return [["what has become of them", "objects", "share"], *rows]
+
+
+def signed(value: float | None) -> str:
+    """A difference with its sign."""
+    return "-" if value is None else f"{value:+.3f}"
+
+
 def _parts(comparison: Comparison) -> list[RenderableType]:
-    parts: list[RenderableType] = [_scores(comparison)]
+    headings, *scores = score_table(comparison)
+    for row in (headings, *scores):
+        row.insert(6, row.pop(1))  # the verdict, behind the numbers that it is about
+    title = f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, means and 95 % intervals"
+    parts: list[RenderableType] = [_table(f"{title} (paired bootstrap)", headings, scores, words=(0, 6, 7))]
     if comparison.objects:
-        kinds = plain_table("Real objects", "what has become of them", "objects", "share")
-        for kind, n in comparison.kinds.items():
-            kinds.add_row(Text(kind, style=COLOURS.get(kind, "")), str(n), f"{100 * n / len(comparison.objects):.0f} %")
-        parts.append(kinds)
+        headings, *kinds = kind_table(comparison)
+        parts.append(_table("Real objects", headings, kinds))
         objects = changed(comparison)
         for kind in ("vanished", "worse", "better", "appeared"):
-            chosen = [change for change in objects if change.kind == kind]
-            if chosen:
-                parts.append(_objects(kind, chosen))
+            own = [change for change in objects if change.kind == kind]
+            headings, *rows = ([pair, *row] for pair, _, *row in object_table(own[:_MOST_OBJECTS]))
+            n = f"{_MOST_OBJECTS} of {len(own)}" if len(own) > _MOST_OBJECTS else f"{len(own)}"
+            if own:
+                parts.append(_table(f"{kind} ({n})", headings, rows, words=(0, 1)))
         parts.append(Text(OBJECTS_NOTE))
     parts += [Text(f"note: {text}", style="yellow") for text in remarks(comparison)]
     parts.append(Text(f"{comparison.other} against {comparison.base}: {verdict(comparison)}\n", style="bold"))
     return parts
 
 
-def _scores(comparison: Comparison) -> Table:
-    table = plain_table(
-        f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, "
-        "means and 95 % intervals (paired bootstrap)",
-        *("score", "before", "after", "change", "from", "to"),
-    )
-    table.add_column("verdict")
-    with_seeds = has_seeds(comparison)
-    if with_seeds:
-        table.add_column("more than seeds make")
-    for score in comparison.scores:
-        d = score.difference
-        word = Text(score.verdict, style=COLOURS.get(score.verdict, ""))
-        cells = [number(d.before), number(d.after), signed(d.difference), signed(d.low), signed(d.high)]
-        table.add_row(score.name, *cells, word, *([beyond_seeds(score)] if with_seeds else []))
-    return table
-
-
-def _objects(kind: str, objects: list[ObjectChange]) -> Table:
-    title = (
-        f"{kind} ({len(objects)})" if len(objects) <= _MOST_OBJECTS else f"{kind} ({_MOST_OBJECTS} of {len(objects)})"
-    )
-    scores = (heading for column in SHARED_SCORES for heading in (METRIC[column].label, "after"))
-    table = plain_table(title, *("pair", "class", "object", "range (m)", "points"), *scores, words=2)
-    for change in objects[:_MOST_OBJECTS]:
-        table.add_row(
-            Text(change.pair_id),
-            Text(change.label or "-"),
-            str(change.real_id),
-            number(change.range_m, 1),
-            str(change.n_points),
-            *(number(getattr(change, f"{name}_{when}")) for name in SHARED_SCORES for when in ("before", "after")),
-        )
-    return table
-
-
-def has_seeds(comparison: Comparison) -> bool:
-    """Whether both runs were repeated under other seeds."""
-    return any(score.seed_noise is not None for score in comparison.scores)
-
-
-def beyond_seeds(score: ScoreChange) -> str:
-    """Whether a difference is more than other Louvain seeds alone would make."""
-    if score.beyond_seeds is None:
-        return "-"
-    return f"{'yes' if score.beyond_seeds else 'no'} ({number(score.seed_noise)})"
-
-
-def signed(value: float | None) -> str:
-    """A difference with its sign."""
-    return "-" if value is None else f"{value:+.3f}"
+def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], words: Container[int] = (0,)) -> Table:
+    """A table in which words of change have their colour."""
+    coloured = ([Text(cell, style=_COLOURS.get(cell, "")) for cell in row] for row in rows)
+    return plain_table(title, headings, coloured, words)

@@ -16,19 +16,24 @@ from .layout import plain_table
 
 #: What XML 1.0 cannot hold, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_VERDICTS = {True: Text("pass", style="green"), False: Text("FAIL", style="red")}
 
 
 def gate_view(result: GateResult) -> RenderableType:
     """Each criterion with value, bound and verdict; then what failed and why it is wanted."""
-    table = plain_table(f"Gate of {result.run}", "criterion", "measure", "value", "bound", "verdict", words=2)
-    for judged in result.judged:
-        met = Text("pass", style="green") if judged.passed else Text("FAIL", style="red")
-        table.add_row(Text(judged.criterion.name), Text(judged.criterion.measure), _value(judged), _bound(judged), met)
+    rows = [
+        (judged.criterion.name, judged.criterion.measure, _value(judged), _bound(judged), _VERDICTS[judged.passed])
+        for judged in result.judged
+    ]
     failed = [judged for judged in result.judged if not judged.passed]
-    lines = [Text(f"note: {note}", style="yellow") for note in result.notes]
-    lines += [Text(f"failed: {_told(judged)}", style="red") for judged in failed]
     verdict = f"{len(failed)} of {len(result.judged)} criteria failed" if failed else "all criteria are met"
-    return Group(table, *lines, Text(verdict, style="red" if failed else "green"))
+    columns = ("criterion", "measure", "value", "bound", "verdict")
+    return Group(
+        plain_table(f"Gate of {result.run}", columns, rows, words=(0, 1)),
+        *(Text(f"note: {note}", style="yellow") for note in result.notes),
+        *(Text(f"failed: {_in_words(judged)}", style="red") for judged in failed),
+        Text(verdict, style="red" if failed else "green"),
+    )
 
 
 def junit_xml(result: GateResult) -> bytes:
@@ -38,25 +43,23 @@ def junit_xml(result: GateResult) -> bytes:
     root = ElementTree.Element("testsuites", counts)
     suite = ElementTree.SubElement(root, "testsuite", {"name": _clean(f"fidpipe gate {result.run}")} | counts)
     for judged in result.judged:
-        case = ElementTree.SubElement(
-            suite, "testcase", {"classname": "fidpipe.gate", "name": _clean(judged.criterion.name), "time": "0"}
-        )
-        told = _clean(_told(judged))
+        about = {"classname": "fidpipe.gate", "name": _clean(judged.criterion.name), "time": "0"}
+        case = ElementTree.SubElement(suite, "testcase", about)
+        words = _clean(_in_words(judged))
         if judged.passed:
-            ElementTree.SubElement(case, "system-out").text = told
+            ElementTree.SubElement(case, "system-out").text = words
         else:
             kind = "bound" if judged.value is not None else "not computed"
-            ElementTree.SubElement(case, "failure", {"message": told, "type": kind}).text = told
+            ElementTree.SubElement(case, "failure", {"message": words, "type": kind}).text = words
     ElementTree.indent(root)
     content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
 
 
-def _told(judged: Judged) -> str:
+def _in_words(judged: Judged) -> str:
     criterion = judged.criterion
-    told = judged.why if judged.value is None else f"{criterion.measure} is {_value(judged)}, wanted {_bound(judged)}"
-    about = f"{criterion.name}: {told}"
-    return f"{about} ({criterion.reason})" if criterion.reason else about
+    here = judged.why if judged.value is None else f"{criterion.measure} is {_value(judged)}, wanted {_bound(judged)}"
+    return f"{criterion.name}: {here}{f' ({criterion.reason})' if criterion.reason else ''}"
 
 
 def _value(judged: Judged) -> str:

@@ -2,30 +2,57 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Container, Iterable, Mapping, Sequence
+
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 
-def plain_table(title: str, *columns: str, words: int = 1) -> Table:
-    """A table without rules; the first `words` columns hold words, the others numbers."""
+def plain_table(
+    title: str,
+    columns: Iterable[str],
+    rows: Iterable[Sequence[object]],
+    words: Container[int] = (0,),
+    digits: Mapping[int, int] | None = None,
+) -> Table:
+    """A table without rules; no name in it is read as markup, and None is shown as a dash.
+
+    Parameters
+    ----------
+    columns : headings
+    rows : cells in the order of the columns
+    words : indices of the columns that hold words; the others hold numbers, which are not broken into lines
+    digits : by index of a column, the digits of its floats; by default three
+    """
     table = Table(
-        title=Text(title, style="bold"),  # a Text, so that a name in it is never read as markup
-        title_justify="left",
-        title_style="",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+        title=Text(title, style="bold"), title_justify="left", title_style="", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i < words else "right", overflow="fold", no_wrap=i >= words)
+        is_words = i in words
+        table.add_column(column, justify="left" if is_words else "right", overflow="fold", no_wrap=not is_words)
+    for row in rows:
+        table.add_row(*(_cell(value, (digits or {}).get(i, 3)) for i, value in enumerate(row)))
     return table
 
 
 def number(value: float | None, digits: int = 3) -> str:
     """A number as the terminal shows it; a dash where there is none."""
-    return "-" if value is None else f"{value:.{digits}f}"
+    return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
 def percent(value: float | None) -> str:
     """A share as the terminal shows it."""
     return "-" if value is None else f"{100 * value:.0f} %"
+
+
+def mean_and_spread(mean: float | None, std: float | None, digits: int = 3) -> str:
+    """A mean with its standard deviation, each a dash where there is none."""
+    return f"{number(mean, digits)} ± {number(std, digits)}"
+
+
+def _cell(value: object, digits: int) -> Text:
+    if isinstance(value, Text):
+        return value
+    return Text(number(value, digits) if value is None or isinstance(value, float) else str(value))

@@ -1,8 +1,10 @@
-"""What the terminal shows of a run at its end: its pairs, its scores, its findings; printed by the command alone."""
+"""What the terminal shows of a run at its end: pairs, scores, findings, baselines, and how stable the scores are."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 
 from rich.console import Group, RenderableType
@@ -10,39 +12,42 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.columns import Row
-from ....schemas.metrics import HEADLINE_SCORES, metric_of, narrow_labels
-from ....schemas.results import RunRecord, ScoreSummary
+from ....schemas.metrics import DISTRIBUTED, HEADLINE_SCORES, METRIC, labels, metric_of, narrow_labels, unit_words
+from ....schemas.results import BaselineSummary, Claim, Findings, RunRecord, ScoreSummary, SeedSummary, Unmatched
+from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
+from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...run import RunOutcome
-from .baselines import baselines_view
-from .findings import claims_line, findings_view
-from .layout import number, plain_table
-from .seeds import seeds_view
+from .layout import mean_and_spread, number, percent, plain_table
 
 _MOST_PAIRS = 20
+_MOST_CLASSES = 8
+#: The scores of the paper's box plots.
+_BOXES = ("cdc", "r_lambda")
+#: The scores whose spread over seeds is shown of each pair; all headline scores would not fit.
+_SEED_SCORES = HEADLINE_SCORES[:4]
+_COLOURS = {HOLDS: "green", FAILS: "red", UNKNOWN: "yellow"}
 
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The results of a run, as a newcomer should see them first."""
-    record = outcome.record
+    record, folder = outcome.record, outcome.folder
     return Group(
-        summary_view(outcome.folder, outcome.rows, record),
+        summary_view(folder, outcome.rows, record),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
-        Text(
-            f"results: {outcome.folder}/pairs.parquet (one row per pair), "
-            f"{outcome.folder}/metrics/ (one row per object)"
-        ),
-        Text(f"to look at them: fidpipe report {outcome.folder}"),
+        Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
+        Text(f"to look at them: fidpipe report {folder}"),
     )
 
 
 def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
     """The pairs of a run, what they say together, and which failed."""
-    scored = [row for row in rows if row["status"] == "scored"]
     parts: list[RenderableType] = []
     if record.findings:
-        findings = record.findings
-        parts += [_pairs_table(scored), _dataset_table(record.summary), findings_view(findings)]
-        parts.append(Text(f"{claims_line(findings)}; see: fidpipe show {folder} --paper"))
+        parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record.summary)]
+        parts += _findings_parts(record.findings)
+        count = Counter(claim.verdict for claim in record.claims)
+        verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
+        parts.append(Text(f"the paper's claims: {verdicts}; see: fidpipe show {folder} --paper"))
     if record.baselines:
         parts.append(baselines_view(record.baselines))
     if record.seeds:
@@ -56,34 +61,158 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
     return Group(*parts)
 
 
-def _pairs_table(rows: Sequence[Row]) -> Table:
+def claims_view(claims: Sequence[Claim]) -> RenderableType:
+    """The paper's claims, one per line, then the rule by which each is judged."""
+    rows = [
+        (i, claim.claim, claim.paper, claim.here, Text(claim.verdict, style=_COLOURS.get(claim.verdict, "")))
+        for i, claim in enumerate(claims, 1)
+    ]
+    table = plain_table("The paper's claims", ("", "claim", "paper", "here", "verdict"), rows, words=range(5))
+    rules = (Text(f"{i:>3}  {claim.rule}") for i, claim in enumerate(claims, 1))
+    return Group(table, Text("By which rule:"), *rules)
+
+
+def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
+    """Mean and deviation over pairs of each baseline, of matched objects and of whole scans, and seconds per pair."""
+    by_name = {(row.baseline, row.level): row for row in rows}
+    cells = []
+    for name in dict.fromkeys(row.baseline for row in rows):
+        values = (cell for level in (OF_OBJECTS, OF_SCAN) for cell in _baseline_cells(by_name.get((name, level))))
+        cells.append((METRIC[name].heading, unit_words(METRIC[name].unit), *values))
+    columns = ("baseline", "unit", "objects", "s", "whole scans", "s")
+    table = plain_table("Baselines (mean and standard deviation over pairs)", columns, cells, words=(0, 1))
+    table.columns[0].no_wrap = True
+    total_s = sum(row.seconds or 0.0 for row in rows)
+    lines = (
+        "A pair counts with the mean over its matched objects, or with all object points of its two scans.",
+        f"s: seconds per pair, beside the first number of a method; all together {total_s:.1f}",
+        *(f"{row.baseline} is null for {row.n_null} of {row.n + row.n_null} {row.level}" for row in rows if row.n_null),
+    )
+    return Group(table, *map(Text, lines))
+
+
+def seeds_view(seeds: SeedSummary) -> RenderableType:
+    """Spread over seeds beside spread over pairs, and mean and deviation over seeds of each pair."""
+    spreads = [(metric_of(name).label, *vars(seeds.dataset[name]).values()) for name in HEADLINE_SCORES]
+    headings = ("std over\npairs", "std over\nseeds", "real above\n(one pair)", "real above\n(all pairs)")
+    title = f"How stable the scores are ({seeds.n_seeds} seeds, {seeds.n_pairs} pairs)"
+    dataset = plain_table(title, ("score", "mean", *headings), spreads)
+    chosen, title = list(seeds.pairs.items()), "Pairs (mean ± standard deviation over seeds)"
+    if len(chosen) > _MOST_PAIRS:
+        chosen = sorted(chosen, key=lambda pair: -(pair[1]["match_rate"].std or 0.0))[:_MOST_PAIRS]
+        title = f"The {_MOST_PAIRS} pairs whose match rate depends most on the seed (mean ± standard deviation)"
+    rows = (
+        (pair_id, *(mean_and_spread(scores[name].mean, scores[name].std) for name in _SEED_SCORES))
+        for pair_id, scores in chosen
+    )
+    pairs = plain_table(title, ("pair", *labels(_SEED_SCORES)), rows)
+    pairs.columns[0].min_width = 6
+    lines = (
+        "real above: two results under seeds of their own, of one pair or the means of all pairs, that differ by less",
+        "may differ by chance alone (95 %); a simulator is better than another only if it is so by more",
+    )
+    return Group(dataset, *map(Text, lines), pairs)
+
+
+def _pairs_table(scored: Sequence[Row]) -> Table:
     title = "Pairs (means over matched objects)"
-    if len(rows) > _MOST_PAIRS:
-        rows = sorted(rows, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
+    if len(scored) > _MOST_PAIRS:
+        scored = sorted(scored, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
         title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
-    table = plain_table(title)
-    table.add_column("pair", overflow="fold", min_width=6)
-    for heading in ("objects\nreal", "\nsim", "\nboth", "only\nreal", "only\nsim"):
-        table.add_column(heading, justify="right")
-    for heading in narrow_labels(HEADLINE_SCORES):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in rows:
-        counts = ("n_communities_real", "n_communities_sim", "n_matched", "n_missing", "n_hallucinated")
-        table.add_row(
-            Text(row["pair_id"]),
-            *(str(row[name]) for name in counts),
-            *(number(row[column]) for column in HEADLINE_SCORES),
-        )
+    headings = ("pair", "objects\nreal", "\nsim", "\nboth", "only\nreal", "only\nsim", *narrow_labels(HEADLINE_SCORES))
+    counts = ("n_communities_real", "n_communities_sim", "n_matched", "n_missing", "n_hallucinated")
+    rows = ([row[column] for column in ("pair_id", *counts, *HEADLINE_SCORES)] for row in scored)
+    table = plain_table(title, headings, rows)
+    table.columns[0].min_width = 6
     return table
 
 
 def _dataset_table(summary: Mapping[str, ScoreSummary]) -> Table:
-    table = plain_table("Dataset (mean and standard deviation over pairs)")
-    table.add_column("score", no_wrap=True)
-    table.add_column("mean", justify="right", no_wrap=True)
-    table.add_column("std", justify="right", no_wrap=True)
-    table.add_column("how to read it")
-    for column in HEADLINE_SCORES:
-        metric, score = metric_of(column), summary[column]
-        table.add_row(metric.label, number(score.mean), number(score.std), metric.reading)
-    return table
+    rows = (
+        (metric_of(column).label, summary[column].mean, summary[column].std, metric_of(column).reading)
+        for column in HEADLINE_SCORES
+    )
+    title = "Dataset (mean and standard deviation over pairs)"
+    return plain_table(title, ("score", "mean", "std", "how to read it"), rows, words=(0, 3))
+
+
+def _findings_parts(findings: Findings) -> list[RenderableType]:
+    """Distributions, ranges, classes and four scans, as the paper's section "Real experiments" tells them."""
+    rank, ratio = findings.rank_correlation, findings.density_ratio
+    return [
+        _distributions(findings),
+        Text(
+            f"Rank correlation of CDC and r_lambda: Spearman {number(rank.spearman, 2)}, "
+            f"Kendall {number(rank.kendall, 2)} (near 0: each tells what the other does not)"
+        ),
+        Text(
+            f"Points, simulated / real: {number(ratio.min, 2)} to {number(ratio.max, 2)}, median "
+            f"{number(ratio.median, 2)}; below 1/4 in {percent(ratio.share_below_quarter)}, "
+            f"above 4 in {percent(ratio.share_above_four)} of the objects\n"
+        ),
+        _bands(findings),
+        *([_classes(findings)] if findings.classes else []),
+        _scans(findings),
+    ]
+
+
+def _distributions(findings: Findings) -> Table:
+    values = attrgetter("min", "q05", "q25", "median", "q75", "q95", "max", "std", "cv")
+    headings = ("score", "min", "5 %", "25 %", "median", "75 %", "95 %", "max", "std", "std/mean")
+    rows = ((METRIC[name].label, *values(getattr(findings.distributions, name))) for name in DISTRIBUTED)
+    title = f"Objects (the {findings.n_matched} that both sides have, of all pairs together)"
+    return plain_table(title, headings, rows)
+
+
+def _bands(findings: Findings) -> Table:
+    ranges = findings.range_m
+    rows = (
+        (f"{band.from_m:.0f} {'and more' if band.to_m is None else f'to {band.to_m:.0f}'}", *_unmatched(band))
+        for band in ranges.bands
+    )
+    return plain_table(
+        f"By range (median range of matched objects {number(ranges.median_matched, 1)} m, of unmatched ones "
+        f"{number(ranges.median_unmatched, 1)} m)",
+        ("range (m)", "real", "missing", "sim", "hallucinated"),
+        rows,
+    )
+
+
+def _classes(findings: Findings) -> Table:
+    classes, title = findings.classes, "By class (of the real object where both sides have it)"
+    if len(classes) > _MOST_CLASSES:
+        title = f"The {_MOST_CLASSES} most frequent of {len(classes)} classes (of the real object where both have it)"
+    rows = (
+        (own.label, *_unmatched(own), own.n_matched, *(own.of_score(score).mean for score in DISTRIBUTED))
+        for own in classes[:_MOST_CLASSES]
+    )
+    return plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+
+
+def _scans(findings: Findings) -> Table:
+    scans = findings.scans
+    kind = "evenly spaced by name (quartiles; no timestamps say that they are a minute apart)"
+    if scans.apart:
+        kind = "more than a minute apart (quartiles over their objects)"
+    quartiles = [heading for name in _BOXES for heading in (f"{METRIC[name].label} 25 %", "50 %", "75 %")]
+    values = attrgetter("pair", "timestamp_s", "cdc.n", *(f"{n}.{q}" for n in _BOXES for q in ("q25", "median", "q75")))
+    headings, digits = ("pair", "time (s)", "objects", *quartiles), {1: 0, **dict.fromkeys(range(3, 9), 2)}
+    return plain_table(f"{len(scans.scans)} scans {kind}", headings, map(values, scans.scans), digits=digits)
+
+
+def _unmatched(group: Unmatched) -> tuple[object, ...]:
+    return (
+        group.n_real,
+        f"{group.n_missing} ({percent(group.missing_share)})",
+        group.n_sim,
+        f"{group.n_hallucinated} ({percent(group.hallucinated_share)})",
+    )
+
+
+def _baseline_cells(row: BaselineSummary | None) -> tuple[str, str]:
+    """Mean and deviation, and seconds; empty where the baseline has no such value."""
+    if row is None:
+        return "", ""
+    size = abs(row.mean or 0.0)
+    digits = 4 if 0 < size < 0.1 else 3 if size < 100 else 0
+    return mean_and_spread(row.mean, row.std, digits), "" if row.seconds is None else number(row.seconds)

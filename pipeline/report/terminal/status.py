@@ -1,4 +1,4 @@
-"""How far a run is in the terminal: stages by pairs, and where the time goes beside the paper's figures."""
+"""What the terminal shows before and during a run: what would be read from a dataset, how far the run is, its time."""
 
 from __future__ import annotations
 
@@ -7,38 +7,65 @@ from collections.abc import Mapping
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from ....schemas.columns import SIDES
 from ....schemas.paper import TIMINGS
+from ...datasets.scan_checks import DatasetCheck
 from ...results.status import STATES, RunStatus
-from .layout import number, plain_table
+from .layout import plain_table
+
+
+def check_view(dataset: DatasetCheck) -> RenderableType:
+    """The pairs of a dataset with points, extents and dropped points, then warnings and faults."""
+    rows: list[tuple[object, ...]] = []
+    for pair, sides in dataset.pairs:
+        for side in SIDES:
+            facts, name = sides.get(side), pair.pair_id if side == "real" else ""
+            if facts is None or facts.fault:
+                rows.append((name, side, None, None, "", Text("cannot be used" if facts else "missing", style="red")))
+                continue
+            extent = "  ".join(f"{high - low:.1f}" for low, high in zip(facts.low, facts.high, strict=True))
+            dropped = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in facts.dropped.items() if n)
+            rows.append((name, side, facts.n_raw, facts.n_clean, extent, dropped or "none"))
+    columns = ("pair", "side", "points", "clean", "extent x y z (m)", "dropped")
+    n_faulty = len({text.split(":")[0] for text in dataset.faults})
+    verdict = f"{len(dataset.pairs) - n_faulty} of {len(dataset.pairs)} pairs can be evaluated"
+    return Group(
+        plain_table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
+        *(Text(f"warning: {text}", style="yellow") for text in dataset.warnings),
+        *(Text(f"fault: {text}", style="red") for text in dataset.faults),
+        Text(verdict, style="red" if dataset.faults else "green"),
+    )
 
 
 def status_view(status: RunStatus) -> RenderableType:
-    """Stages by pairs."""
-    table = plain_table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}")
-    table.add_column("stage")
-    for state in STATES:
-        table.add_column(state, justify="right")
-    for stage, counts in status.stages.items():
-        table.add_row(stage, *(str(counts[state]) if counts[state] else "-" for state in STATES))
-    failures = [Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()]
-    return Group(table, *([timing_view(status.mean_seconds)] if status.mean_seconds else []), *failures)
-
-
-def timing_view(mean: Mapping[str, Mapping[str, float]]) -> RenderableType:
-    """Mean milliseconds per pair by stage and step, in the order of the run; then what the paper has figures for."""
-    steps = plain_table("Time of a pair (mean over pairs, both sides, one core)", "stage", "step", "ms", words=2)
-    for stage, own in mean.items():
-        for i, (step, seconds) in enumerate(own.items()):
-            steps.add_row(stage if i == 0 else "", step, number(1e3 * seconds, 1))
-    beside = plain_table(
-        "Beside the paper (its scans and its machine are others)",
-        *("step", "counted here", "here (ms)", "paper (ms)"),
-        words=2,
+    """Stages by pairs, where the time goes, and why pairs failed."""
+    rows = ((stage, *(counts[state] or None for state in STATES)) for stage, counts in status.stages.items())
+    return Group(
+        plain_table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}", ("stage", *STATES), rows),
+        *(_timing_tables(status.mean_seconds) if status.mean_seconds else ()),
+        *(Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()),
     )
+
+
+def _timing_tables(mean: Mapping[str, Mapping[str, float]]) -> tuple[RenderableType, RenderableType]:
+    """Mean milliseconds per pair by stage and step, in the order of the run; then what the paper has figures for."""
+    steps = [
+        (stage if i == 0 else "", step, 1e3 * seconds)
+        for stage, own in mean.items()
+        for i, (step, seconds) in enumerate(own.items())
+    ]
+    beside = []
     for timing in TIMINGS:
         seconds = sum(
             value for stage, step in timing.steps for name, value in mean.get(stage, {}).items() if step in ("", name)
         )
         words = timing.words or ", ".join(f"{stage} {step}" for stage, step in timing.steps)
-        beside.add_row(timing.name, words, number(1e3 * seconds, 0), str(timing.milliseconds))
-    return Group(steps, beside)
+        beside.append((timing.name, words, 1e3 * seconds, timing.milliseconds))
+    own_title = "Time of a pair (mean over pairs, both sides, one core)"
+    paper_title = "Beside the paper (its scans and its machine are others)"
+    return (
+        plain_table(own_title, ("stage", "step", "ms"), steps, words=(0, 1), digits={2: 1}),
+        plain_table(
+            paper_title, ("step", "counted here", "here (ms)", "paper (ms)"), beside, words=(0, 1), digits={2: 0}
+        ),
+    )

@@ -1,13 +1,15 @@
 // The 3D view of a pair, and the panel of a chosen object: its numbers, both point sets, its spectra, the nodes kept.
 // An object is called by side and community: "real 3", "sim 7"; a matched one has one name, that of its real side.
 
-import { byId, draw, isDark, paint, report, themed } from "./draw.js";
+import { byId, draw, isDark, paint, report } from "./draw.js";
 import { counted, element, NULL_SIGN, number, records, shorten, shown } from "./tables.js";
 
 const SIDES = ["real", "sim"];
 const scene = { pair: null, points: null, objects: [], chosen: null, hovered: null };
 const communityColour = (i) => `hsl(${Math.round((i * 137.508) % 360)}, 65%, ${[48, 62, 38][i % 3]}%)`;
 const ramp = () => report.colours.ramps[isDark() ? "dark" : "light"];
+const PLACE = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>";
+const AXES = { x: "x forward (m)", y: "y left (m)", z: "z up (m)" };
 const say = (id, text) => {
   byId(id).textContent = shown(text);
 };
@@ -92,32 +94,41 @@ function rampColour(share) {
   return `rgb(${mix(1)},${mix(3)},${mix(5)})`;
 }
 
+const sideColour = (side) => paint(report.colours.sides[side]);
+
+function dots(name, color, size, { symbol = "circle", ...more }) {
+  const marker = { color, size, symbol, line: { width: 0 } };
+  return { type: "scatter3d", mode: "markers", name, marker, ...more };
+}
+
+// Draws points in space; axisOf(axis): what more is said of "x", "y" or "z".
+function drawInSpace(id, data, camera, { axisOf = () => ({}), uirevision, config } = {}) {
+  const axes = Object.entries(AXES).map(([axis, text]) => [`${axis}axis`, { title: { text }, ...axisOf(axis) }]);
+  const layout = { margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision };
+  draw(id, { data, layout: { ...layout, scene: { ...Object.fromEntries(axes), camera } } }, config);
+}
+
 function drawScene() {
   const by = byId("colour").value;
-  const chart = themed(report.outlines.scene);
   const titles = scene.objects.map((object) => plotText(objectTitle(object)));
   const colours = by === "side" ? null : scene.objects.map((object, i) => objectColour(object, i, by));
-  SIDES.forEach((side, k) => {
-    const { x, y, z, object } = scene.points[side];
-    const trace = chart.data[k];
-    Object.assign(trace, {
-      x,
-      y,
-      z,
+  const traces = SIDES.map((side) => {
+    const { object, kept, ...points } = scene.points[side];
+    return dots(side, colours ? Array.from(object, (i) => colours[i]) : sideColour(side), 1.8, {
+      ...points,
       visible: byId(`show_${side}`).checked,
       text: Array.from(object, (i) => titles[i]),
+      hovertemplate: `${side}: %{text}<extra></extra>`,
     });
-    trace.hovertemplate = `${side}: %{text}<extra></extra>`;
-    if (colours) trace.marker.color = Array.from(object, (i) => colours[i]);
   });
-  Object.assign(chart.data[2], chosenPoints());
+  traces.push(dots("chosen", paint("var(--ink)"), 3.6, { ...chosenPoints(), opacity: 0.9, hoverinfo: "skip" }));
   const farthest_m = ["x", "y"].map((axis) =>
     scene.points.real[axis].reduce((most, value) => Math.max(most, Math.abs(value)), 0),
   );
   const eye = { x: -0.75, y: -0.75, z: Math.min(1.1, 0.6 + 20 / Math.max(...farthest_m)) };
-  chart.layout.scene.camera = { eye, center: { x: 0, y: 0, z: -0.1 } };
-  chart.layout.uirevision = scene.pair;
-  draw("scene", chart, { displayModeBar: true, modeBarButtonsToRemove: ["resetCameraLastSave3d", "tableRotation"] });
+  const config = { displayModeBar: true, modeBarButtonsToRemove: ["resetCameraLastSave3d", "tableRotation"] };
+  const camera = { eye, center: { x: 0, y: 0, z: -0.1 } };
+  drawInSpace("scene", traces, camera, { uirevision: scene.pair, config });
   drawLegend(by);
 }
 
@@ -239,29 +250,27 @@ function drawPanel(place) {
 function drawSides(place, object) {
   const sides = Object.keys(object.owns);
   const all = sides.map((side) => pointsOf(side, place));
-  const view = { camera: { eye: { x: -1.6, y: -1.6, z: 1.1 }, center: { x: 0, y: 0, z: -0.15 } } };
-  for (const axis of ["x", "y", "z"]) {
+  const axisOf = (axis) => {
     const values = all.flatMap((points) => points[axis]);
-    view[`${axis}axis`] = { range: [Math.min(...values) - 0.2, Math.max(...values) + 0.2], nticks: 4 };
-  }
-  for (const side of SIDES) {
-    byId(`object_${side}`).parentElement.hidden = !sides.includes(side);
-    if (!sides.includes(side)) continue;
-    const chart = themed(report.outlines[`object_${side}`]);
-    const [leftOut, kept] = chart.data;
-    if (object.side) Object.assign(kept, pointsOf(side, place), { hovertemplate: leftOut.hovertemplate });
-    else {
-      Object.assign(leftOut, pointsOf(side, place, 0));
-      Object.assign(kept, pointsOf(side, place, 1));
+    return { range: [Math.min(...values) - 0.2, Math.max(...values) + 0.2], nticks: 4 };
+  };
+  const camera = { eye: { x: -1.6, y: -1.6, z: 1.1 }, center: { x: 0, y: 0, z: -0.15 } };
+  for (const side of SIDES) byId(`object_${side}`).parentElement.hidden = !sides.includes(side);
+  for (const [k, side] of sides.entries()) {
+    const kept = object.side ? all[k] : pointsOf(side, place, 1);
+    const traces = [
+      dots("kept", sideColour(side), 2.4, { ...kept, hovertemplate: object.side ? PLACE : `kept: ${PLACE}` }),
+    ];
+    if (!object.side) {
+      const leftOut = { ...pointsOf(side, place, 0), symbol: "cross", hovertemplate: PLACE };
+      traces.unshift(dots("left out", paint("var(--soft)"), 3, leftOut));
     }
-    const { scene: axes } = chart.layout;
-    for (const [name, more] of Object.entries(view)) axes[name] = { ...axes[name], ...more };
-    draw(`object_${side}`, chart);
+    drawInSpace(`object_${side}`, traces, camera, { axisOf });
     const n = counted(object.side ? object.n_points : object[`n_${side}`]);
-    const nShown = counted(kept.x.length + (leftOut.x?.length ?? 0));
     const nodes = object.side
       ? "Unmatched: no counterpart, no score."
       : `Coloured dots: nodes kept for the spectral scores (${counted(object.n_keep)} of ${n}); grey crosses: left out.`;
+    const nShown = counted(all[k].x.length);
     say(`object_${side}_note`, `${side === "real" ? "Real" : "Simulated"}: ${nShown} of ${n} points shown. ${nodes}`);
   }
   if (sides.length === 2) tieCameras();
@@ -293,14 +302,26 @@ function drawSpectrum(object) {
   }
   const x = decode(spectrum.index, Int32Array);
   const curves = SIDES.map((side) => decode(spectrum[side], Float32Array));
+  const data = curves.map((y, k) => ({
+    mode: "lines",
+    name: ["real", "simulated"][k],
+    x,
+    y,
+    line: { color: sideColour(SIDES[k]), width: 2, dash: ["solid", "dash"][k] },
+    hovertemplate: "eigenvalue %{x}: %{y:.4f}<extra></extra>",
+  }));
   const ends = curves.map((curve) => curve[spectrum.worst]);
-  const chart = themed(report.outlines.spectrum);
-  const [real, sim, shift] = chart.data;
-  Object.assign(real, { x, y: curves[0] });
-  Object.assign(sim, { x, y: curves[1] });
-  const at = x[spectrum.worst];
-  Object.assign(shift, { x: [at, at], y: ends, name: `largest shift ${Math.abs(ends[1] - ends[0]).toFixed(3)}` });
-  draw("spectrum", chart);
+  const color = paint("var(--ink)");
+  data.push({
+    mode: "lines+markers",
+    name: `largest shift ${Math.abs(ends[1] - ends[0]).toFixed(3)}`,
+    x: ends.map(() => x[spectrum.worst]),
+    y: ends,
+    line: { color, width: 3 },
+    marker: { color, size: 7 },
+  });
+  const layout = { xaxis: { title: { text: "number of the eigenvalue, in ascending order" } } };
+  draw("spectrum", { data, layout: { ...layout, yaxis: { title: { text: "eigenvalue (0 to 2)" } } } });
   const part = x.length < spectrum.n ? `, ${x.length} of them drawn` : "";
   const [above, below, ratio] = ["max_eigenvalue_shift", "laplacian_change", "r_lambda"].map((key) =>
     number(object[key], 4),
