@@ -11,14 +11,14 @@ from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..schemas.columns import Table
+from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError, RunError
-from ..schemas.results import Findings
+from ..schemas.metrics import DATASET_SCORES
+from ..schemas.results import Findings, RunHeader, RunRecord
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.pairs import Dataset, ScanPair, read_dataset
@@ -33,7 +33,6 @@ from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder
 from .storage.ledger import LEDGER
 from .storage.record import (
-    DATASET_VALUES,
     SETTINGS_TOML,
     StageSeconds,
     read_run,
@@ -82,15 +81,15 @@ class RunOutcome:
 
     folder: Path
     pairs: pa.Table
-    record: dict[str, Any]
+    record: RunRecord
     n_made: int
     n_reused: int
     failed_extras: dict[str, str]
 
     @property
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Row]:
         """The rows of `pairs`."""
-        rows: list[dict[str, Any]] = self.pairs.to_pylist()
+        rows: list[Row] = self.pairs.to_pylist()
         return rows
 
     @property
@@ -123,7 +122,9 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
         run.inspect(selected)
         survey = run.survey(selected)
         run.replace(survey)
-        run.make(survey)
+        if survey.todo:
+            with engine.scheduling_missing(survey, run.plan) as schedule:
+                schedule.run()
         return run.write(survey)
 
 
@@ -190,29 +191,25 @@ class _Run:
         names, first = list(self._versions), self._request.from_stage
         redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
         chosen = {pair.pair_id for pair in selected}
-        return self._engine.survey(self._dataset.pairs, self._plan, selected=chosen, redo=redo)
+        return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo)
 
     def replace(self, survey: Survey) -> None:
         """Removes what is out of date, and writes the head of the record."""
         self._engine.replace(survey, self._changes, list(self._versions))
         settings = to_toml(self._request.settings).encode()
         write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
-        write_record(self._request.out, self._header(), self._folder.check_token)
-
-    def make(self, survey: Survey) -> None:
-        """Makes what is not there."""
-        self._engine.make_missing(survey, self._plan)
-        self._end_phase("stages")
+        write_record(self._request.out, self._header().as_dict(), self._folder.check_token)
 
     def write(self, survey: Survey) -> RunOutcome:
         """Writes the tables of the whole run and its record."""
+        self._end_phase("stages")
         seconds, pair_ids = StageSeconds(), [pair.pair_id for pair in survey.usable]
         keys, n_current = [], 0
-        for record in self._records(pair_ids):
-            seconds.add(record)
+        for job in self._records(pair_ids):
+            seconds.add(job)
             n_current += 1
-            if ROW in record.facts:
-                keys += [record.pair_id, record.key]
+            if ROW in job.facts:
+                keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
         pairs = self._write_table(PAIRS, key, self._pair_parts(survey))
         made_by = self._folder.token if self._engine.n_made else ""  # where nothing was made, all rows are reused
@@ -226,32 +223,42 @@ class _Run:
             if pair.pair_id in contents
         }
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        rows = pairs.select(["pair_id", "status", *DATASET_VALUES]).to_pylist()
+        rows = pairs.select(["pair_id", "status", *DATASET_SCORES]).to_pylist()
         scored = [row for row in rows if row["status"] == "scored"]
         times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
         scored_ids = [row["pair_id"] for row in scored]
         findings = run_findings(self._folder, scored_ids, times, summarise_pairs(scored), key, self._findings_before)
-        told = run_record(
-            self._header(), hashes, rows, self._wall_s, self._engine.n_workers, seconds.as_dict(), findings, n_to_do
+        extras = {
+            stage.name: stage.summarise(list(self._records(pair_ids, [stage.name])), self._request.settings)
+            for stage in self._stages
+            if stage.summarise
+        }
+        record = run_record(
+            self._header(),
+            hashes,
+            rows,
+            self._wall_s,
+            self._engine.n_workers,
+            seconds.result(),
+            findings,
+            n_to_do,
+            extras,
         )
-        for stage in self._stages:
-            if stage.summarise:
-                own = current_records(self._folder, pair_ids, [stage.name])
-                told[stage.name] = stage.summarise(list(own), self._request.settings)
-        write_record(self._request.out, told, self._folder.check_token)
+        write_record(self._request.out, record.as_dict(), self._folder.check_token)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
         n_made = self._engine.n_made
-        return RunOutcome(self._request.out, pairs, told, n_made, n_current - n_made, failed_extras)
+        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras)
 
-    def _plan(self, pair: ScanPair) -> PairPlan:
+    def plan(self, pair: ScanPair) -> PairPlan:
+        """The jobs of a pair that are wanted."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
-    def _header(self) -> dict[str, Any]:
+    def _header(self) -> RunHeader:
         return run_header(self._request.dataset, self._request.settings, self._versions)
 
-    def _records(self, pair_ids: Iterable[str]) -> Iterator[JobRecord]:
-        return current_records(self._folder, pair_ids, self._versions)
+    def _records(self, pair_ids: Iterable[str], stages: Iterable[str] | None = None) -> Iterator[JobRecord]:
+        return current_records(self._folder, pair_ids, stages or self._versions)
 
     def _write_table(self, table: Table, key: str, parts: Iterator[pa.Table]) -> pa.Table:
         """Writes a table of the whole run, unless it is there under its key; gives it."""
@@ -276,7 +283,7 @@ class _Run:
                     rows.append(row or {"pair_id": pair_id, "status": "failed", "reason": reason})
             yield PAIRS.from_rows(rows)
 
-    def _row(self, pair_id: str) -> dict[str, Any] | None:
+    def _row(self, pair_id: str) -> Row | None:
         """The row of a scored pair; None where a stage that every run has is not done."""
         records = self._folder.ledger.jobs(pair_id)
         required = [(stage.name, part) for stage in self._stages if not stage.is_extra for part in stage.parts]
@@ -289,7 +296,7 @@ class _Run:
         past = self._folder.ledger.failure(pair.pair_id) if pair else None
         if pair is None or past is None:
             return None
-        plan, _ = with_results(self._plan(pair), self._folder)
+        plan, _ = with_results(self.plan(pair), self._folder)
         return str(past["reason"]) if any(past["key"] == job.key for job in plan.todo) else None
 
     def _timing_parts(self, pair_ids: Iterable[str]) -> Iterator[pa.Table]:

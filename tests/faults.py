@@ -1,74 +1,79 @@
-"""Runs that break on purpose, as scripts of their own: `python faults.py kill graph DATASET OUT`."""
+"""Runs that break on purpose, as scripts of their own: `python faults.py kill graph 2 DATASET OUT`."""
 
 import os
+import resource
 import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+from fidpipe.pipeline.jobs import STAGES, baselines, graph, matching
+from runs import run
+
 POISON = "001"
 
 
-def die_at_second_call(make):
-    """The job, which at its second call takes the whole process with it."""
+def die_at_call(make, n):
+    """The job, which at its n-th call takes the whole process with it."""
     calls = []
 
-    def job(bench, side):
-        calls.append(side)
-        if len(calls) == 2:
+    def job(context):
+        calls.append(context.part)
+        if len(calls) == n:
             os.kill(os.getpid(), signal.SIGKILL)
-        return make(bench, side)
+        return make(context)
 
     return job
 
 
-def poisoned_graph(bench, side):
+def die_writing_after_call(make, n):
+    """The job, after whose n-th call the process is killed in the middle of the next file that it writes."""
+    calls = []
+
+    def job(context):
+        calls.append(context.part)
+        made = make(context)
+        if len(calls) == n:
+            signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+        return made
+
+    return job
+
+
+def poisoned_graph(context):
     """The graph job, which kills its worker for one pair."""
-    from fidpipe.pipeline.jobs.core import make_graph
-
-    if bench.pair_id == POISON:
+    if context.pair_id == POISON:
         os.kill(os.getpid(), signal.SIGKILL)
-    return make_graph(bench, side)
+    return graph.make_graph(context)
 
 
-def buggy_matching(bench, side):
+def poisoned_baselines(context):
+    """The baselines job, which kills its worker for one pair."""
+    if context.pair_id == POISON:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return baselines.make_baselines(context)
+
+
+def buggy_matching(context):
     """The matching job, with a bug for one pair."""
-    from fidpipe.pipeline.jobs.core import make_matching
-
-    if bench.pair_id == POISON:
+    if context.pair_id == POISON:
         raise ZeroDivisionError("a bug")
-    return make_matching(bench, side)
+    return matching.make_matching(context)
 
 
-def with_stage(name, make):
+def with_job(name, make, stages=STAGES):
     """The pipeline with another job in one stage."""
-    from fidpipe.pipeline import run
-
-    return tuple(replace(stage, make=make) if stage.name == name else stage for stage in run.STAGES)
+    return tuple(replace(stage, make=make) if stage.name == name else stage for stage in stages)
 
 
-def main(how, stage, dataset, out):
-    from fidpipe.pipeline import run
-    from fidpipe.pipeline.cli import main as cli
-    from fidpipe.pipeline.storage.store import TableFolder
+HOW = {"kill": die_at_call, "kill-writing": die_writing_after_call}
 
-    if how == "kill":
-        make = next(of.make for of in run.STAGES if of.name == stage)
-        run.STAGES = with_stage(stage, die_at_second_call(make))
-    elif how == "kill-writing":
-        write = TableFolder.replace
 
-        def torn(self, path, content):
-            if path.parent.name == stage:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.with_name(f".{path.name}.torn").write_bytes(bytes(content)[: len(content) // 2])
-                os.kill(os.getpid(), signal.SIGKILL)
-            write(self, path, content)
-
-        TableFolder.replace = torn
-    sys.argv = ["fidpipe", "run", dataset, "--out", out, "--workers", "1"]
-    cli.main()
+def main(how, name, n, dataset, out):
+    make = next(stage.make for stage in STAGES if stage.name == name)
+    run(dataset, out, stages=with_job(name, HOW[how](make, n)))
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3], *map(str, map(Path, sys.argv[3:])))
+    main(*sys.argv[1:3], int(sys.argv[3]), *map(Path, sys.argv[4:]))

@@ -1,5 +1,6 @@
 """Starting runs and comparing what they wrote."""
 
+import ctypes
 import shutil
 import subprocess
 import sys
@@ -18,11 +19,12 @@ from fidpipe.schemas.settings import Settings
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))
 STAGE_NAMES = [stage.name for stage in STAGES]
 FOLDERS = [table for stage in STAGES for table in stage.gives]
+_PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE = 24, 1
 
 
-def run(dataset, out, settings=None, *, workers=1, pool=None, policy=None, **options):
+def run(dataset, out, settings=None, *, workers=1, scheduler=None, pool=None, policy=None, **options):
     """A run in this process, or on workers or a pool."""
-    machines = Machines(workers, pool=pool, policy=policy or Policy())
+    machines = Machines(workers, scheduler, pool, policy or Policy())
     request = RunRequest(dataset, out, settings or Settings(), machines=machines, **options)
     return run_dataset(request, Reporter(Console(quiet=True)))
 
@@ -74,3 +76,14 @@ def run_twice(dataset, tmp_path_factory, settings):
     run(dataset, runs / "plain")
     later = shutil.copytree(runs / "plain", runs / "later")
     return runs / "plain", later, run(dataset, later, settings)
+
+
+def read_only(folder):
+    """What a command's process does first, so that it may not write there, not even where the user is root."""
+
+    def forbid():
+        for path in (*folder.rglob("*"), folder):
+            path.chmod(0o555 if path.is_dir() else 0o444)
+        ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE, 0, 0, 0)
+
+    return forbid

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_PAIRS_FAILED, Assignments, DatasetFolder, Scheduler, SettingsFile, Workers, check_machines
-from .output import print_view
+from .options import Assignments, DatasetFolder, Scheduler, SettingsFile, Workers, check_machines
+from .output import print_outcome
 
 
 def perturb(
@@ -94,8 +94,7 @@ def perturb(
     )
     outcome = perturb_source(request, Reporter())
     draw_perturbations(outcome)
-    print_view(perturb_view(outcome))
-    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+    print_outcome(perturb_view(outcome), outcome.failures)
 
 
 def ablate(
@@ -146,7 +145,7 @@ def ablate(
     check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}
     request = AblateRequest(
-        dataset=dataset,
+        source=dataset,
         out=out or _experiment_folder(dataset, "ablate"),
         settings=load(settings, assignments or []),
         values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
@@ -156,8 +155,7 @@ def ablate(
     )
     outcome = ablate_dataset(request, Reporter())
     draw_ablation(outcome)
-    print_view(ablate_view(outcome))
-    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+    print_outcome(ablate_view(outcome), outcome.failures)
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

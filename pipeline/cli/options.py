@@ -28,6 +28,7 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]
 
 EXIT_WRONG_INPUT = 1
 EXIT_PAIRS_FAILED = 3

@@ -6,7 +6,13 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
+import typer
+
+from .options import EXIT_PAIRS_FAILED
+
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pydantic import JsonValue
     from rich.console import RenderableType
 
@@ -16,6 +22,12 @@ def print_view(view: RenderableType) -> None:
     from rich.console import Console
 
     Console(soft_wrap=not sys.stdout.isatty(), highlight=False).print(view)
+
+
+def print_outcome(view: RenderableType, failures: Mapping[str, str]) -> None:
+    """Prints what a command has made and ends it: `typer.Exit`, with the code for failed pairs if there are any."""
+    print_view(view)
+    raise typer.Exit(EXIT_PAIRS_FAILED if failures else 0)
 
 
 def print_json(values: JsonValue) -> None:

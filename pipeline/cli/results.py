@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_GATE_FAILED, RunFolder
+from .options import EXIT_GATE_FAILED, AsJson, RunFolder
 from .output import print_json, print_view
 
 
@@ -21,7 +21,7 @@ def show(
     paper: Annotated[
         bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show a finished run, one of its pairs, or one object; computes nothing.
 
@@ -147,7 +147,7 @@ def compare(
         ),
     ],
     html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")] = False,
+    as_json: AsJson = False,
     allow_different_settings: Annotated[
         bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
     ] = False,

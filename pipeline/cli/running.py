@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from .options import (
-    EXIT_PAIRS_FAILED,
     EXIT_WRONG_INPUT,
     Assignments,
     DatasetFolder,
@@ -18,7 +17,7 @@ from .options import (
     Workers,
     check_machines,
 )
-from .output import print_view
+from .output import print_outcome, print_view
 
 
 def check(
@@ -109,8 +108,7 @@ def run(
         machines=Machines(workers, scheduler),
     )
     outcome = run_dataset(request, Reporter())
-    print_view(outcome_view(outcome))
-    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+    print_outcome(outcome_view(outcome), outcome.failures)
 
 
 def status(

@@ -73,14 +73,11 @@ def read_dataset(folder: Path) -> Dataset:
     warnings: list[str] = []
     pairs = _from_manifest(manifest) if manifest.exists() else _from_folders(folder, warnings)
     if not pairs:
-        raise DatasetError(
-            f"dataset {folder}: no scan pairs found; {MANIFEST} is empty"
-            if manifest.exists()
-            else f"dataset {folder}: no scan pairs found; files are wanted in real/ and sim/, or a {MANIFEST}"
-        )
-    return Dataset(
-        folder, tuple(sorted(pairs, key=lambda pair: pair.pair_id)), read_label_names(folder), tuple(warnings)
-    )
+        wanted = f"files are wanted in real/ and sim/, or a {MANIFEST}"
+        why = f"{MANIFEST} is empty" if manifest.exists() else wanted
+        raise DatasetError(f"dataset {folder}: no scan pairs found; {why}")
+    pairs.sort(key=lambda pair: pair.pair_id)
+    return Dataset(folder, tuple(pairs), read_label_names(folder), tuple(warnings))
 
 
 def read_label_names(folder: Path) -> dict[int, str]:
@@ -109,12 +106,9 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     pairs = []
     for stem in by_side["real"].keys() | by_side["sim"].keys():
         real, sim = by_side["real"].get(stem), by_side["sim"].get(stem)
-        fault = None
-        if real is None:
-            fault = f"{sim}: no partner; a scan named {stem} is wanted in {folder / 'real'}"
-        elif sim is None:
-            fault = f"{real}: no partner; a scan named {stem} is wanted in {folder / 'sim'}"
-        pairs.append(ScanPair(stem, real, sim, fault=fault))
+        absent = "sim" if real else "real"
+        fault = f"{real or sim}: no partner; a scan named {stem} is wanted in {folder / absent}"
+        pairs.append(ScanPair(stem, real, sim, fault=None if real and sim else fault))
     return pairs
 
 
@@ -159,29 +153,19 @@ def _from_manifest(manifest: Path) -> list[ScanPair]:
                 f"{where}: pair_id {pair_id} stands in line {seen[pair_id]} already; each may stand once"
             )
         seen[pair_id] = line
-        paths = {}
-        fault = None
-        for side in SIDES:
-            name = row[side].strip()
-            path = manifest.parent / name
-            paths[side] = path if name and path.is_file() else None
-            if paths[side] is None and fault is None:
-                fault = (
-                    f"{where}: {path} is no file; the {side} scan is wanted"
-                    if name
-                    else f"{where}: no {side} scan is named"
-                )
-        pairs.append(
-            ScanPair(
-                pair_id,
-                paths["real"],
-                paths["sim"],
-                timestamp_s=_number(where, "timestamp_s", row.get("timestamp_s", "")),
-                T_real_sim=_transform(where, row.get("T_real_sim", "")),
-                fault=fault,
-            )
-        )
+        (real, no_real), (sim, no_sim) = (_named_scan(where, manifest.parent, row[side], side) for side in SIDES)
+        time_s = _number(where, "timestamp_s", row.get("timestamp_s", ""))
+        T_real_sim = _transform(where, row.get("T_real_sim", ""))
+        pairs.append(ScanPair(pair_id, real, sim, time_s, T_real_sim, no_real or no_sim))
     return pairs
+
+
+def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | None, str | None]:
+    """The scan file that a line of the manifest names, or why there is none."""
+    path = folder / name.strip()
+    if not name.strip():
+        return None, f"{where}: no {side} scan is named"
+    return (path, None) if path.is_file() else (None, f"{where}: {path} is no file; the {side} scan is wanted")
 
 
 def _number(where: str, name: str, text: str) -> float | None:
@@ -202,8 +186,8 @@ def _transform(where: str, text: str) -> tuple[float, ...] | None:
         return None
     if len(words) != 12:
         raise DatasetError(f"{where}: T_real_sim has {len(words)} numbers, 12 are wanted ([R | t] row by row)")
-    values = [_number(where, "T_real_sim", word) for word in words]
-    rotation = np.array(values, dtype=np.float64).reshape(3, 4)[:, :3]
+    values = np.array([_number(where, "T_real_sim", word) for word in words], dtype=np.float64)
+    rotation = values.reshape(3, 4)[:, :3]
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > _ROTATION_TOLERANCE:
         raise DatasetError(
@@ -214,4 +198,4 @@ def _transform(where: str, text: str) -> tuple[float, ...] | None:
         raise DatasetError(
             f"{where}: T_real_sim is a mirror image; set input.sim_flip_y = true for a left-handed simulator"
         )
-    return tuple(float(value) for value in values if value is not None)
+    return tuple(values.tolist())

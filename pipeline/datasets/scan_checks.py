@@ -17,19 +17,12 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
-from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
+from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
 from ..storage.files import hash_file, key_of
 from .pairs import ScanPair, read_dataset
 from .readers import read_scan, stem_of
 from .readers.scan import label_path_of
-
-FAR_COORDINATE_M = 1000.0
-SMALLEST_EXTENT_M = 1.0
-STEEP_SPREAD = 0.5
-STEEP_SPREAD_M = 20.0
-HALF_SWEEP_GAP_DEG = 90.0
-EGO_RANGE_M = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,27 +103,26 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     """
     dataset = read_dataset(folder)
     facts = inspect_pairs(dataset.pairs, settings.input, dataset.label_names)
-    faults, warnings = [], list(dataset.warnings)
-    for pair, sides in zip(dataset.pairs, facts, strict=True):
+    pairs, faults, warnings = list(zip(dataset.pairs, facts, strict=True)), [], list(dataset.warnings)
+    for pair, sides in pairs:
         own_faults = [pair.fault, *(scan.fault for scan in sides.values())]
         faults += [f"pair {pair.pair_id}: {fault}" for fault in own_faults if fault]
         warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides)]
-    return DatasetCheck(folder, list(zip(dataset.pairs, facts, strict=True)), faults, warnings)
+    return DatasetCheck(folder, pairs, faults, warnings)
 
 
 def inspect_pairs(
     pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]
 ) -> list[dict[str, ScanFacts]]:
     """What the files of each pair hold, by side; a side whose file is missing is left out."""
-    facts = []
-    for pair in pairs:
-        sides: dict[str, ScanFacts] = {}
-        for side in SIDES:
-            path = pair.path(side)
-            if path is not None:
-                sides[side] = inspect_scan(path, side, pair.T_real_sim, settings, label_names)
-        facts.append(sides)
-    return facts
+    return [
+        {
+            side: inspect_scan(path, side, pair.T_real_sim, settings, label_names)
+            for side in SIDES
+            if (path := pair.path(side)) is not None
+        }
+        for pair in pairs
+    ]
 
 
 def inspect_scan(
@@ -173,61 +165,13 @@ def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts]) -> list[str]:
     """What is odd about a pair that can be evaluated all the same, one line each."""
     warnings = [text for side in facts.values() for text in side.warnings]
     if len(facts) == 2 and not any(scan.fault for scan in facts.values()):
-        gaps = {side: scan.azimuth_gap_deg for side, scan in facts.items()}
-        wide = max(gaps, key=lambda side: gaps[side])
-        narrow = "sim" if wide == "real" else "real"
-        if gaps[wide] > HALF_SWEEP_GAP_DEG >= gaps[narrow]:
+        (narrow_deg, narrow), (wide_deg, wide) = sorted((scan.azimuth_gap_deg, side) for side, scan in facts.items())
+        if wide_deg > HALF_SWEEP_GAP_DEG >= narrow_deg:
             warnings.append(
-                f"{pair.path(wide)}: no point in a sector of {gaps[wide]:.0f} degrees, {gaps[narrow]:.0f} on the "
+                f"{pair.path(wide)}: no point in a sector of {wide_deg:.0f} degrees, {narrow_deg:.0f} on the "
                 f"{narrow} side; is it a half sweep (rotation frequency and tick rate of the simulator differ)?"
             )
     return warnings
-
-
-def implausible(points: FloatArray) -> list[str]:
-    """What is odd about the values of a scan, one sentence each; nothing where there is no point.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres, the scan's own frame, finite and not zero
-    """
-    if not len(points):
-        return []
-    odd = []
-    low, high = np.percentile(points, [1, 99], axis=0)
-    spread = high - low
-    if np.abs([low, high]).max() > FAR_COORDINATE_M:
-        odd.append(
-            f"coordinates reach {np.abs([low, high]).max():.0f} m; "
-            "a scan has its sensor at (0, 0, 0): are they projected?"
-        )
-    elif spread.max() < SMALLEST_EXTENT_M:
-        odd.append(f"all points lie within {spread.max():.2g} m; metres are wanted")
-    elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
-        odd.append(
-            f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
-            "are the columns right (input.columns)?"
-        )
-    near = float(np.mean(np.linalg.norm(points, axis=1) < EGO_RANGE_M))
-    if near > 0.5:
-        odd.append(
-            f"{near:.0%} of the points lie within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
-            "input.min_range_m and input.exclude_box drop them"
-        )
-    return odd
-
-
-def widest_azimuth_gap_deg(points: FloatArray) -> float:
-    """The widest sector around +Z in which no point lies, in degrees; 360 where there is no point.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, the scan's own frame, finite
-    """
-    if not len(points):
-        return 360.0
-    azimuth = np.sort(np.degrees(np.arctan2(points[:, 1], points[:, 0])))
-    return float(np.diff(azimuth, append=azimuth[0] + 360.0).max())
 
 
 def hash_scan(path: Path) -> tuple[str, str]:

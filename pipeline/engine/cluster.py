@@ -53,7 +53,7 @@ _SECONDS_BETWEEN_COUNTS = 1.0
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.admin.tick.limit": "1h",
-    "distributed.comm.recent-messages-log-length": 0,
+    "distributed.admin.low-level-log-length": 0,
 }
 
 
@@ -176,7 +176,11 @@ class DaskPool:
             if error is None or isinstance(error, self._killed_worker):
                 return handle, WorkerDied(str(error or future.status))
             raise error
-        return handle, None if keep else future.result()
+        if keep:
+            return handle, None
+        result = future.result()
+        future.release()  # or it would be made again, and its files written again, if the worker that holds it dies
+        return handle, result
 
     def close(self, *, now: bool = False) -> None:
         """See `Pool`."""

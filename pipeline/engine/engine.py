@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -131,8 +132,9 @@ class Engine:
         """Workers of the pool; 0 where none was needed."""
         return 0 if self._pool is None else self._pool.n_workers
 
-    def make(self, plans: Iterable[PairPlan], work: Work) -> None:
-        """Makes the jobs of pairs that are not done.
+    @contextmanager
+    def scheduling(self, plans: Iterable[PairPlan], work: Work) -> Iterator[Schedule]:
+        """The schedule that makes the jobs of pairs that are not done; while it runs, progress is told.
 
         Parameters
         ----------
@@ -142,7 +144,7 @@ class Engine:
         pool = self.pool
         self.reporter.start(work)
         try:
-            Schedule(pool, plans, work.n_pairs, self, self._machines.policy).run()
+            yield Schedule(pool, plans, work.n_pairs, self, self._machines.policy)
         finally:
             self.reporter.stop()
 
@@ -310,14 +312,15 @@ class RunEngine(Engine):
             self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
         self.folder.ledger.commit()
 
-    def make_missing(self, survey: Survey, plan_pair: PlanPair) -> None:
-        """Makes the jobs that are not there, of the pairs that are to be worked on."""
-        if not survey.todo:
-            return
+    @contextmanager
+    def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
+        """The schedule that makes the jobs that are not there, of the pairs that are to be worked on."""
         counts = {stage: (n, survey.n_done[stage]) for stage, n in survey.n_jobs.items()}
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
+        work = Work(len(survey.todo), survey.seconds, counts, self._machines.policy.costs)
         try:
-            self.make(plans, Work(len(survey.todo), survey.seconds, counts, self._machines.policy.costs))
+            with self.scheduling(plans, work) as schedule:
+                yield schedule
         finally:
             self.folder.ledger.commit()
         if self.failures:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
+from ...schemas.tables import TABLES
 from ..datasets.pairs import ScanPair
 from ..datasets.scan_checks import ScanContent
 from ..stage import OBJECTS, SCAN, Grain, Stage
@@ -139,8 +140,9 @@ class Planner:
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
         """The jobs of a pair with their wanted keys, none of them done yet.
 
-        A job's key is a hash of its stage's name, version, settings and libraries, its part and arguments, and the
-        keys of what it reads; that of an input file hashes its content, its labels with their names, and T_real_sim.
+        A job's key is a hash of its stage's name, version, settings and libraries, the columns of the tables that it
+        gives, its part and arguments, and the keys of what it reads; that of an input file hashes its content, its
+        labels with their names, and T_real_sim.
 
         Parameters
         ----------
@@ -151,7 +153,8 @@ class Planner:
         Raises
         ------
         ValueError
-            Two parts have one name: they would write one file; or a stage takes what none before it gives.
+            Two parts have one name: they would write one file; a stage takes what none before it gives, or names a
+            table or a column that `schemas.tables` does not have.
         """
         makers: dict[str, dict[str, tuple[str, JobId | None]]] = {
             SCAN: {side: (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs}
@@ -192,6 +195,7 @@ class Planner:
                 stage.version,
                 {group: getattr(settings, group).model_dump(mode="json") for group in stage.settings},
                 library_versions(("numpy", "scipy", *stage.libraries(settings))),
+                _given_columns(stage),
             )
             self._method_keys[name] = settings, key  # kept, so that no other settings get the same id
         return self._method_keys[name][1]
@@ -199,6 +203,17 @@ class Planner:
     def _input_key(self, pair: ScanPair, side: str, content: ScanContent) -> str:
         key = content.key(self.label_names)
         return key if side == "real" or pair.T_real_sim is None else key_of(key, pair.T_real_sim)
+
+
+def _given_columns(stage: Stage) -> dict[str, list[str]]:
+    """Name and type of the columns of each table that a stage gives; `ValueError` where it names what is not there."""
+    for table in (*stage.takes, *stage.gives):
+        if table not in (*TABLES, SCAN):
+            raise ValueError(f"stage {stage.name}: schemas.tables has no table {table}")
+    for table, columns in stage.takes.items():
+        if surplus := [name for name in columns if table == SCAN or name not in TABLES[table].schema.names]:
+            raise ValueError(f"stage {stage.name}: {table} has no column {', '.join(surplus)}")
+    return {table: [f"{field.name} {field.type}" for field in TABLES[table].schema] for table in stage.gives}
 
 
 def with_results(

@@ -78,17 +78,13 @@ class InProcess:
 
     def __init__(self, memory: int | None = None) -> None:
         self._memory = memory
-        self._waiting: list[tuple[float, int, Handle, Callable[[], Any], bool]] = []
+        self._waiting: list[tuple[float, int, Handle, Callable[..., Any], tuple[Any, ...], bool]] = []
         self._count = itertools.count()
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
         handle = Handle()
-
-        def call() -> Any:
-            return function(*([handle.future for handle in arg] if is_handles(arg) else arg for arg in args))
-
-        heapq.heappush(self._waiting, (-priority, next(self._count), handle, call, keep))
+        heapq.heappush(self._waiting, (-priority, next(self._count), handle, function, args, keep))
         return handle
 
     @property
@@ -99,9 +95,9 @@ class InProcess:
 
     def next_done(self) -> tuple[Handle, Any]:
         """See `Pool`."""
-        _, _, handle, call, keep = heapq.heappop(self._waiting)
+        _, _, handle, function, args, keep = heapq.heappop(self._waiting)
         with one_blas_thread():
-            handle.future = call()
+            handle.future = function(*([part.future for part in arg] if is_handles(arg) else arg for arg in args))
         return handle, None if keep else handle.future
 
     def close(self, *, now: bool = False) -> None:

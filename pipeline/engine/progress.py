@@ -6,7 +6,7 @@ object is being scored, the time left counts down.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from threading import Event, RLock, Thread
 from time import monotonic
@@ -161,10 +161,16 @@ class Work:
     seconds : of all their sides, and of all parts of experiments
     n_jobs : by stage, how many jobs there are and how many of them are done
     costs : the cost model
+    clock : seconds that never run backwards
     """
 
     def __init__(
-        self, n_pairs: int, seconds: float, n_jobs: Mapping[str, tuple[int, int]], costs: CostModel | None = None
+        self,
+        n_pairs: int,
+        seconds: float,
+        n_jobs: Mapping[str, tuple[int, int]],
+        costs: CostModel | None = None,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         self.n_pairs = n_pairs
         self.n_failed = 0
@@ -175,7 +181,8 @@ class Work:
         self._pairs: dict[str, _PairWork] = {}
         self._all_s, self._known_sides_s, self._known_objects_s, self._done_s = seconds, 0.0, 0.0, 0.0
         self._parts_s = 0.0
-        self._start = self._last = monotonic()
+        self._clock = clock
+        self._start = self._last = clock()
 
     def begin(self, plan: PairPlan) -> None:
         """A pair is begun."""
@@ -197,12 +204,12 @@ class Work:
             self._add(pair, pair.sides_s / pair.n_side_jobs)
         elif OBJECTS in record.facts and pair.objects_s is None:
             self._know_objects(pair, record.facts[OBJECTS])
-        self._last = monotonic()
+        self._last = self._clock()
 
     def take_objects(self, pair_id: str, n_keep: Iterable[int]) -> None:
         """Some objects of a pair are scored."""
         self._add(self._pairs[pair_id], sum(self._costs.object_seconds(n) for n in n_keep))
-        self._last = monotonic()
+        self._last = self._clock()
 
     def end(self, pair_id: str) -> None:
         """A pair has ended, one way or the other."""
@@ -211,7 +218,7 @@ class Work:
         if pair.objects_s is None:  # failed before its objects were known, or has none to be scored
             self._known_sides_s += pair.sides_s
         self._add(pair, pair.sides_s + (pair.objects_s or 0.0) + sum(pair.parts_s.values()) - pair.done_s)
-        self._last = monotonic()
+        self._last = self._clock()
 
     def counts(self) -> str:
         """Ended pairs, and finished jobs of the first stages that are not through, in words."""
@@ -230,7 +237,7 @@ class Work:
 
         Parameters
         ----------
-        now : seconds, of the monotonic clock
+        now : by the same clock
         """
         done, total = self._done_s, self._total_seconds()
         if done <= 0 or now - self._start < 1:

@@ -65,7 +65,31 @@ class PairBatch:
 
 def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
     """Makes and writes the jobs of each pair; one broken job does not stop the others that do not need it."""
-    return [_run_pair(batch, costs) for batch in batches]
+    results = []
+    for batch in batches:
+        jobs = [batch.plan.job(name) for name in batch.jobs]
+        has_parts = any(job.part not in job.stage.parts for job in jobs)
+        tables = _kept_tables(batch.plan) if has_parts else PairTables(batch.plan)
+        records: list[JobRecord] = []
+        failures: list[JobFailure] = []
+        failed: set[JobId] = set()
+        for job in jobs:
+            if failed.intersection(job.needs):
+                failed.add(job.name)
+                continue
+            if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
+                _, n_keep = largest_object(tables.objects)
+                if costs.object_bytes(n_keep) > batch.bytes_for_objects:
+                    break
+            try:
+                records.append(make_job(tables, job))
+            except Exception as error:  # one broken pair does not stop a dataset
+                failures.append(_failure(job, error))
+                failed.add(job.name)
+                if is_required(job):
+                    break
+        results.append(BatchResult(batch.plan.pair_id, tuple(records), tuple(failures)))
+    return results
 
 
 def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]) -> ObjectRows | JobFailure:
@@ -234,31 +258,6 @@ class _WithRows:
         """See `PairTables`."""
         rows = self._rows.get((name, side))
         return self._tables.table(name, side, columns, step) if rows is None else rows.select(columns)
-
-
-def _run_pair(batch: PairBatch, costs: CostModel) -> BatchResult:
-    is_part = any(batch.plan.job(name).part not in batch.plan.job(name).stage.parts for name in batch.jobs)
-    tables = _kept_tables(batch.plan) if is_part else PairTables(batch.plan)
-    records: list[JobRecord] = []
-    failures: list[JobFailure] = []
-    failed: set[JobId] = set()
-    for name in batch.jobs:
-        job = batch.plan.job(name)
-        if failed.intersection(job.needs):
-            failed.add(name)
-            continue
-        if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
-            _, n_keep = largest_object(tables.objects)
-            if costs.object_bytes(n_keep) > batch.bytes_for_objects:
-                break
-        try:
-            records.append(make_job(tables, job))
-        except Exception as error:  # one broken pair does not stop a dataset
-            failures.append(_failure(job, error))
-            failed.add(name)
-            if is_required(job):
-                break
-    return BatchResult(batch.plan.pair_id, tuple(records), tuple(failures))
 
 
 def is_required(job: Job) -> bool:

@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ...schemas.columns import Table
+from ...schemas.columns import Row, Table
 from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings, to_toml
 from ...schemas.tables import TABLES
+from ...stages.summary import mean_and_std
 from ..datasets.pairs import ScanPair, read_dataset, read_label_names
 from ..datasets.readers import stem_of, suffix_of
 from ..engine.engine import Machines, RunEngine, modules_of
@@ -31,6 +35,8 @@ from ..storage.files import key_of, write_whole
 from ..storage.folder import RunFolder
 from ..storage.record import SETTINGS_TOML, read_run, run_header, what_changed, write_record
 from ..storage.tables import JobRecord
+
+_VERSIONS = {stage.name: stage.version for stage in STAGES}
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,24 @@ class Source:
     pairs: tuple[ScanPair, ...]
     label_names: dict[int, str]
     is_scan: bool = False
+
+
+@dataclass(frozen=True)
+class ExperimentRequest:
+    """What a user asks of any experiment.
+
+    source : a scan file or a dataset's folder
+    out : folder of the experiment
+    settings : in force
+    pattern : only pairs whose name matches (shell style)
+    machines : where work is done
+    """
+
+    source: Path
+    out: Path
+    settings: Settings
+    pattern: str | None = None
+    machines: Machines = field(default_factory=Machines)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,24 +121,16 @@ class Experiment:
     """An experiment while it is worked on; `experimenting` opens one."""
 
     def __init__(
-        self, engine: RunEngine, source: Source, stages: tuple[Stage, ...], sides: Sequence[str], changes: Sequence[str]
+        self, name: str, engine: RunEngine, source: Source, stages: tuple[Stage, ...], sides: Sequence[str]
     ) -> None:
         self.engine, self.folder = engine, engine.folder
-        self._source, self._own, self._sides, self._changes = source, stages, tuple(sides), changes
+        self._start = perf_counter()
+        self._name, self._source, self._own, self._sides = name, source, stages, sides
+        self._changes = what_changed(read_run(self.folder.folder), engine.settings, _VERSIONS)
         self._base = _needed(stages)
         self._planner = Planner(self._base, engine.settings, source.label_names, sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
-
-    @property
-    def failures(self) -> dict[str, str]:
-        """Why a task, a pair or a scan failed, by name."""
-        return self.engine.failures
-
-    @property
-    def n_reused(self) -> int:
-        """Jobs that were there already."""
-        n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
-        return n_done - self.engine.n_made
+        self._write_record({})
 
     def prepare(self) -> list[PairPlan]:
         """Makes the stages that the experiment's own need; gives the pairs of which all that is done.
@@ -125,9 +141,9 @@ class Experiment:
             One scan file was named, and it cannot be used.
         """
         self.engine.inspect(self._source.pairs, self._source.label_names, sides=self._sides)
-        if self._source.is_scan and self.failures:
-            raise ScanError("; ".join(self.failures.values()))
-        self._make(frozenset(stage.name for stage in STAGES))
+        if self._source.is_scan and self.engine.failures:
+            raise ScanError("; ".join(self.engine.failures.values()))
+        self._make(STAGES)
         return [plan for plan in self._plans() if not plan.todo]
 
     def make(self, parts: Mapping[str, Sequence[Part]]) -> None:
@@ -139,36 +155,38 @@ class Experiment:
             Two parts have one name: they would write one file. Nothing is removed or made.
         """
         self._parts = parts
-        self._make(frozenset(stage.name for stage in self._own))
+        self._make(self._own)
 
     def rows(self, table: str) -> pa.Table:
         """All rows of one of the experiment's tables."""
-        files = [
-            self.folder.folder / name
-            for pair_id in self.folder.ledger.pair_ids()
-            for record in self.folder.ledger.jobs(pair_id).values()
-            for name in record.files
-            if name.startswith(f"{table}/")
-        ]
-        return pa.concat_tables([TABLES[table].schema.empty_table(), *(pq.read_table(file) for file in files)])
+        names = [name for record in self._records() for name in record.files if name.startswith(f"{table}/")]
+        files = (pq.read_table(self.folder.folder / name) for name in names)
+        return pa.concat_tables([TABLES[table].schema.empty_table(), *files])
 
-    def write_summary(self, table: Table, rows: pa.Table) -> None:
-        """Writes a table of the whole experiment."""
-        keys = [
-            record.key
-            for pair_id in self.folder.ledger.pair_ids()
-            for record in self.folder.ledger.jobs(pair_id).values()
-        ]
-        key, path = key_of(sorted(keys)), self.folder.folder / f"{table.name}.parquet"
-        stored = self.folder.write_at(path, table.name, rows, key)
-        self.folder.ledger.put_job(JobRecord(table.name, "", "", key, {path.name: stored}))
+    def write_summary(self, table: Table, rows: list[Row]) -> pa.Table:
+        """Writes a table of the whole experiment, and returns it."""
+        key, path = key_of(sorted(record.key for record in self._records())), f"{table.name}.parquet"
+        summary = table.from_rows(rows)
+        stored = self.folder.write_at(self.folder.folder / path, table.name, summary, key)
+        self.folder.ledger.put_job(JobRecord(table.name, "", "", key, {path: stored}))
+        return summary
 
-    def write_record(self, name: str, facts: Mapping[str, Any], wall_s: float) -> None:
-        """Writes `run.json`: its head, what the experiment wants to be known, and what has become of the tasks."""
-        jobs = {"made": self.engine.n_made, "reused": self.n_reused}
-        ending = {"failures": self.failures, "jobs": jobs, "wall_s": wall_s}
-        header = _header(name, self._source.path, self.engine.settings)
-        write_record(self.folder.folder, header | dict(facts) | ending, self.folder.check_token)
+    def finish(self, facts: Mapping[str, Any]) -> dict[str, Any]:
+        """What an `ExperimentOutcome` says of any experiment; writes it into `run.json`, with other facts before it."""
+        failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
+        n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
+        jobs = {"made": n_made, "reused": n_done - n_made}
+        self._write_record({**facts, "failures": failures, "jobs": jobs, "wall_s": wall_s})
+        outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}
+        return outcome | {f"n_{name}": n for name, n in jobs.items()}
+
+    def _write_record(self, facts: Mapping[str, Any]) -> None:
+        header = {"experiment": self._name, **run_header(self._source.path, self.engine.settings, _VERSIONS).as_dict()}
+        write_record(self.folder.folder, header | dict(facts), self.folder.check_token)
+
+    def _records(self) -> Iterator[JobRecord]:
+        for pair_id in self.folder.ledger.pair_ids():
+            yield from self.folder.ledger.jobs(pair_id).values()
 
     def _plan(self, pair: ScanPair) -> PairPlan:
         return self._planner.plan(pair, self.engine.contents[pair.pair_id], self._parts.get(pair.pair_id, ()))
@@ -176,25 +194,29 @@ class Experiment:
     def _plans(self) -> Iterator[PairPlan]:
         """The pairs that can be used, knowing what is done."""
         for pair in self._source.pairs:
-            if pair.pair_id in self.engine.contents and pair.pair_id not in self.failures:
+            if pair.pair_id in self.engine.contents and pair.pair_id not in self.engine.failures:
                 yield with_results(self._plan(pair), self.folder)[0]
 
-    def _make(self, exhaustive: frozenset[str]) -> None:
-        wanted = {pair.pair_id for pair in self._source.pairs}
+    def _make(self, stages: Sequence[Stage]) -> None:
+        """Makes what is wanted and not there; of these stages nothing else stays."""
         survey = self.engine.survey(
-            self._source.pairs, self._plan, selected=wanted, exhaustive=exhaustive, why_absent="not asked for"
+            self._source.pairs,
+            self._plan,
+            selected={pair.pair_id for pair in self._source.pairs},
+            exhaustive=frozenset(stage.name for stage in stages),
+            why_absent="not asked for",
         )
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
-        self.engine.make_missing(survey, self._plan)
+        if survey.todo:
+            with self.engine.scheduling_missing(survey, self._plan) as schedule:
+                schedule.run()
 
 
 @contextmanager
 def experimenting(
     name: str,
     source: Source,
-    out: Path,
-    settings: Settings,
-    machines: Machines,
+    request: ExperimentRequest,
     reporter: Reporter,
     *,
     stages: tuple[Stage, ...],
@@ -214,13 +236,19 @@ def experimenting(
     RunError
         The folder holds something else, or is in use.
     """
-    check_folder(out, source.path, name)
-    folder = RunFolder(out)
-    with folder.locked(), RunEngine(folder, settings, machines, reporter, modules_of((*STAGES, *stages))) as engine:
-        changes = what_changed(read_run(out), settings, {stage.name: stage.version for stage in STAGES})
-        write_record(out, _header(name, source.path, settings), folder.check_token)
-        write_whole(out / SETTINGS_TOML, to_toml(settings).encode(), before_rename=folder.check_token)
-        yield Experiment(engine, source, stages, sides, changes)
+    check_folder(request.out, source.path, name)
+    folder, modules = RunFolder(request.out), modules_of((*STAGES, *stages))
+    with folder.locked(), RunEngine(folder, request.settings, request.machines, reporter, modules) as engine:
+        experiment = Experiment(name, engine, source, stages, sides)
+        write_whole(request.out / SETTINGS_TOML, to_toml(request.settings).encode(), before_rename=folder.check_token)
+        yield experiment
+
+
+def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
+    """Of each group of rows with the same keys, nulls among them too: keys, n, mean and std (n - 1) of `value`."""
+    for names, values in scores.groupby(keys, dropna=False, sort=False)["value"]:
+        mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
+        yield dict(zip(keys, names, strict=True)) | {"n": int(values.notna().sum()), "mean": mean, "std": std}
 
 
 def _needed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
@@ -232,8 +260,3 @@ def _needed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
             needed.append(stage)
             wanted.update(stage.takes)
     return tuple(reversed(needed))
-
-
-def _header(name: str, source: Path, settings: Settings) -> dict[str, Any]:
-    versions = {stage.name: stage.version for stage in STAGES}
-    return {"experiment": name, **run_header(source, settings, versions)}

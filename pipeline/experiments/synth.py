@@ -185,7 +185,9 @@ def _make_pairs(request: SynthRequest, wanted: list[int], reporter: Reporter) ->
         reporter.say(f"{request.n_pairs - len(wanted)} of {request.n_pairs} pairs are there already")
     plans = (_plan(request, index) for index in wanted)
     with Engine(Settings(), Machines(request.workers), reporter, [__name__]) as engine:
-        engine.make(plans, Work(len(wanted), float(len(wanted)), {_STAGE.name: (len(wanted), 0)}))
+        work = Work(len(wanted), float(len(wanted)), {_STAGE.name: (len(wanted), 0)})
+        with engine.scheduling(plans, work) as schedule:
+            schedule.run()
         if engine.failures:
             raise FidpipeError(f"dataset {request.out}: {next(iter(engine.failures.values()))}")
 

@@ -7,16 +7,16 @@ side, whose communities are the same where scan and settings are; that too is ch
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...schemas.errors import RunError
 from ...schemas.metrics import METRIC, metric_of
 from ...schemas.results import JsonObject
-from ...stages.arrays import FloatArray
 from ...stages.statistics.comparison import KINDS, Difference, judge, kinds_of_change, paired_difference
 from ...stages.statistics.spread import spread
 from ..jobs import STAGES
@@ -149,60 +149,47 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
     if not names:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'none is scored'})")
-    objects: list[ObjectChange] = []
-    shared: dict[str, dict[str, tuple[float, float]]] = {score: {} for score in SHARED_SCORES}
-    unfollowed = []
+    changes: dict[str, list[ObjectChange]] = {}
     for name in names:
         before, after = base.objects(name), other.objects(name)
-        if not _same_real_side(before, after):
-            unfollowed.append(name)
-            continue
-        changes = _follow(name, before, after)
-        objects += changes
-        for score in SHARED_SCORES:
-            values = [(getattr(change, f"{score}_before"), getattr(change, f"{score}_after")) for change in changes]
-            known = [(a, b) for a, b in values if a is not None and b is not None]
-            if known:
-                shared[score][name] = (float(np.mean([a for a, _ in known])), float(np.mean([b for _, b in known])))
-    scores = [_score_change(base, other, names, column) for column in SCORES]
-    for score in SHARED_SCORES:
-        metric = METRIC[score]
-        means: dict[str, tuple[float | None, float | None]] = dict.fromkeys(names, (None, None))
-        scores.append(_change(f"{metric.label} (objects in both)", metric.higher_is_better, means | shared[score]))
+        if _same_real_side(before, after):
+            changes[name] = _follow(name, before, after)
     return Comparison(
         base=base.folder,
         other=other.folder,
         pairs=names,
         left_out=left_out,
-        unfollowed=tuple(unfollowed),
+        unfollowed=tuple(name for name in names if name not in changes),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        scores=tuple(scores),
-        objects=tuple(objects),
+        scores=(
+            *(_score_change(base, other, names, column) for column in SCORES),
+            *(_shared_change(score, {name: changes.get(name, []) for name in names}) for score in SHARED_SCORES),
+        ),
+        objects=tuple(change for own in changes.values() for change in own),
     )
 
 
 def _settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """Settings of the stages that every run has and that differ, in words."""
     groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
-    changes = []
-    for group in groups:
-        a, b = (run.record.settings.get(group, {}) for run in (base, other))
-        changes += [
-            f"{group}.{name} is {a.get(name)} and {b.get(name)}"
-            for name in dict.fromkeys((*a, *b))
-            if a.get(name) != b.get(name)
-        ]
-    return changes
+    return [
+        f"{group}.{name} is {a} and {b}"
+        for group in groups
+        for name, a, b in _differing(*(run.record.settings.get(group, {}) for run in (base, other)))
+    ]
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """What else differs and can change a number: stage code and libraries."""
-    notes = []
-    for what, name in (("stages", "code of stage"), ("libraries", "library")):
-        a, b = getattr(base.record, what), getattr(other.record, what)
-        notes += [f"{name} {key}: {a.get(key)} and {b.get(key)}" for key in {**a, **b} if a.get(key) != b.get(key)]
-    return notes
+    a, b = base.record, other.record
+    stages = [f"code of stage {name}: {x} and {y}" for name, x, y in _differing(a.stages, b.stages)]
+    return stages + [f"library {name}: {x} and {y}" for name, x, y in _differing(a.libraries, b.libraries)]
+
+
+def _differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """The keys whose values differ, with both values; None where there is none."""
+    return [(key, a.get(key), b.get(key)) for key in {**a, **b} if a.get(key) != b.get(key)]
 
 
 def _not_comparable(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
@@ -230,18 +217,13 @@ def _same_real_side(before: PairObjects, after: PairObjects) -> bool:
 
 def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[ObjectChange]:
     real = before.sides["real"]
-    scores = [{row["real_id"]: row for row in pair.matched} for pair in (before, after)]
-    is_matched = [np.array([i in own for i in range(len(real))], dtype=np.bool_) for own in scores]
-
-    def column(run: int, name: str) -> FloatArray:
-        return _floats([scores[run].get(i, {}).get(name) for i in range(len(real))])
-
-    kinds = kinds_of_change(
-        is_matched[0],
-        is_matched[1],
-        (column(0, "cdc"), column(1, "cdc")),
-        (column(0, "r_lambda"), column(1, "r_lambda")),
+    matched = [{row["real_id"]: row for row in pair.matched} for pair in (before, after)]
+    is_before, is_after = (np.array([i in own for i in range(len(real))], dtype=np.bool_) for own in matched)
+    cdc, r_lambda = (
+        [[own.get(i, {}).get(score) for i in range(len(real))] for own in matched] for score in SHARED_SCORES
     )
+    floats = (tuple(np.array(scores, dtype=np.float64)) for scores in (cdc, r_lambda))  # None becomes NaN
+    kinds = kinds_of_change(is_before, is_after, *floats)
     return [
         ObjectChange(
             pair_id=pair_id,
@@ -250,10 +232,10 @@ def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[Objec
             range_m=row["range_m"],
             n_points=row["n_points"],
             kind=str(kinds[i]),
-            cdc_before=scores[0].get(i, {}).get("cdc"),
-            cdc_after=scores[1].get(i, {}).get("cdc"),
-            r_lambda_before=scores[0].get(i, {}).get("r_lambda"),
-            r_lambda_after=scores[1].get(i, {}).get("r_lambda"),
+            cdc_before=cdc[0][i],
+            cdc_after=cdc[1][i],
+            r_lambda_before=r_lambda[0][i],
+            r_lambda_after=r_lambda[1][i],
         )
         for i, row in enumerate(real)
     ]
@@ -267,13 +249,27 @@ def _score_change(base: FinishedRun, other: FinishedRun, names: Sequence[str], c
     return _change(metric.label, metric.higher_is_better, values, noise)
 
 
+def _shared_change(score: str, changes: Mapping[str, Sequence[ObjectChange]]) -> ScoreChange:
+    """The means of a score by pair over the objects that have it in both runs."""
+    means: dict[str, tuple[float | None, float | None]] = {}
+    for name, own in changes.items():
+        both = [(getattr(change, f"{score}_before"), getattr(change, f"{score}_after")) for change in own]
+        known = [values for values in both if None not in values]
+        before, after = (float(np.mean(values)) for values in zip(*known, strict=True)) if known else (None, None)
+        means[name] = before, after
+    metric = METRIC[score]
+    return _change(f"{metric.label} (objects in both)", metric.higher_is_better, means)
+
+
 def _change(
     heading: str,
     higher_is_better: bool,
     values: dict[str, tuple[float | None, float | None]],
     seed_noise: float | None = None,
 ) -> ScoreChange:
-    difference = paired_difference(*(_floats([both[run] for both in values.values()]) for run in (0, 1)))
+    difference = paired_difference(
+        *np.array([*zip(*values.values(), strict=True)], dtype=np.float64)
+    )  # None becomes NaN
     of_pairs = {name: None if a is None or b is None else b - a for name, (a, b) in values.items()}
     return ScoreChange(heading, higher_is_better, difference, judge(difference, higher_is_better), of_pairs, seed_noise)
 
@@ -285,8 +281,4 @@ def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | 
     n_seeds = {len(scores) for scores in repeats}
     if len(repeats) < len(names) or len(n_seeds) != 1:
         return None
-    return spread(np.array([_floats(scores) for scores in repeats])).least_dataset
-
-
-def _floats(values: Sequence[float | None]) -> FloatArray:
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return spread(np.array(repeats, dtype=np.float64)).least_dataset

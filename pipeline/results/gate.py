@@ -71,16 +71,7 @@ class GateResult:
             "passed": self.passed,
             "notes": list(self.notes),
             "criteria": [
-                {
-                    "name": verdict.criterion.name,
-                    "measure": verdict.criterion.measure,
-                    "bound": verdict.criterion.bound,
-                    "limit": verdict.criterion.limit,
-                    "reason": verdict.criterion.reason,
-                    "value": verdict.value,
-                    "passed": verdict.passed,
-                    "why": verdict.why,
-                }
+                vars(verdict.criterion) | {"value": verdict.value, "passed": verdict.passed, "why": verdict.why}
                 for verdict in self.judged
             ],
         }

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...schemas.errors import DatasetError, SettingsError
 from ...schemas.metrics import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
@@ -27,7 +27,6 @@ _PAIR_SCORES = ("match_rate", *OBJECT_METRICS)
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
 
 _STATES = ("scored", "failed", "to_do", "changed")
-_NO_PAIR = "no pair is scored"
 
 #: Every name that can be measured; words in capitals stand for many.
 KNOWN = (
@@ -48,6 +47,10 @@ class Measured:
     why: str = ""
 
 
+class _AbsentError(Exception):
+    """There is no such number, and why."""
+
+
 class Measures:
     """The numbers of a finished run by name."""
 
@@ -65,7 +68,10 @@ class Measures:
         for pattern, measure in _MEASURES:
             match = pattern.fullmatch(name)
             if match:
-                return measure(self, **match.groupdict())
+                try:
+                    return Measured(float(measure(self, **match.groupdict())))
+                except _AbsentError as why:
+                    return Measured(None, str(why))
         raise SettingsError(f"criterion {name!r}: no such measure; known are {'; '.join(KNOWN)}")
 
     @cached_property
@@ -79,122 +85,103 @@ class Measures:
             pass  # it is there and cannot be read, which `_dataset` says
         return False
 
-    def _of_pairs(self, score: str, stat: str) -> Measured:
+    def _of_pairs(self, score: str, stat: str) -> float:
         column = METRIC[score].mean_column if score in OBJECT_METRICS else score
-        values = np.array([np.nan if row[column] is None else row[column] for row in self.run.scored], dtype=float)
+        values = np.array([row[column] for row in self.run.scored], dtype=np.float64)  # None becomes NaN
         return _statistic(values, stat, "pair", score)
 
-    def _of_objects(self, label: str | None, score: str, stat: str) -> Measured:
-        if not self.run.scored:
-            return Measured(None, _NO_PAIR)
-        values: FloatArray = getattr(self._matched, score)
-        if label is not None:
-            values = values[self._matched.label == label]
-        return _statistic(
-            values, stat, "matched object" if label is None else f"matched object of class {label}", score
-        )
+    def _of_objects(self, label: str | None, score: str, stat: str) -> float:
+        *_, matched = self._objects
+        values: FloatArray = getattr(matched, score)
+        if label is None:
+            return _statistic(values, stat, "matched object", score)
+        return _statistic(values[matched.label == label], stat, f"matched object of class {label}", score)
 
-    def _unmatched(self, label: str | None, what: str, within: str | None, count: str | None) -> Measured:
-        if not self.run.scored:
-            return Measured(None, _NO_PAIR)
-        side = self._sides[_UNMATCHED[what]]
+    def _unmatched(self, label: str | None, what: str, within: str | None, count: str | None) -> float:
+        *sides, _ = self._objects
+        side = sides[_UNMATCHED[what]]
         chosen: BoolArray = np.ones(len(side.pair), dtype=np.bool_)
         if label is not None:
             chosen &= side.label == label
-            if not any((objects.label == label).any() for objects in self._sides):
-                return Measured(
-                    None, f"no object has the class {label}; classes are {', '.join(self._labels) or 'none'}"
-                )
+            labels = np.unique(np.concatenate([own.label for own in sides])).tolist()
+            if label not in labels:
+                known = ", ".join(filter(None, labels)) or "none"
+                raise _AbsentError(f"no object has the class {label}; classes are {known}")
         if within is not None:
             chosen &= side.range_m < float(within)
-        alone = chosen & ~side.is_matched
         if count == "share":
             if not chosen.any():
-                return Measured(None, f"there is no such object on the {SIDES[_UNMATCHED[what]]} side")
-            return Measured(float(np.mean(alone[chosen])))
-        return Measured(_counted(np.bincount(side.pair[alone], minlength=len(self.run.scored)), count or "total"))
+                raise _AbsentError(f"there is no such object on the {SIDES[_UNMATCHED[what]]} side")
+            return float(np.mean(~side.is_matched[chosen]))
+        alone = side.pair[chosen & ~side.is_matched]
+        return _counted(np.bincount(alone, minlength=len(self.run.scored)), count or "total")
 
-    def _both(self, count: str) -> Measured:
-        if not self.run.scored:
-            return Measured(None, _NO_PAIR)
-        return Measured(_counted(np.array([row["n_matched"] for row in self.run.scored]), count))
+    def _both(self, count: str) -> float:
+        return _counted(np.array([row["n_matched"] for row in self._scored]), count)
 
-    def _pairs(self, state: str) -> Measured:
-        if state == "changed":
-            return self._changed()
-        if state != "to_do":
-            return Measured(float(sum(row["status"] == state for row in self.run.rows)))
+    def _pairs(self, state: str) -> float:
+        rows, record = self.run.rows, self.run.record
+        if state in ("scored", "failed"):
+            return len([row for row in rows if row["status"] == state])
         if self.dataset_is_gone:
-            return Measured(float(self.run.record.pairs.to_do))
-        if isinstance(self._dataset, str):
-            return Measured(None, self._dataset)
-        return Measured(
-            float(len({pair.pair_id for pair in self._dataset.pairs} - {row["pair_id"] for row in self.run.rows}))
-        )
+            if state == "to_do":
+                return record.pairs.to_do
+            raise _AbsentError(f"the dataset {record.dataset} is not here")
+        if state == "to_do":
+            return len({pair.pair_id for pair in self._dataset.pairs} - {row["pair_id"] for row in rows})
+        return self._n_changed(self._dataset)
 
-    def _changed(self) -> Measured:
+    def _n_changed(self, dataset: Dataset) -> int:
         """Pairs of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset."""
-        if self.dataset_is_gone:
-            return Measured(None, f"the dataset {self.run.record.dataset} is not here")
-        if isinstance(self._dataset, str):
-            return Measured(None, self._dataset)
         before = self.run.record.inputs
         if not all("content" in hashes for hashes in before.values()):
             again = f"fidpipe run {self.run.record.dataset} --out {self.run.folder}"
-            return Measured(
-                None, f"an older fidpipe wrote the run and did not note all that it is made of; run again: {again}"
+            raise _AbsentError(
+                f"an older fidpipe wrote the run and did not note all that it is made of; run again: {again}"
             )
-        now = {pair.pair_id: pair for pair in self._dataset.pairs}
-        names = self._dataset.label_names
+        now = {pair.pair_id: pair for pair in dataset.pairs}
         try:
-            n = sum(
-                pair_id not in now or input_hashes(now[pair_id], names)["content"] != hashes["content"]
+            return sum(
+                pair_id not in now or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
                 for pair_id, hashes in before.items()
             )
         except OSError as error:
-            return Measured(None, f"a file of the dataset cannot be read ({error})")
-        return Measured(float(n))
+            raise _AbsentError(f"a file of the dataset cannot be read ({error})") from error
 
     @cached_property
-    def _dataset(self) -> Dataset | str:
-        """The dataset of the run as it is now, or why it cannot be read."""
+    def _dataset(self) -> Dataset:
+        """The dataset of the run as it is now."""
         try:
             return read_dataset(Path(self.run.record.dataset))
         except (DatasetError, OSError) as error:
-            return str(error)
+            raise _AbsentError(str(error)) from error
+
+    @property
+    def _scored(self) -> list[Row]:
+        if not self.run.scored:
+            raise _AbsentError("no pair is scored")
+        return self.run.scored
 
     @cached_property
     def _objects(self) -> tuple[SideObjects, SideObjects, MatchedObjects]:
-        names = [row["pair_id"] for row in self.run.scored]
+        names = [row["pair_id"] for row in self._scored]
         for name in names:
             self.run.check(name)
         return read_objects(self.run.store, names)
 
-    @property
-    def _sides(self) -> tuple[SideObjects, SideObjects]:
-        return self._objects[:2]
 
-    @property
-    def _matched(self) -> MatchedObjects:
-        return self._objects[2]
-
-    @property
-    def _labels(self) -> list[str]:
-        labels: list[str] = np.unique(np.concatenate([side.label for side in self._sides])).tolist()
-        return [label for label in labels if label]
-
-
-def _statistic(values: FloatArray, stat: str, what: str, score: str) -> Measured:
+def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
     spread = distribution(values)
     if not spread.n:
-        return Measured(None, f"no {what} has a {score}")
-    value = getattr(spread, stat)
-    return Measured(None, f"only one {what} has a {score}") if value is None else Measured(float(value))
+        raise _AbsentError(f"no {what} has a {score}")
+    value: float | None = getattr(spread, stat)
+    if value is None:
+        raise _AbsentError(f"only one {what} has a {score}")
+    return value
 
 
 def _counted(by_pair: IndexArray, count: str) -> float:
-    numbers = {"total": by_pair.sum(), "mean": by_pair.mean(), "min": by_pair.min(), "max": by_pair.max()}
-    return float(numbers[count])
+    return float(getattr(by_pair, "sum" if count == "total" else count)())
 
 
 def _either(name: str, words: Iterable[str]) -> str:
@@ -203,7 +190,7 @@ def _either(name: str, words: Iterable[str]) -> str:
 
 _CLASS = r"(?:class\.(?P<label>.+)\.)"
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
-_MEASURES: tuple[tuple[re.Pattern[str], Callable[..., Measured]], ...] = tuple(
+_MEASURES: tuple[tuple[re.Pattern[str], Callable[..., float]], ...] = tuple(
     (re.compile(pattern, re.DOTALL), measure)
     for pattern, measure in (
         (rf"{_either('score', _PAIR_SCORES)}\.{_either('stat', _OF_PAIRS)}", Measures._of_pairs),

@@ -50,9 +50,9 @@ def run_status(folder: Path) -> RunStatus:
     if not record:
         raise RunError(f"run {folder}: no run.json found; a folder written by fidpipe run is wanted")
     if "experiment" in record:
-        made_by = f"fidpipe {record['experiment']}"
         raise RunError(
-            f"run {folder}: was written by {made_by}, which goes on when it is run again; status is for runs"
+            f"run {folder}: was written by fidpipe {record['experiment']}, which goes on when it is run again; "
+            "status is for runs"
         )
     dataset = read_dataset(Path(record["dataset"]))
     settings = parse(record["settings"])
@@ -76,13 +76,11 @@ def run_status(folder: Path) -> RunStatus:
                 failures[pair.pair_id] = str(past["reason"])
             for stage in stages:
                 jobs = [job for job in plan.jobs if job.stage is stage]
+                is_stale = any((stage.name, pair.pair_id, job.part) in unwanted for job in jobs)
                 if all(job.record is not None for job in jobs):
                     state = "done"
-                elif pair.pair_id in failures:
-                    state = "failed"
                 else:
-                    is_there = any((stage.name, pair.pair_id, job.part) in unwanted for job in jobs)
-                    state = "stale" if is_there else "to do"
+                    state = "failed" if pair.pair_id in failures else "stale" if is_stale else "to do"
                 states[stage.name][state] += 1
             for own in current_records(run_folder, [pair.pair_id], states):
                 if own.name not in unwanted:

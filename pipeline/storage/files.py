@@ -7,6 +7,7 @@ import json
 import os
 import secrets
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,8 @@ def write_whole(
     except OSError as error:
         raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # it is gone, or its folder is what cannot be written
+            temporary.unlink()
 
 
 def remove_stale(path: Path) -> None:

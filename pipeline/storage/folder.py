@@ -126,7 +126,7 @@ class RunFolder(TableFolder):
             known = parts.setdefault((*record.name, record.key), record)
             known.files.update(record.files)
             if set(known.files) == set(names):
-                ledger.put_job(known)
+                ledger.put_job(parts.pop((*record.name, record.key)))
         return ledger
 
     def _unknown_files(self, ledger: Ledger) -> Iterator[str]:

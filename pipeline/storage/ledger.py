@@ -22,7 +22,7 @@ from ...schemas.errors import RunError
 from .tables import JobName, JobRecord, StoredFile
 
 LEDGER = "ledger.sqlite"
-_VERSION = 1
+_VERSION = 2
 _SECONDS_BETWEEN_COMMITS = 1.0
 _SECONDS_FOR_READERS = 60.0
 

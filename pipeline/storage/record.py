@@ -6,15 +6,16 @@ import json
 import os
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from ...schemas.metrics import OBJECT_METRICS
-from ...schemas.results import Findings, ScoreSummary
+from ...schemas.columns import Row
+from ...schemas.metrics import DATASET_SCORES
+from ...schemas.results import Findings, Machine, PairCounts, RunHeader, RunRecord, ScoreSummary, Seconds
 from ...schemas.settings import Settings
 from ...stages.summary import summarise_dataset
 from .files import write_whole
@@ -39,9 +40,6 @@ LIBRARIES = (
     "trimesh",
     "pypcd4",
 )
-
-#: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
-DATASET_VALUES = ("match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
 def library_versions(names: Iterable[str]) -> dict[str, str]:
@@ -80,70 +78,70 @@ def json_parts(record: Mapping[str, Any]) -> Iterator[bytes]:
     yield b"\n"
 
 
-def run_header(dataset: Path, settings: Settings, stages: Mapping[str, int]) -> dict[str, Any]:
+def run_header(dataset: Path, settings: Settings, stages: Mapping[str, int]) -> RunHeader:
     """What `run.json` holds from the start of a run: what it is made from and with.
 
     Parameters
     ----------
     stages : code version by stage
     """
-    return {
-        "fidpipe": _version("fidpipe"),
-        "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "dataset": str(dataset.resolve()),
-        "settings": settings.model_dump(mode="json"),
-        "seed": settings.communities.seed,
-        "stages": dict(stages),
-        "libraries": library_versions(LIBRARIES),
-        "machine": {
-            "python": platform.python_version(),
-            "system": platform.platform(),
-            "processor": _processor(),
-            "cores": os.cpu_count(),
-        },
-    }
+    return RunHeader(
+        fidpipe=_version("fidpipe"),
+        written=datetime.now(UTC).isoformat(timespec="seconds"),
+        dataset=str(dataset.resolve()),
+        settings=settings.model_dump(mode="json"),
+        seed=settings.communities.seed,
+        stages=dict(stages),
+        libraries=dict(library_versions(LIBRARIES)),
+        machine=Machine(
+            python=platform.python_version(), system=platform.platform(), processor=_processor(), cores=os.cpu_count()
+        ),
+    )
 
 
 def run_record(
-    header: Mapping[str, Any],
+    header: RunHeader,
     input_hashes: Mapping[str, Mapping[str, str]],
-    rows: list[dict[str, Any]],
+    rows: Sequence[Row],
     wall_s: Mapping[str, float],
     n_workers: int,
-    seconds: Mapping[str, Any],
+    seconds: Seconds,
     findings: Findings | None,
     n_to_do: int,
-) -> dict[str, Any]:
+    extras: Mapping[str, Any],
+) -> RunRecord:
     """What `run.json` holds at the end of a run.
 
     Parameters
     ----------
     header : from `run_header`
     input_hashes : by pair, content hash by side, and `content` of all that the pair's numbers come from
-    rows : of `pairs`, with at least status and `DATASET_VALUES`
+    rows : of `pairs`, with at least status and `DATASET_SCORES`
     wall_s : seconds of this command by phase
     n_workers : of this command; 0 where there was nothing to do
     seconds : from `StageSeconds`
     findings : what the objects of all pairs say together
     n_to_do : pairs of the dataset that are neither scored nor failed
+    extras : by name, what the extras say of all pairs together
     """
-    scored = [row for row in rows if row["status"] == "scored"]
-    return {
-        **header,
-        "workers": n_workers,
-        "wall_s": dict(wall_s),
-        "pairs": {"scored": len(scored), "failed": len(rows) - len(scored), "to_do": n_to_do},
-        "summary": {name: score.as_dict() for name, score in summarise_pairs(rows).items()},
-        "findings": findings.as_dict() if findings else {},
-        "seconds": dict(seconds),
-        "inputs": {pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
-    }
+    n_scored = sum(row["status"] == "scored" for row in rows)
+    return RunRecord(
+        **dict(header),
+        workers=n_workers,
+        wall_s=dict(wall_s),
+        pairs=PairCounts(scored=n_scored, failed=len(rows) - n_scored, to_do=n_to_do),
+        summary=summarise_pairs(rows),
+        findings=findings,
+        seconds=seconds,
+        inputs={pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
+        **extras,
+    )
 
 
-def summarise_pairs(rows: Iterable[Mapping[str, Any]]) -> dict[str, ScoreSummary]:
+def summarise_pairs(rows: Iterable[Row]) -> dict[str, ScoreSummary]:
     """Mean and standard deviation over the scored pairs of each score."""
     scored = [row for row in rows if row["status"] == "scored"]
-    return summarise_dataset({name: [row[name] for row in scored] for name in DATASET_VALUES})
+    return summarise_dataset({name: [row[name] for row in scored] for name in DATASET_SCORES})
 
 
 class StageSeconds:
@@ -169,13 +167,13 @@ class StageSeconds:
         n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
         return {stage: {step: s / n_pairs[stage] for step, s in of.items()} for stage, of in self._steps.items()}
 
-    def as_dict(self) -> dict[str, Any]:
-        """`mean`, and `pairs` by pair and stage."""
-        of_pair = {pair_id: {stage: round(s, 6) for stage, s in of.items()} for pair_id, of in self._pairs.items()}
-        return {"mean": self.mean(), "pairs": dict(sorted(of_pair.items()))}
+    def result(self) -> Seconds:
+        """`mean`, and seconds by pair and stage, rounded to microseconds."""
+        pairs = {pair_id: {stage: round(s, 6) for stage, s in own.items()} for pair_id, own in self._pairs.items()}
+        return Seconds(mean=self.mean(), pairs=dict(sorted(pairs.items())))
 
 
-def timing_rows(record: JobRecord, run_token: str) -> Iterator[dict[str, Any]]:
+def timing_rows(record: JobRecord, run_token: str) -> Iterator[Row]:
     """Rows of `timings` of a finished job; one that this run did not make is reused."""
     for step, seconds in record.steps:
         yield {

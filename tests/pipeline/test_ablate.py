@@ -13,14 +13,21 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.experiments.ablate.ablate import AblateOutcome, AblateRequest, Point, ablate_dataset, points_of
-from fidpipe.pipeline.experiments.ablate.choice import choose, influences
+from fidpipe.pipeline.experiments.ablate.ablate import (
+    AblateOutcome,
+    AblateRequest,
+    ablate_dataset,
+    choose,
+    influences,
+    parameter_sets,
+)
 from fidpipe.pipeline.report.figures.experiments import draw_ablation
 from fidpipe.schemas.errors import DatasetError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from fidpipe.stages import method
+from fidpipe.stages.statistics.parameter_choice import ParameterSet
 from runs import command
 from scenes import write_dataset
 
@@ -45,10 +52,10 @@ def done(dataset, tmp_path_factory):
 
 
 def test_one_setting_moves_at_a_time_or_all_of_them_do():
-    base = Point(90, 0.2, 5.0, 1.0)
+    base = ParameterSet(90, 0.2, 5.0, 1.0)
     values = {"k": (60, 90), "tau_m": (0.2, 0.3), "delta_m": (5.0,), "t": (0.5, 1.0, 2.0)}
-    assert len(points_of(base, values, grid=False)) == 1 + 1 + 1 + 0 + 2
-    assert len(points_of(base, values, grid=True)) == 2 * 2 * 1 * 3
+    assert len(parameter_sets(base, values, grid=False)) == 1 + 1 + 1 + 0 + 2
+    assert len(parameter_sets(base, values, grid=True)) == 2 * 2 * 1 * 3
 
 
 def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp_path, monkeypatch):
@@ -127,7 +134,7 @@ def made_up(tmp_path, rates, r_lambdas):
     rows = [
         {
             "pair_id": f"{pair}",
-            **vars(Point(k, 0.2, 5.0, 1.0)),
+            **vars(ParameterSet(k, 0.2, 5.0, 1.0)),
             **dict.fromkeys(("n_communities_real", "n_communities_sim", "n_matched"), 1),
             "match_rate": rate,
             "r_lambda_mean": r_lambda,
@@ -139,7 +146,7 @@ def made_up(tmp_path, rates, r_lambdas):
     table = ABLATE.from_rows(rows)
     return AblateOutcome(
         folder=tmp_path,
-        base=Point(90, 0.2, 5.0, 1.0),
+        base=ParameterSet(90, 0.2, 5.0, 1.0),
         values=values,
         grid=False,
         rows=table,

@@ -131,8 +131,8 @@ def test_what_a_run_made_is_new_in_its_timings_and_all_else_reused(again, datase
 def test_the_record_holds_means_over_pairs_of_means_over_objects(compared):
     out, outcome = compared
     frame = pd.read_parquet(out / "baselines")
-    summary = {(row["baseline"], row["level"]): row for row in outcome.record["baselines"]}
-    assert json.loads((out / "run.json").read_text())["baselines"] == outcome.record["baselines"]
+    summary = {(row["baseline"], row["level"]): row for row in outcome.record.as_dict()["baselines"]}
+    assert json.loads((out / "run.json").read_text())["baselines"] == outcome.record.as_dict()["baselines"]
     for name in ("chamfer_mean_m", "dcd", "icp_rmse_m"):
         of_objects = frame[(frame.baseline == name) & frame.real_id.notna()]
         means = of_objects.groupby("pair_id").value.mean()
@@ -219,7 +219,7 @@ def test_no_stage_of_the_scores_depends_on_their_settings():
 
 def test_the_terminal_shows_each_baseline_with_its_time(compared):
     shown = io.StringIO()
-    rows = [BaselineSummary.from_dict(row) for row in compared[1].record["baselines"]]
+    rows = [BaselineSummary.from_dict(row) for row in compared[1].record.as_dict()["baselines"]]
     Console(width=100, file=shown).print(baselines_view(rows))
     text = shown.getvalue()
     for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h"):

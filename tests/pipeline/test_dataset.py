@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.datasets.scan_checks import check_dataset, implausible, widest_azimuth_gap_deg
+from fidpipe.pipeline.datasets.scan_checks import check_dataset
 from fidpipe.schemas.errors import DatasetError
 from fidpipe.schemas.settings import Settings, load
-from scenes import road, street, write_bin
+from scenes import street, write_bin
 
 
 def folders(tmp_path, real=("a",), sim=("a",)):
@@ -113,28 +113,6 @@ def test_bad_label_names_stop_everything(tmp_path):
     (tmp_path / "labels.toml").write_text("tree = 4\n")
     with pytest.raises(DatasetError, match=r'labels\.toml: lines such as 4 = "tree" are wanted'):
         read_dataset(tmp_path)
-
-
-def test_plausible_scans_raise_no_warning():
-    assert implausible(np.vstack([street(), road(3000, 40)])) == []
-
-
-@pytest.mark.parametrize(
-    ("change", "warning"),
-    [
-        (lambda p: p + [481000.0, 0, 0], "are they projected"),
-        (lambda p: p / 100, "metres are wanted"),
-        (lambda p: p[:, [2, 1, 0]], "are the columns right"),
-        (lambda p: np.vstack([p, np.random.default_rng(0).uniform(-1, 1, (3 * len(p), 3))]), "hits on the ego vehicle"),
-    ],
-)
-def test_an_implausible_scan_is_warned_of(change, warning):
-    assert any(warning in text for text in implausible(change(street())))
-
-
-def test_the_widest_gap_is_found_across_the_seam():
-    angles = np.radians(np.arange(-60, 61, 5))
-    assert widest_azimuth_gap_deg(np.column_stack([-np.cos(angles), np.sin(angles), angles])) == pytest.approx(240)
 
 
 def test_a_half_sweep_on_one_side_is_a_warning(tmp_path):

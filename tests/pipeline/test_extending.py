@@ -1,10 +1,16 @@
-"""The worked examples of docs/extending.md do what the page says."""
+"""The worked examples of docs/extending.md do what the page says, in the files that it names and no others."""
 
+import ast
+import os
 import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
@@ -13,26 +19,369 @@ from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets import readers
 from fidpipe.pipeline.datasets.readers import Format, read_scan
 from fidpipe.schemas.errors import ScanError
-from scenes import drifted, street
+from runs import command
+from scenes import drifted, street, write_bin, write_dataset
 
-PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+PYTHON_FILE = re.compile(r"`([\w/]+\.py)`")
+MOST_FILES = {"A reader": 2, "A setting": 2, "A baseline": 4, "A score": 4, "A stage": 5, "An experiment": 4}
 
 
-def examples(section):
+class Block(NamedTuple):
+    """One example: its file, the one that was named last before it, and its code."""
+
+    path: str
+    code: str
+
+
+def section_of(title):
+    return PAGE.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def blocks_of(title):
     """The Python of a section, block by block."""
-    text = PAGE.split(f"\n## {section}\n")[1].split("\n## ")[0]
-    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    texts = re.split(r"```python\n(.*?)```", section_of(title), flags=re.DOTALL)
+    return [Block(PYTHON_FILE.findall(text)[-1], code) for text, code in zip(texts[::2], texts[1::2], strict=False)]
+
+
+def files_of(title):
+    """The files that the numbered list of a section names, one for each line of it."""
+    items = re.findall(r"^\d+\. (.*?)(?=^\d+\. |^$)", section_of(title), re.DOTALL | re.MULTILINE)
+    return [named[0] for item in items if (named := PYTHON_FILE.findall(item))]
+
+
+# Where a block goes into a file that is there already. Each takes the file's text and the block.
+
+
+def row_in(name):
+    """At the end of the tuple or the dictionary of this name."""
+
+    def edit(text, code):
+        value = statement(text, name).value
+        if isinstance(value, ast.DictComp):
+            value = value.generators[0].iter
+        end = offset(text, value.end_lineno, value.end_col_offset) - 1
+        head = text[:end].rstrip()
+        return f"{head}{'' if head.endswith(',') else ','}\n{code.rstrip().removesuffix(',')},\n{text[end:]}"
+
+    return edit
+
+
+def field_in(name):
+    """After the last field of the class of this name."""
+
+    def edit(text, code):
+        last = [node for node in statement(text, name).body if isinstance(node, ast.AnnAssign)][-1]
+        return insert(text, last.end_lineno + 1, code, indent=4)
+
+    return edit
+
+
+def before(name):
+    """Before what has this name."""
+    return lambda text, code: insert(text, statement(text, name).lineno, f"{code}\n\n")
+
+
+def before_return_of(name):
+    """Before the function of this name returns."""
+    return lambda text, code: insert(text, statement(text, name).body[-1].lineno, code, indent=4)
+
+
+def argument_in_return_of(name):
+    """Among the arguments of what the function of this name returns, where the block has `...` for those there are."""
+
+    def edit(text, code):
+        call = statement(text, name).body[-1].value
+        end = offset(text, call.end_lineno, call.end_col_offset) - 1
+        more = [ast.unparse(argument) for argument in ast.parse(code).body[0].value.keywords]
+        return f"{text[:end].rstrip()}\n{', '.join(more)},\n{text[end:]}"
+
+    return edit
+
+
+def after_imports(text, code):
+    """Behind the last import."""
+    last = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom)][-1]
+    return insert(text, last.end_lineno + 1, code)
+
+
+def in_place_of_its_like(text, code):
+    """Each statement takes the place of the one that imports from the same module, binds or goes over the same name."""
+    for new in ast.parse(code).body:
+        (old,) = [node for node in ast.parse(text).body if likeness(node) == likeness(new)]
+        assert words(old) < words(new), f"the page knows another {ast.unparse(old)}"
+        lines = text.splitlines(keepends=True)
+        lines[old.lineno - 1 : old.end_lineno] = [ast.get_source_segment(code, new) + "\n"]
+        text = "".join(lines)
+    return text
+
+
+def raised_version(text):
+    """The file with the version of its stage raised by one."""
+    raised, n = re.subn(r"\bversion=(\d+),", lambda old: f"version={int(old[1]) + 1},", text)
+    assert n == 1
+    return raised
+
+
+def statement(text, name):
+    (node,) = [node for node in ast.parse(text).body if name in likeness(node)]
+    return node
+
+
+def likeness(node):
+    """What a statement has in common with the one that it takes the place of."""
+    match node:
+        case ast.ImportFrom(module=module, level=level):
+            return ("from", module, level)
+        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+            return (name,)
+        case ast.For(target=ast.Name(id=name)):
+            return ("for", name)
+        case ast.ClassDef(name=name) | ast.FunctionDef(name=name):
+            return (name,)
+    return (node,)
+
+
+def words(node):
+    return set(re.findall(r"\w+", ast.unparse(node)))
+
+
+def offset(text, line, column):
+    return sum(map(len, text.splitlines(keepends=True)[: line - 1])) + column
+
+
+def insert(text, line, code, indent=0):
+    at = offset(text, line, 0)
+    return text[:at] + re.sub(r"^(?=.)", " " * indent, code, flags=re.MULTILINE) + text[at:]
+
+
+#: Of each section, where its blocks go; None is a new file.
+PLACES = {
+    "A reader": [None, row_in("FORMATS")],
+    "A setting": [field_in("GraphSettings"), before_return_of("build_graph")],
+    "A baseline": [row_in("BASELINES"), None, after_imports, row_in("BASELINES")],
+    "A score": [row_in("OBJECT_SCORES"), field_in("Scores"), argument_in_return_of("score_object")],
+    "A stage": [
+        before("TABLES"),
+        row_in("TABLES"),
+        before("Settings"),
+        field_in("Settings"),
+        None,
+        None,
+        in_place_of_its_like,
+    ],
+    "An experiment": [
+        before("EXPERIMENT_TABLES"),
+        row_in("EXPERIMENT_TABLES"),
+        None,
+        before("_numbers"),
+        in_place_of_its_like,
+    ],
+}
+
+
+class Extended(NamedTuple):
+    """A copy of the package with the examples of a section written into it."""
+
+    folder: Path
+
+    def fidpipe(self, *words, exit_code=0):
+        """The command of the copy."""
+        result = self.python("from fidpipe.pipeline.cli.main import main; main()", *words)
+        assert result.returncode == exit_code, result.stdout + result.stderr
+        return result
+
+    def python(self, code, *words):
+        environment = os.environ | {"PYTHONPATH": str(self.folder)}
+        call = [sys.executable, "-c", code, *map(str, words)]
+        return subprocess.run(call, capture_output=True, text=True, check=False, env=environment, cwd=self.folder)
+
+    def breaks_no_layer(self):
+        """Whether imports still go downwards only."""
+        shutil.copy(ROOT / "pyproject.toml", self.folder)
+        lint = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
+        environment = os.environ | {"PYTHONPATH": str(self.folder)}
+        result = subprocess.run(lint, capture_output=True, text=True, check=False, env=environment, cwd=self.folder)
+        return result.returncode == 0 or result.stdout
+
+    def run_examples(self, module):
+        """Runs the examples in the docstrings of a module; gives how many there are."""
+        code = (
+            f"import doctest, {module} as module; result = doctest.testmod(module); "
+            "assert not result.failed; print(result.attempted, module.__file__)"
+        )
+        n, path = self.python(code).stdout.split()
+        assert path.startswith(str(self.folder))
+        return int(n)
+
+
+def extended(title, folder):
+    """A copy of the package with the blocks of a section in their places; gives it with the files that were touched."""
+    package = folder / "fidpipe"
+    for part in ("pipeline", "schemas", "stages"):
+        shutil.copytree(ROOT / part, package / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "__init__.py", package)
+    touched = []
+    for block, edit in zip(blocks_of(title), PLACES[title], strict=True):
+        path = package / block.path
+        assert path.exists() == (edit is not None), block.path
+        path.write_text(block.code if edit is None else edit(path.read_text(), block.code))
+        touched.append(block.path)
+    if title == "A score":
+        path = package / files_of(title)[-1]
+        path.write_text(raised_version(path.read_text()))
+        touched.append(files_of(title)[-1])
+    for path in touched:
+        compile((package / path).read_text(), path, "exec")
+    return Extended(folder), touched
+
+
+@pytest.mark.parametrize("title", PLACES)
+def test_an_example_touches_the_files_that_its_section_names_and_they_are_few(title, tmp_path):
+    _, touched = extended(title, tmp_path)
+    files = files_of(title)
+    assert sorted(set(touched)) == sorted(files)
+    assert len(files) <= MOST_FILES[title]
+    anchor = title.lower().replace(" ", "-")
+    (row,) = [line for line in PAGE.splitlines() if line.startswith("|") and f"(#{anchor})" in line]
+    assert int(re.search(r"\| (\d)", row)[1]) == len(files)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2, n=100)
+
+
+@pytest.fixture(scope="module")
+def plain(dataset, tmp_path_factory):
+    """A run by the package as it is."""
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    assert command("run", dataset, "--out", out, "--workers", 1).returncode == 0
+    return out
+
+
+@pytest.fixture
+def again(plain, tmp_path):
+    return shutil.copytree(plain, tmp_path / "run")
+
+
+def made_again(result):
+    """The stages that the command says it replaces."""
+    lines = [line for line in result.stderr.splitlines() if line.startswith("replacing ")]
+    return {name for line in lines for name in re.search(r"replacing (.*?) of ", line)[1].split(", ")}
+
+
+@pytest.mark.slow
+def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, dataset, tmp_path):
+    package, _ = extended("A setting", tmp_path)
+    run = ("run", dataset, "--out", again, "--workers", 1)
+    assert made_again(package.fidpipe(*run)) == {"graph", "communities", "matching", "selection", "metrics"}
+    assert made_again(package.fidpipe(*run)) == set()
+    result = package.fidpipe(*run, "--set", "graph.max_edge_m=0.5")
+    assert made_again(result) == {"graph", "communities", "matching", "selection", "metrics"}
+    assert "graph.max_edge_m was None, is 0.5" in result.stderr
+    assert pd.read_parquet(again / "graph").length_m.max() <= 0.5
+    assert "max_edge_m = 0.5" in (again / "settings.toml").read_text()
+    wrong = package.fidpipe(*run, "--set", "graph.max_edge_m=0", exit_code=1)
+    assert wrong.stderr.startswith("error: setting graph.max_edge_m: 0 found; Input should be greater than 0")
+
+
+@pytest.mark.slow
+def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
+    package, _ = extended("A baseline", tmp_path)
+    assert package.breaks_no_layer() is True
+    assert package.run_examples("fidpipe.stages.baselines.box_overlap") == 2
+    package.fidpipe("run", dataset, "--out", again, "--workers", 1, "--set", "metrics.baselines=box_overlap")
+    rows, metrics = pd.read_parquet(again / "baselines"), pd.read_parquet(again / "metrics")
+    assert rows.real_id.notna().sum() == len(metrics)
+    ground = pd.read_parquet(again / "ground").query("not is_ground and pair_id == '000'")
+    low, high = (getattr(ground.groupby("side")[["x", "y", "z"]], end)() for end in ("min", "max"))
+    common = (high.min() - low.max()).clip(lower=0).prod()
+    whole = rows[rows.real_id.isna() & (rows.pair_id == "000")].value.item()
+    assert whole == pytest.approx(common / ((high - low).prod(axis=1).sum() - common))
+    timings = pd.read_parquet(again / "timings.parquet").query("stage == 'baselines'")
+    assert {"box_overlap", "box_overlap, whole scan"} <= set(timings.step)
+    words = ("--sweep", "dropout=0.4", "--repeats", 1, "--global-repeats", 0, "--workers", 1)
+    package.fidpipe("perturb", dataset, "--out", tmp_path / "perturb", "--metrics", "box_overlap", *words)
+    assert pd.read_parquet(tmp_path / "perturb" / "perturb_baselines").value.between(0, 1).all()
+
+
+@pytest.mark.slow
+def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, tmp_path):
+    package, _ = extended("A score", tmp_path)
+    words = ("--sweep", "noise=0.01", "--repeats", 1, "--global-repeats", 1, "--workers", 1)
+    perturb = ("perturb", dataset, "--out", tmp_path / "perturb", *words)
+    assert command(*perturb).returncode == 0
+    result = package.fidpipe("run", dataset, "--out", again, "--workers", 1)
+    assert made_again(result) == {"metrics"}
+    assert "code of stage metrics is new" in result.stderr
+    metrics = pd.read_parquet(again / "metrics").dropna(subset="laplacian_change")
+    assert (metrics.frobenius_change >= metrics.laplacian_change - 1e-9).all()
+    pairs = pd.read_parquet(again / "pairs.parquet").set_index("pair_id")
+    means = pd.read_parquet(again / "metrics").groupby("pair_id").frobenius_change.mean()
+    assert pairs.frobenius_change_mean.to_dict() == pytest.approx(means.to_dict())
+    assert made_again(package.fidpipe(*perturb)) == {"perturb_global", "perturb_objects"}
+    assert "frobenius_change_mean" in pd.read_parquet(tmp_path / "perturb" / "perturb_global")
+    scan = dataset / "real" / "000.bin"
+    for side in ("real", "sim"):
+        write_bin(tmp_path / "same" / side / "a.bin", np.fromfile(scan, "<f4").reshape(-1, 4)[:, :3])
+    package.fidpipe("run", tmp_path / "same", "--out", tmp_path / "identical", "--workers", 1)
+    assert (pd.read_parquet(tmp_path / "identical" / "metrics").frobenius_change.dropna() == 0).all()
+
+
+@pytest.mark.slow
+def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
+    package, _ = extended("A stage", tmp_path)
+    assert package.breaks_no_layer() is True
+    assert package.run_examples("fidpipe.stages.neighbours") == 1
+    run = ("run", dataset, "--out", again)
+    result = package.fidpipe(*run, "--workers", 1)
+    assert made_again(result) == set()
+    assert "4 jobs done, 18 reused" in result.stdout
+    objects, rows = (pd.read_parquet(again / table) for table in ("objects", "neighbours"))
+    assert len(rows) == len(objects)
+    for (pair_id, side), own in objects.groupby(["pair_id", "side"]):
+        centroids = own.sort_values("community_id")[["cx", "cy", "cz"]].to_numpy()
+        apart = np.linalg.norm(centroids[:, None] - centroids[None], axis=2) + np.diag(np.full(len(own), np.inf))
+        nearest = rows[(rows.pair_id == pair_id) & (rows.side == side)].sort_values("community_id").nearest_m
+        np.testing.assert_allclose(nearest, np.where(apart.min(axis=1) <= 20, apart.min(axis=1), np.nan))
+    assert "nearest" in set(pd.read_parquet(again / "timings.parquet").query("stage == 'neighbours'").step)
+    assert re.search(r"neighbours +2", package.fidpipe("status", again).stdout)
+    assert made_again(package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5")) == {"neighbours"}
+    package.fidpipe("run", dataset, "--out", tmp_path / "two", "--workers", 2)
+    package.fidpipe(*run, "--workers", 1)
+    for path in (tmp_path / "two" / "neighbours").iterdir():
+        assert pq.read_table(path).equals(pq.read_table(again / "neighbours" / path.name))
+
+
+@pytest.mark.slow
+def test_the_experiment_makes_what_is_missing_on_any_number_of_workers(dataset, tmp_path):
+    package, _ = extended("An experiment", tmp_path)
+    assert package.breaks_no_layer() is True
+    assert "fidpipe spread scan.bin --seeds 20" in package.fidpipe("spread", "--help").stdout
+    spread = ("spread", dataset, "--out", tmp_path / "spread")
+    assert "8 jobs done, 0 reused" in package.fidpipe(*spread, "--seeds", 2, "--workers", 1).stdout
+    assert "4 jobs done, 8 reused" in package.fidpipe(*spread, "--seeds", 4, "--workers", 2).stdout
+    assert "0 jobs done, 10 reused" in package.fidpipe(*spread, "--seeds", 3, "--workers", 1).stdout
+    rows = pd.read_parquet(tmp_path / "spread" / "spread").sort_values(["pair_id", "seed"])
+    assert rows.seed.tolist() == [0, 1, 2] * 2
+    package.fidpipe("run", dataset, "--out", tmp_path / "run", "--workers", 1)
+    objects = pd.read_parquet(tmp_path / "run" / "objects").query("side == 'real'").groupby("pair_id").size()
+    assert rows[rows.seed == 0].n_communities.tolist() == objects.tolist()
+    wrong = package.fidpipe("run", dataset, "--out", tmp_path / "spread", exit_code=1)
+    assert "was written by fidpipe spread, not by fidpipe run" in wrong.stderr
 
 
 @pytest.fixture
 def xyz_reader(tmp_path, monkeypatch):
     """The documented reader in a file of the readers' package, and its row in the table."""
-    reader, row = examples("A reader")
+    reader, row = blocks_of("A reader")
     folder = tmp_path / "readers"
     folder.mkdir()
-    (folder / "xyz.py").write_text(reader)
+    (folder / "xyz.py").write_text(reader.code)
     monkeypatch.setattr(readers, "__path__", [*readers.__path__, str(folder)])
-    monkeypatch.setattr(readers, "FORMATS", readers.FORMATS | eval(f"{{{row}}}", {"Format": Format}))
+    monkeypatch.setattr(readers, "FORMATS", readers.FORMATS | eval(f"{{{row.code}}}", {"Format": Format}))
     yield
     sys.modules.pop(f"{readers.__name__}.xyz", None)
 
@@ -85,12 +434,3 @@ def test_check_names_what_is_wrong_with_a_file_of_the_new_format(tmp_path, xyz_r
     assert shown.exit_code == 1
     with pytest.raises(ScanError, match=r"a\.xyz: 2 columns found, 3 wanted \(x y z\)"):
         read_scan(dataset / "sim" / "a.xyz")
-
-
-@pytest.mark.parametrize("section", ["A reader", "A setting", "A baseline", "A score"])
-def test_the_examples_of_the_page_are_python(section):
-    blocks = examples(section)
-    assert blocks
-    for block in blocks:
-        is_table_row = block.startswith('"') and not block.startswith('"""')
-        compile(f"{{{block}}}" if is_table_row else block.rstrip().removesuffix(","), section, "exec")

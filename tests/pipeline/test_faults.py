@@ -12,11 +12,14 @@ import pexpect
 import pytest
 
 import faults
-from fidpipe.pipeline import run as run_module
-from fidpipe.pipeline.engine import cluster as fanout
+from fidpipe.pipeline.engine import cluster
 from fidpipe.pipeline.engine.cluster import DaskPool
 from fidpipe.pipeline.engine.pool import WorkerDied
-from runs import FIDPIPE, STAGE_NAMES, assert_same_tables, command, no_temporary_files, run
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import EXTRAS, STAGES
+from fidpipe.pipeline.storage.ledger import LEDGER
+from fidpipe.schemas.settings import load
+from runs import FIDPIPE, STAGE_NAMES, assert_same_tables, changed_files, command, marks, no_temporary_files, run
 from scenes import write_dataset
 
 pytestmark = pytest.mark.slow
@@ -40,12 +43,16 @@ def finished(dataset, tmp_path_factory):
 @pytest.mark.parametrize("stage", STAGE_NAMES)
 def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_path, how, stage):
     out = tmp_path / "run"
-    words = [sys.executable, str(TESTS / "faults.py"), how, stage, str(dataset), str(out)]
-    died = subprocess.run(words, check=False, capture_output=True)
-    assert died.returncode == -signal.SIGKILL, died.stderr
+    died = break_run(how, stage, 2, dataset, out)
+    assert died.returncode == -(signal.SIGXFSZ if how == "kill-writing" else signal.SIGKILL), died.stderr
     assert not (out / "pairs.parquet").exists()
+    assert no_temporary_files(out) == (how == "kill")
+    before = marks(out)
     outcome = run(dataset, out)
-    assert outcome.n_made < 36 or (how == "kill-writing" and stage == "ground")
+    i = STAGE_NAMES.index(stage)
+    n_finished = 2 * i + 1 if i < 3 else 9 + 6 + i - 3  # none of them was reported, all were adopted
+    assert outcome.n_made == 36 - n_finished
+    assert not {name for name in before if name in changed_files(out, before)}
     assert_same_tables(out, finished)
     assert no_temporary_files(out)
 
@@ -88,7 +95,7 @@ def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path
 def test_a_second_run_on_the_same_folder_is_refused(dataset, finished, tmp_path):
     out = tmp_path / "run"
     process = start(dataset, out, 1)
-    wait_for(out / "index.jsonl")
+    wait_for(out / LEDGER)
     second = command("run", dataset, "--out", out, "--workers", "1")
     assert second.returncode == 1
     assert "another fidpipe is writing here; wait for it, or give another --out" in second.stderr
@@ -102,10 +109,8 @@ def test_two_workers_give_the_tables_of_one(dataset, finished, tmp_path):
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_path, monkeypatch):
-    monkeypatch.setattr("fidpipe.pipeline.engine.schedule._WORTH_SPLITTING_S", 0.0)
-    monkeypatch.setattr("fidpipe.pipeline.engine.schedule._BATCH_S", 0.0)
-    outcome = run(dataset, tmp_path / "run", workers=2)
+def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_path):
+    outcome = run(dataset, tmp_path / "run", workers=2, policy=Policy(worth_splitting_s=0.0, batch_s=0.0))
     assert outcome.n_made == 36
     assert_same_tables(tmp_path / "run", finished)
 
@@ -145,20 +150,31 @@ def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
 
 def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
-    monkeypatch.setattr(run_module, "STAGES", faults.with_stage("graph", faults.poisoned_graph))
-    outcome = run(dataset, tmp_path / "run", workers=2)
+    outcome = run(dataset, tmp_path / "run", workers=2, stages=faults.with_job("graph", faults.poisoned_graph))
     assert set(outcome.failures) == {faults.POISON}
-    assert "the worker process died" in outcome.failures[faults.POISON]
-    monkeypatch.undo()
+    assert "stage graph, real: the worker process died" in outcome.failures[faults.POISON]
     assert run(dataset, tmp_path / "run").n_made <= 9
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    stages = faults.with_job("baselines", faults.poisoned_baselines, (*STAGES, *EXTRAS))
+    settings = load(None, ["metrics.baselines=chamfer", "stability.seeds=2"])
+    outcome = run(dataset, tmp_path / "run", settings, workers=2, stages=stages)
+    assert set(outcome.failures) == {faults.POISON}
+    assert outcome.failures[faults.POISON].startswith("stage baselines: the worker process died, and again")
+    assert {row["status"] for row in outcome.rows} == {"scored"}
+    assert outcome.record.seeds.n_pairs == 4
+    assert run(dataset, tmp_path / "run", settings).n_made == 1
     assert_same_tables(tmp_path / "run", finished)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_bug_fails_its_pair_and_keeps_its_traceback(dataset, tmp_path, monkeypatch, workers):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
-    monkeypatch.setattr(run_module, "STAGES", faults.with_stage("matching", faults.buggy_matching))
-    outcome = run(dataset, tmp_path / "run", workers=workers)
+    stages = faults.with_job("matching", faults.buggy_matching)
+    outcome = run(dataset, tmp_path / "run", workers=workers, stages=stages)
     assert outcome.failures == {"001": "stage matching: internal error: ZeroDivisionError: a bug"}
 
 
@@ -173,12 +189,40 @@ def test_a_pool_tells_of_a_dead_worker_and_goes_on(tmp_path):
         pool.close(now=True)
 
 
+def note(path):
+    """A line in a file, so that a test can count how often this was called."""
+    with path.open("a") as file:
+        file.write("called\n")
+    return path.read_text()
+
+
+def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    pool = DaskPool(1, None, tmp_path, {})
+    try:
+        handle = pool.submit(note, tmp_path / "calls")
+        assert pool.next_done() == (handle, "called\n")
+        pool.submit(os._exit, 1)
+        assert isinstance(pool.next_done()[1], WorkerDied)
+        pool.submit(pow, 2, 5)
+        assert pool.next_done()[1] == 32
+        assert (tmp_path / "calls").read_text() == "called\n"
+    finally:
+        pool.close(now=True)
+
+
 def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monkeypatch):
-    monkeypatch.setattr(fanout, "_KILL_S", 0.0)
+    monkeypatch.setattr(cluster, "_KILL_S", 0.0)
     pool = DaskPool(1, None, tmp_path, {})
     pool.submit(time.sleep, 1)
     pool.close(now=True)
     assert pool._cluster.status.name == "closed"
+
+
+def break_run(how, stage, n, dataset, out):
+    """A run of its own that breaks at the n-th job of a stage."""
+    words = [sys.executable, str(TESTS / "faults.py"), how, stage, str(n), str(dataset), str(out)]
+    return subprocess.run(words, check=False, capture_output=True)
 
 
 def start(dataset, out, workers):

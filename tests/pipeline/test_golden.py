@@ -21,7 +21,7 @@ def test_the_numbers_of_a_stage_change_only_with_its_code_version(measured, want
     found, kept = measured[stage], wanted[stage]
     assert not golden.differs(found["numbers"], kept["numbers"]), (
         f"numbers of stage {stage} changed under version {found['version']} (golden: {kept['version']}); if that is "
-        "meant, raise the version in pipeline/run.py, say why in CHANGELOG.md, and run python tests/golden.py"
+        "meant, raise the version in pipeline/jobs, say why in CHANGELOG.md, and run python tests/golden.py"
     )
     assert found["version"] == kept["version"], "the version was raised: run python tests/golden.py"
 

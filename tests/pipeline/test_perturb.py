@@ -16,19 +16,17 @@ from fidpipe.pipeline.engine.plan import Part
 from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.experiments.experiment import experimenting, read_source
-from fidpipe.pipeline.experiments.perturb import choice as perturb_choice
-from fidpipe.pipeline.experiments.perturb.claims import judge_claims
 from fidpipe.pipeline.experiments.perturb.jobs import GLOBAL
+from fidpipe.pipeline.experiments.perturb.objects import choose_objects
 from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, object_points, parse_levels, perturb_source
-from fidpipe.pipeline.experiments.perturb.reactions import react
 from fidpipe.pipeline.report.figures.experiments import draw_perturbations
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
-from fidpipe.schemas.experiment_tables import PERTURB_SUMMARY
 from fidpipe.schemas.settings import load
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.sensing.perturbations import Perturbation, perturb
+from fidpipe.stages.sensing.typical_objects import ScanObjects
+from fidpipe.stages.statistics.sweeps import react
 from runs import command
 from scenes import street, write_bin, write_dataset
 
@@ -213,19 +211,20 @@ def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labell
         ([(0.3, 0.1, 0.6), (0.4, 0.1, 0.5)], [1, 0], 2),
     ],
 )
-def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes, monkeypatch, done):
+def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes):
     n = len(shapes)
     ones = np.ones(n)
-    scan = perturb_choice._ScanObjects("a", np.full(n, 99), ones, [None] * n, ones, np.array(shapes))
-    monkeypatch.setattr(perturb_choice, "_describe", lambda folder, scan_id: scan)
-    choice = perturb_choice.choose_objects(RunFolder(done.folder), "a", None, SETTINGS.graph.k)
-    assert [of.community_id for of in choice.objects] == chosen
-    assert len(choice.notes) == n_notes
+    scan = ScanObjects("a", np.full(n, 99), ones, [None] * n, ones, np.array(shapes))
+    notes = []
+    objects = choose_objects(scan, None, SETTINGS.graph.k, notes.append)
+    assert [of.community_id for of in objects] == chosen
+    assert len(notes) == n_notes
 
 
 def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
-    at = (read_source(scan, None), out, SETTINGS, Machines(workers=1), Reporter(Console(quiet=True)))
+    request = PerturbRequest(scan, out, SETTINGS, machines=Machines(workers=1))
+    at = (read_source(scan, None), request, Reporter(Console(quiet=True)))
     part = Part(GLOBAL, "noise-1.0", (Perturbation("noise", 1.0), [1]))
     with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",)) as experiment:
         experiment.prepare()
@@ -325,33 +324,9 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     altered = perturb(own, Perturbation("noise", 0.01), np.random.default_rng(row.seed))
     there, back = cKDTree(altered).query(own)[0], cKDTree(own).query(altered)[0]
     assert row.value == pytest.approx(there.mean() + back.mean())
-    reactions = {of.metric: of for of in react(outcome.summary, LEVELS)}
+    reactions = {of.metric: of for of in react(outcome.means, LEVELS)}
     assert reactions["f_score"].most.kind == "rigid"
     assert reactions["r_lambda"].most.kind == "dropout"
-
-
-def test_claims_are_judged_by_the_numbers():
-    def summary(rates, curve):
-        levels = [Perturbation("dropout", amount) for amount in (0.1, 0.2)]
-        found = [(None, "match_rate", rates), ("car", "r_lambda", curve)]
-        return levels, PERTURB_SUMMARY.from_rows(
-            {**vars(level), "scope": "global", "object": of, "metric": metric, "n": 1, "mean": value}
-            for of, metric, values in found
-            for level, value in zip(levels, values, strict=True)
-        )
-
-    levels, good = summary((0.9, 0.8), (0.1, 0.2))
-    assert [claim.holds for claim in judge_claims(good, levels)] == [True, True]
-    levels, bad = summary((0.8, 0.9), (0.2, 0.1))
-    claims = judge_claims(bad, levels)
-    assert [claim.holds for claim in claims] == [False, False]
-    assert claims[0].here == "0 of 1, not car"
-    levels, flat = summary((0.8, 0.8), (0.2, 0.2))
-    assert [claim.holds for claim in judge_claims(flat, levels)] == [False, False]
-    levels, gap = summary((0.9, None), (None, 0.2))
-    claims = judge_claims(gap, levels)
-    assert [claim.holds for claim in claims] == [None, None]
-    assert [claim.here for claim in claims] == ["no value for dropout 0.1 of car", "no value for dropout 0.2"]
 
 
 @pytest.mark.slow

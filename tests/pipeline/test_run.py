@@ -13,6 +13,7 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
+from pools import WatchedPool
 from runs import FOLDERS, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
@@ -152,13 +153,14 @@ def test_a_touched_but_unchanged_input_file_touches_nothing(again, tmp_path, dat
     assert run(data, again).n_made == 0
 
 
-def test_files_are_known_wherever_the_command_is_called(again, dataset, monkeypatch):
-    run(dataset, again)
-    seen = []
-    monkeypatch.setattr("fidpipe.pipeline.engine.engine.inspect_pairs", lambda pairs, *_: seen.extend(pairs))
-    monkeypatch.chdir(dataset.parent)
-    assert run(Path(dataset.name), again).n_made == 0
-    assert not seen
+def test_files_are_known_wherever_the_command_is_called(tmp_path, monkeypatch):
+    data = write_dataset(tmp_path / "streets", 17, n=40)  # so many that a pool reads them
+    first, second = WatchedPool(), WatchedPool()
+    run(data, tmp_path / "run", pool=first)
+    assert "inspect_pairs" in first.submitted
+    monkeypatch.chdir(tmp_path)
+    assert run(Path("streets"), tmp_path / "run", pool=second).n_made == 0
+    assert not second.submitted
 
 
 @pytest.mark.parametrize("stage", STAGE_NAMES)

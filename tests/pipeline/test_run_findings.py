@@ -56,7 +56,7 @@ def test_the_findings_agree_with_the_tables(finished):
 def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
     data, folder, outcome = finished
     monkeypatch.setattr(findings_of_run, "read_objects", lambda *_: pytest.fail("the tables were read"))
-    assert run(data, folder).record["findings"] == outcome.record["findings"]
+    assert run(data, folder).record.as_dict()["findings"] == outcome.record.as_dict()["findings"]
 
 
 def test_other_timestamps_make_other_findings(finished):
@@ -66,16 +66,16 @@ def test_other_timestamps_make_other_findings(finished):
         (data / "pairs.csv").write_text(manifest.replace(",200", ",130"))
         after = run(data, folder)
         assert after.n_made == 0
-        assert [scan["pair"] for scan in after.record["findings"]["scans"]["scans"]] == ["000", "001"]
+        assert [scan["pair"] for scan in after.record.as_dict()["findings"]["scans"]["scans"]] == ["000", "001"]
     finally:
         (data / "pairs.csv").write_text(manifest)
-    assert run(data, folder).record["findings"] == before.record["findings"]
+    assert run(data, folder).record.as_dict()["findings"] == before.record.as_dict()["findings"]
 
 
 def test_a_run_without_a_scored_pair_has_no_findings(tmp_path):
     data = write_dataset(tmp_path / "streets", 1)
     (data / "sim" / "000.bin").write_bytes(b"")
-    record = run(data, tmp_path / "run").record
+    record = run(data, tmp_path / "run").record.as_dict()
     assert record["findings"] == {}
     assert record["pairs"] == {"scored": 0, "failed": 1, "to_do": 0}
 

@@ -1,39 +1,32 @@
-"""The order of work: what is admitted when, and what cannot fit."""
+"""The order of work: what is admitted when, what cannot fit, and what becomes of a pair whose worker dies."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline import run as run_module
-from fidpipe.pipeline.engine import costs, runner, schedule, session
-from fidpipe.pipeline.engine import memory as admission
-from fidpipe.pipeline.engine.pool import InProcess, Memory, WorkerDied
+from fidpipe.pipeline.engine.costs import CostModel
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import load
+from pools import GIB, DyingPool, WatchedPool
 from runs import assert_same_tables, run
 from scenes import write_dataset
 
-GIB = 2**30
+LARGE_NODES = CostModel(bytes_per_node=2**22)
+N_JOBS = 27
+EXTRA = load(None, ["metrics.baselines=chamfer", "stability.seeds=2"])
 
 
-class TwoAtOnce(InProcess):
-    """A pool that says it runs two tasks at once in a given memory; it remembers what it was given."""
+@dataclass(frozen=True)
+class TooLargeAbove(CostModel):
+    """Objects above a limit need more memory than anybody has, all others none."""
 
-    n_workers = 2
+    limit: float = 0.0
 
-    def __init__(self, memory):
-        super().__init__()
-        self.given = Memory(memory, memory)
-        self.submitted = []
-
-    @property
-    def memory(self):
-        return self.given
-
-    def submit(self, function, *args, **options):
-        self.submitted.append(function.__name__)
-        return super().submit(function, *args, **options)
+    def object_bytes(self, n_keep):
+        return 100 * GIB if n_keep > self.limit else 0
 
 
 @pytest.fixture(scope="module")
@@ -48,115 +41,145 @@ def finished(dataset, tmp_path_factory):
     return out
 
 
-def run_in(pool, monkeypatch, dataset, out):
-    monkeypatch.setattr(session, "start_pool", lambda *args: pool)
-    return run(dataset, out)
+def fail(context):
+    raise StageError("no such thing")
 
 
-def test_a_pair_that_cannot_fit_fails_with_size_need_and_setting(dataset, tmp_path, monkeypatch):
-    outcome = run_in(TwoAtOnce(GIB // 4), monkeypatch, dataset, tmp_path / "run")
+def extras(**makes):
+    """The pipeline with all extras, some of them with another job."""
+    return (*STAGES, *(replace(stage, make=makes.get(stage.name, stage.make)) for stage in EXTRAS))
+
+
+def test_a_pair_that_cannot_fit_fails_with_size_need_and_setting(dataset, tmp_path):
+    outcome = run(dataset, tmp_path / "run", pool=WatchedPool(memory=GIB // 4))
     assert len(outcome.failures) == 3
     for reason in outcome.failures.values():
         assert "points" in reason and "GiB of memory may be needed" in reason and "machine.memory_gib" in reason
 
 
-def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_path, monkeypatch):
+def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_path):
     largest = pd.read_parquet(finished / "metrics").groupby("pair_id").n_keep.max()
     loser = largest.idxmax()
-    limit = (largest.max() + largest.drop(loser).max()) / 2
-    for module in (schedule, admission, runner):
-        monkeypatch.setattr(module, "object_bytes", lambda n: 100 * GIB if n > limit else 0)
-    outcome = run_in(TwoAtOnce(8 * GIB), monkeypatch, dataset, tmp_path / "run")
+    costs = TooLargeAbove(limit=(largest.max() + largest.drop(loser).max()) / 2)
+    outcome = run(dataset, tmp_path / "run", pool=WatchedPool(), policy=Policy(costs))
     assert list(outcome.failures) == [loser]
     assert f"of {largest.max()} aligned nodes: 1e+02 GiB" in outcome.failures[loser]
     assert "graph.k" in outcome.failures[loser]
     assert not (tmp_path / "run" / "selection" / f"{loser}.parquet").exists()
 
 
-def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers(
-    dataset, finished, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(schedule, "_FEW_PAIRS_A_WORKER", 0)  # no pair is split for speed
-    monkeypatch.setattr(costs, "_BYTES_A_NODE", 2**22)
-    pool = TwoAtOnce(3 * GIB // 2)
-    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
+def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers(dataset, finished, tmp_path):
+    pool = WatchedPool(memory=3 * GIB // 2)
+    policy = Policy(LARGE_NODES, few_pairs_per_worker=0)  # no pair is split for speed
+    assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
     assert "score_objects" in pool.submitted
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path, monkeypatch):
-    at_once = []
-
-    class Watched(schedule.Schedule):
-        def _admit(self):
-            super()._admit()
-            needs = sorted((order.need for order in self._running.values()), reverse=True)
-            at_once.append((len(needs), sum(needs[:2])))
-
-    monkeypatch.setattr("fidpipe.pipeline.engine.session.Schedule", Watched)
-    monkeypatch.setattr(schedule, "_LEAST_WEIGHT", 1.0)  # a task a pair
-    monkeypatch.setattr(costs, "_BYTES_A_NODE", 2**22)
-    memory = 3 * GIB
-    pool = TwoAtOnce(memory)
-    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
-    assert max(need for n, need in at_once if n > 1) <= memory - 2 * costs.PROCESS_BYTES
-    assert 1 in {n for n, _ in at_once}  # some had to wait until nothing ran beside them
+def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path):
+    policy = Policy(LARGE_NODES, worth_splitting_s=0.0, batch_s=0.0)  # one task per object
+    ample, scarce = (WatchedPool(memory=memory, costs=LARGE_NODES) for memory in (64 * GIB, 2 * GIB))
+    for name, pool in (("ample", ample), ("scarce", scarce)):
+        assert not run(dataset, tmp_path / name, pool=pool, policy=policy).failures
+    usable = 2 * GIB - 2 * LARGE_NODES.process_bytes
+    assert max(need for _, need in ample.at_once) > usable
+    assert max(need for n, need in scarce.at_once if n > 1) <= usable
+    assert_same_tables(tmp_path / "ample", tmp_path / "scarce")
 
 
+@pytest.mark.parametrize("function", ["run_batch", "score_objects", "gather_objects"])
 def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_same(
-    dataset, finished, tmp_path, monkeypatch
+    dataset, finished, tmp_path, function
 ):
-    class DyingOnce(TwoAtOnce):
-        died = False
-
-        def next_done(self):
-            handle, outcome = super().next_done()
-            if not self.died:
-                self.died = True
-                return handle, WorkerDied("killed")
-            return handle, outcome
-
-    monkeypatch.setattr(schedule, "_FEW_PAIRS_A_WORKER", 0)
-    monkeypatch.setattr(costs, "_BYTES_A_NODE", 2**22)
-    pool = DyingOnce(3 * GIB // 2)
-    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
-    assert pool.died
+    pool = DyingPool(lambda jobs, name: name == function, 1, memory=3 * GIB // 2)
+    policy = Policy(LARGE_NODES, few_pairs_per_worker=0)
+    assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
+    assert pool.n_deaths == 1
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_small_pairs_go_together_and_give_the_same(dataset, finished, tmp_path, monkeypatch):
-    pool = TwoAtOnce(8 * GIB)
-    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
-    assert pool.submitted == ["run_pairs"]
+def test_what_a_dying_worker_leaves_is_made_again_job_by_job(dataset, finished, tmp_path):
+    pool = DyingPool(lambda jobs, name: True, 1)
+    outcome = run(dataset, tmp_path / "run", pool=pool)
+    assert (outcome.failures, outcome.n_made) == ({}, N_JOBS)
+    assert [len(jobs) for jobs in pool.batches] == [N_JOBS, *[1] * N_JOBS]
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_pairs_that_nobody_ended_are_an_error_not_a_silence(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(schedule.Schedule, "_admit", lambda self: None)
+def test_a_job_at_which_a_worker_dies_twice_fails_its_pair_alone(dataset, finished, tmp_path):
+    pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs)
+    outcome = run(dataset, tmp_path / "run", pool=pool)
+    reason = "stage matching: the worker process died, and again when the pair ran alone (out of memory?)"
+    assert {pair_id: text.partition(": killed")[0] for pair_id, text in outcome.failures.items()} == {"001": reason}
+    assert pool.n_deaths == 2
+    assert outcome.n_made == N_JOBS - 3  # matching, selection and metrics of one pair
+    assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # what the dead worker wrote is nobody's
+    assert run(dataset, tmp_path / "run").n_made == 3
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_an_extra_at_which_a_worker_dies_twice_fails_alone(dataset, finished, tmp_path):
+    pool = DyingPool(lambda jobs, name: ("001", "baselines", "") in jobs)
+    outcome = run(dataset, tmp_path / "run", EXTRA, pool=pool)
+    assert {row["status"] for row in outcome.rows} == {"scored"}
+    assert list(outcome.failures) == ["001"]
+    assert outcome.failures["001"].startswith("stage baselines: the worker process died, and again")
+    assert outcome.n_made == N_JOBS + 5
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_small_pairs_go_together_and_give_the_same(dataset, finished, tmp_path):
+    pool = WatchedPool()
+    assert not run(dataset, tmp_path / "run", pool=pool).failures
+    assert pool.submitted == ["run_batch"]
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, finished, tmp_path):
+    pool = WatchedPool()
+    policy = Policy(worth_splitting_s=0.0, batch_s=0.0)
+    assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
+    n_objects = len(pd.read_parquet(tmp_path / "run" / "metrics"))
+    assert pool.submitted.count("score_objects") == n_objects > 3
+    assert pool.submitted.count("gather_objects") == 3
+    assert {tuple(stage for _, stage, _ in jobs) for jobs in pool.batches} == {
+        ("ground", "graph", "communities"),
+        ("matching",),
+    }
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_pairs_that_nobody_began_are_an_error_not_a_silence(dataset, tmp_path):
+    nothing_begins = Policy(pairs_per_worker=0, few_pairs_per_worker=0)
     with pytest.raises(RuntimeError, match="3 pairs were left over"):
-        run_in(TwoAtOnce(GIB), monkeypatch, dataset, tmp_path / "run")
+        run(dataset, tmp_path / "run", pool=WatchedPool(), policy=nothing_begins)
 
 
 @pytest.mark.parametrize("n_workers", [2, 32])
-def test_what_fits_alone_does_not_depend_on_the_number_of_workers(dataset, finished, tmp_path, monkeypatch, n_workers):
-    pool = TwoAtOnce(2 * GIB)
-    pool.n_workers = n_workers
-    assert not run_in(pool, monkeypatch, dataset, tmp_path / "run").failures
+def test_what_fits_alone_does_not_depend_on_the_number_of_workers(dataset, finished, tmp_path, n_workers):
+    assert not run(dataset, tmp_path / "run", pool=WatchedPool(n_workers, 2 * GIB)).failures
     assert_same_tables(tmp_path / "run", finished)
 
 
 def test_there_are_no_more_workers_than_the_memory_holds():
-    assert costs.most_workers(2 * GIB) == 3
-    assert costs.most_workers(1) == 1
+    assert CostModel().most_workers(2 * GIB) == 3
+    assert CostModel().most_workers(1) == 1
 
 
-def test_a_failed_extra_leaves_its_pair_scored_and_is_told(dataset, finished, tmp_path, monkeypatch):
-    def fail(*_):
-        raise StageError("no such thing")
-
-    monkeypatch.setattr(run_module, "EXTRAS", tuple(replace(of, make=fail) for of in run_module.EXTRAS))
-    outcome = run(dataset, tmp_path / "run", load(None, ["metrics.baselines=chamfer"]))
+def test_a_failed_extra_leaves_its_pair_scored_and_is_told(dataset, finished, tmp_path):
+    settings = load(None, ["metrics.baselines=chamfer"])
+    stages = extras(baselines=fail)[:-1]
+    outcome = run(dataset, tmp_path / "run", settings, stages=stages)
     assert {row["status"] for row in outcome.rows} == {"scored"}
-    assert all("stage baselines: no such thing" in reason for reason in outcome.failures.values())
-    assert len(outcome.failures) == 3
+    assert outcome.failures == dict.fromkeys(("000", "001", "002"), "stage baselines: no such thing")
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_a_failed_extra_does_not_stop_another(dataset, finished, tmp_path):
+    outcome = run(dataset, tmp_path / "run", EXTRA, stages=extras(baselines=fail))
+    assert outcome.failures == dict.fromkeys(("000", "001", "002"), "stage baselines: no such thing")
+    assert outcome.record.seeds.n_pairs == 3
+    assert outcome.n_made == N_JOBS + 3
+    mended = run(dataset, tmp_path / "run", EXTRA)
+    assert (mended.failures, mended.n_made) == ({}, 3)
     assert_same_tables(tmp_path / "run", finished)

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 import fidpipe
-from fidpipe.pipeline.engine import schedule
+from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.report.terminal.run import seeds_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
@@ -97,7 +97,7 @@ def test_they_stay_while_they_are_true_and_go_when_the_results_change(again, dat
 def test_the_record_holds_the_spread_over_seeds_and_pairs(repeated):
     out, outcome = repeated
     record = json.loads((out / "run.json").read_text())["seeds"]
-    assert record == outcome.record["seeds"]
+    assert record == outcome.record.as_dict()["seeds"]
     by_pair = pd.read_parquet(out / "seeds").groupby("pair_id")
     assert (record["n_seeds"], record["n_pairs"]) == (3, 2)
     for name in SEEDED_SCORES:
@@ -118,9 +118,8 @@ def test_python_gives_the_same_numbers_as_the_command(repeated, dataset):
 
 
 @pytest.mark.slow
-def test_two_workers_give_the_same_table(dataset, repeated, tmp_path, monkeypatch):
-    monkeypatch.setattr(schedule, "_WORTH_SPLITTING_S", 0.0)
-    run(dataset, tmp_path / "run", THREE, workers=2)
+def test_two_workers_give_the_same_table(dataset, repeated, tmp_path):
+    run(dataset, tmp_path / "run", THREE, workers=2, policy=Policy(worth_splitting_s=0.0))
     assert_same_tables(tmp_path / "run", repeated[0])
     found, wanted = seeds(tmp_path / "run"), seeds(repeated[0])
     assert found.keys() == wanted.keys()
@@ -129,7 +128,7 @@ def test_two_workers_give_the_same_table(dataset, repeated, tmp_path, monkeypatc
 
 def test_the_terminal_shows_the_spread(repeated):
     shown = io.StringIO()
-    Console(width=80, file=shown).print(seeds_view(SeedSummary.from_dict(repeated[1].record["seeds"])))
+    Console(width=80, file=shown).print(seeds_view(SeedSummary.from_dict(repeated[1].record.as_dict()["seeds"])))
     text = shown.getvalue()
     assert "How stable the scores are (3 seeds, 2 pairs)" in text
     for word in ("match rate", "r_lambda", "real above", "000", "001"):

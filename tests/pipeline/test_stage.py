@@ -16,6 +16,8 @@ from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.jobs.points import object_points
 from fidpipe.pipeline.stage import SCAN, Made
 from fidpipe.pipeline.storage.folder import RunFolder
+from fidpipe.schemas.columns import FLOAT64, column
+from fidpipe.schemas.tables import TABLES
 from runs import assert_same_tables, run
 from scenes import write_dataset
 from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
@@ -316,6 +318,28 @@ def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work
     with pytest.raises(ValueError, match="stage ratios takes matching, selection, which no stage before it gives"):
         run(dataset, tmp_path / "run", ToySettings(), stages=(*STAGES[: toys.N_BEFORE_MATCHING], OF_SIDE, OF_PAIR))
     assert not (tmp_path / "run" / "ground").exists()
+
+
+@pytest.mark.parametrize(
+    ("declared", "fault"),
+    [
+        ({"takes": {"communities": ("comunity_id",)}}, "communities has no column comunity_id"),
+        ({"gives": ("toy_clouds",)}, "schemas.tables has no table toy_clouds"),
+    ],
+)
+def test_a_stage_that_names_what_no_contract_has_is_refused_before_any_work(dataset, tmp_path, declared, fault):
+    with pytest.raises(ValueError, match=f"stage crowds: {fault}"):
+        run_with_toys(dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, **declared)))
+    assert not (tmp_path / "run" / "ground").exists()
+
+
+def test_another_column_makes_a_table_again_and_what_follows(again, dataset, monkeypatch):
+    before, wider = files(again), toys.MARKS.schema.append(column("more", FLOAT64, "of the same", optional=True))
+    monkeypatch.setattr(toys, "MARKS", replace(toys.MARKS, schema=wider))
+    monkeypatch.setitem(TABLES, "toy_marks", toys.MARKS)
+    run_with_toys(dataset, again)
+    assert made_again(again, before) == {"toy_marks"}
+    assert pq.read_table(again / "toy_marks" / "000.parquet").column("more").null_count
 
 
 @pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ....schemas.errors import ScanError
-from .scan import Scan, scan_from_columns
+from .scan import Scan, refused_unless, scan_from_columns
 
 
 def read(path: Path) -> Scan:
@@ -18,8 +17,6 @@ def read(path: Path) -> Scan:
     """
     import pandas as pd
 
-    try:
+    with refused_unless(path, "a CSV table", ValueError):  # pandas' parser errors are ValueErrors
         frame = pd.read_csv(path, skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError) as error:  # pandas' parser errors are ValueErrors
-        raise ScanError(f"{path}: not a CSV table ({str(error).strip()})") from error
     return scan_from_columns(path, {str(name).strip(): frame[name].to_numpy() for name in frame.columns})

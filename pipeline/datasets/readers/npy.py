@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .scan import Scan, scan_from_columns
+from .scan import Scan, refused_unless, scan_from_columns
 
 _COLUMNS = ("x", "y", "z", "intensity")
 
@@ -20,10 +20,8 @@ def read(path: Path) -> Scan:
     ScanError
         The array is not whole, holds objects (pickles, which could run code), or has another shape.
     """
-    try:
+    with refused_unless(path, "a whole .npy array", ValueError, EOFError):
         array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise ScanError(f"{path}: not a whole .npy array ({error})") from error
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ....schemas.errors import ScanError
-from .scan import Scan, scan_from_columns
+from .scan import Scan, refused_unless, scan_from_columns
 
 
 def read(path: Path) -> Scan:
@@ -19,8 +18,6 @@ def read(path: Path) -> Scan:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    try:
+    with refused_unless(path, "a whole Parquet file", pa.ArrowException):
         table = pq.ParquetFile(path).read()
-    except pa.ArrowException as error:
-        raise ScanError(f"{path}: not a whole Parquet file ({error})") from error
     return scan_from_columns(path, {name: table.column(name).to_numpy() for name in table.column_names})

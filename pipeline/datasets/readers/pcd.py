@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ....schemas.errors import ScanError
-from .scan import Scan, scan_from_columns
+from .scan import Scan, refused_unless, scan_from_columns
 
 
 def read(path: Path) -> Scan:
@@ -18,12 +18,8 @@ def read(path: Path) -> Scan:
     """
     from pypcd4 import PointCloud
 
-    try:
+    with refused_unless(path, "a whole PCD file", Exception):  # pypcd4 has no error class of its own
         cloud = PointCloud.from_path(path)
-    except OSError:
-        raise
-    except Exception as error:  # pypcd4 has no error class of its own
-        raise ScanError(f"{path}: not a whole PCD file ({error})") from error
     rows = cloud.pc_data
     if len(rows) != cloud.metadata.points:
         raise ScanError(

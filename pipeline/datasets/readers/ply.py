@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ....schemas.errors import ScanError
-from .scan import Scan, scan_from_columns
+from .scan import Scan, refused_unless, scan_from_columns
 
 
 def read(path: Path) -> Scan:
@@ -20,15 +19,11 @@ def read(path: Path) -> Scan:
     """
     from trimesh.exchange.ply import load_ply
 
-    try:
+    with refused_unless(path, "a whole PLY file with vertices", Exception):  # trimesh raises whatever its parser met
         with path.open("rb") as file:
             vertex = load_ply(file, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
         n_points, rows = vertex["length"], vertex["data"]
         columns = {name: np.asarray(rows[name]).reshape(n_points) for name in vertex["properties"]}
         if any(column.dtype == object for column in columns.values()):
             raise ValueError("a row is too short")
-    except OSError:
-        raise
-    except Exception as error:  # trimesh raises whatever its parser met
-        raise ScanError(f"{path}: not a whole PLY file with vertices ({error})") from error
     return scan_from_columns(path, columns)

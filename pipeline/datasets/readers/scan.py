@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,28 @@ def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
         intensity=None if intensity is None else _numbers(path, "intensity", intensity),
         labels=None if labels is None else _label_text(labels),
     )
+
+
+@contextmanager
+def refused_unless(path: Path, wanted: str, *errors: type[Exception]) -> Iterator[None]:
+    """Around the call of a format's library.
+
+    Parameters
+    ----------
+    wanted : what the file should be: "a CSV table"
+    errors : what the library raises on a broken file
+
+    Raises
+    ------
+    ScanError
+        In place of these errors. An `OSError` of the file itself is let through.
+    """
+    try:
+        yield
+    except OSError:
+        raise
+    except errors as error:
+        raise ScanError(f"{path}: not {wanted} ({str(error).strip()})") from error
 
 
 def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str]) -> Scan:

@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 
 from ....schemas.columns import SIDES
@@ -22,12 +21,12 @@ from ....schemas.errors import SettingsError
 from ....schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
 from ....schemas.metrics import DATASET_SCORES
 from ....schemas.settings import Settings, parse
-from ....stages.summary import mean_and_std
+from ....stages.arrays import FloatArray
+from ....stages.statistics.parameter_choice import Influence, ParameterSet, Verdict, influence, judge_parameter
 from ...engine.costs import CostModel
-from ...engine.engine import Machines
 from ...engine.plan import PairPlan, Part
 from ...engine.progress import Reporter
-from ..experiment import Experiment, ExperimentOutcome, experimenting, read_source
+from ..experiment import ExperimentOutcome, ExperimentRequest, experimenting, mean_rows, read_source
 from .jobs import STAGE
 
 #: The ablated settings: column of `ablate`, group and name of the setting, and the values that are tried.
@@ -39,35 +38,21 @@ PARAMETERS = {
 }
 
 
-@dataclass(frozen=True, order=True)
-class Point:
-    """One choice of the four settings: k, tau and delta in metres, diffusion time t."""
-
-    k: int
-    tau_m: float
-    delta_m: float
-    t: float
+_NAMES = list(PARAMETERS)
+#: The settings that the rule can choose.
+CHOSEN = ("k", "tau_m", "t")
 
 
 @dataclass(frozen=True)
-class AblateRequest:
-    """What the user asked for.
+class AblateRequest(ExperimentRequest):
+    """What the user asked for: a dataset, and settings around which one at a time is moved.
 
-    dataset, out : folders
-    settings : around which one setting at a time is moved
     values : by parameter, those to try besides the value in force; by default those of `PARAMETERS`
     grid : all combinations instead of one at a time
-    pattern : only pairs whose name matches
-    machines : where work is done
     """
 
-    dataset: Path
-    out: Path
-    settings: Settings
     values: dict[str, tuple[float, ...]] = field(default_factory=dict)
     grid: bool = False
-    pattern: str | None = None
-    machines: Machines = field(default_factory=Machines)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +61,24 @@ class AblateOutcome(ExperimentOutcome):
 
     base : the settings in force
     values : by parameter, all that were tried, ascending
-    rows : of `ablate`, one row per pair and point
+    rows : of `ablate`, one row per pair and parameter set
     """
 
-    base: Point
+    base: ParameterSet
     values: dict[str, tuple[float, ...]]
     grid: bool
     rows: pa.Table
+
+    def along(self, name: str) -> list[ParameterSet]:
+        """The parameter sets in which one parameter moves and the others are in force."""
+        return [self.base.moved(name, value) for value in self.values[name]]
+
+    def scores(self, metric: str, tried: Sequence[ParameterSet]) -> FloatArray:
+        """(n_pairs, n_sets) values of a column of `ablate`; pairs in which one is missing are left out."""
+        wide = self.rows.to_pandas().pivot(index="pair_id", columns=_NAMES, values=metric)
+        columns = pd.MultiIndex.from_tuples([tuple(vars(parameters).values()) for parameters in tried])
+        values: FloatArray = wide.reindex(columns=columns).dropna().to_numpy(dtype=np.float64)
+        return values
 
 
 def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
@@ -93,69 +89,79 @@ def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
     FidpipeError
         The dataset, a setting or the folder is wrong; before any work.
     """
-    start = perf_counter()
-    base = point_of(request.settings)
-    values = values_of(request)
-    points = points_of(base, values, request.grid)
-    settings_of = {point: with_point(request.settings, point) for point in points}
-    source = read_source(request.dataset, request.pattern)
+    base = parameters_of(request.settings)
+    values = {
+        name: _values(name, request.values.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES
+    }
+    settings_of = {
+        parameters: with_parameters(request.settings, parameters)
+        for parameters in parameter_sets(base, values, request.grid)
+    }
+    source = read_source(request.source, request.pattern)
     if source.is_scan:
-        raise SettingsError(f"{request.dataset}: is a scan; ablate compares real and simulated scans of a dataset")
-    at = (source, request.out, request.settings, request.machines, reporter)
-    with experimenting("ablate", *at, stages=(STAGE,), sides=SIDES) as experiment:
-        plans = experiment.prepare()
-        experiment.make({plan.pair_id: _parts(plan, points, settings_of) for plan in plans})
-        rows = _summarise(experiment)
-        wall_s = perf_counter() - start
+        raise SettingsError(f"{request.source}: is a scan; ablate compares real and simulated scans of a dataset")
+    with experimenting("ablate", source, request, reporter, stages=(STAGE,), sides=SIDES) as experiment:
+        experiment.make({plan.pair_id: _parts(plan, settings_of) for plan in experiment.prepare()})
+        rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
+        scores = rows.to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
+        means = ({"n_pairs": row.pop("n"), **row} for row in mean_rows(scores, [*_NAMES, "metric"]))
+        experiment.write_summary(ABLATE_SUMMARY, list(means))
         facts = {"values": {name: list(tried) for name, tried in values.items()}, "grid": request.grid}
-        experiment.write_record("ablate", facts, wall_s)
-        n_made, n_reused = experiment.engine.n_made, experiment.n_reused
-    return AblateOutcome(
-        folder=request.out,
-        base=base,
-        values=values,
-        grid=request.grid,
-        rows=rows,
-        failures=experiment.failures,
-        n_made=n_made,
-        n_reused=n_reused,
-        wall_s=wall_s,
+        return AblateOutcome(**experiment.finish(facts), base=base, values=values, grid=request.grid, rows=rows)
+
+
+def choose(outcome: AblateOutcome) -> list[Verdict]:
+    """A verdict for each parameter that the rule can choose and that has several values, and for the grid."""
+    tried = {name: outcome.along(name) for name in CHOSEN if len(outcome.values[name]) > 1}
+    if outcome.grid:
+        rows = outcome.rows.to_pandas()[_NAMES].drop_duplicates()
+        rows = rows[rows["delta_m"] == outcome.base.delta_m]
+        tried["grid"] = [ParameterSet(*row) for row in rows.itertuples(index=False)]
+    return [
+        judge_parameter(
+            name,
+            own,
+            own.index(outcome.base),
+            outcome.scores("match_rate", own),
+            outcome.scores("r_lambda_mean", own),
+        )
+        for name, own in tried.items()
+    ]
+
+
+def influences(outcome: AblateOutcome) -> list[Influence]:
+    """How far match rate and r_lambda move with each parameter; needs two pairs and two values of it."""
+    moves = (
+        influence(name, metric, outcome.scores(metric, tried), tried.index(outcome.base))
+        for name in PARAMETERS
+        for tried in [outcome.along(name)]
+        for metric in ("match_rate", "r_lambda_mean")
     )
+    return [move for move in moves if move is not None]
 
 
-def point_of(settings: Settings) -> Point:
+def parameters_of(settings: Settings) -> ParameterSet:
     """The four settings in force."""
-    return Point(settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t)
+    return ParameterSet(settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t)
 
 
-def values_of(request: AblateRequest) -> dict[str, tuple[float, ...]]:
-    """By parameter, the values to try, ascending, with the one in force among them."""
-    base = point_of(request.settings)
-    values = {}
-    for name, (_, _, usual) in PARAMETERS.items():
-        asked = request.values.get(name, usual)
-        if name == "k" and any(value != int(value) for value in asked):
-            raise SettingsError(f"--k {', '.join(f'{value:g}' for value in asked)}: whole numbers are wanted")
-        values[name] = tuple(sorted({*(int(v) if name == "k" else float(v) for v in asked), getattr(base, name)}))
-    return values
-
-
-def points_of(base: Point, values: dict[str, tuple[float, ...]], grid: bool) -> list[Point]:
+def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], grid: bool) -> list[ParameterSet]:
     """The choices to try: one parameter moved at a time, or all combinations.
 
     Examples
     --------
-    >>> base = Point(90, 0.2, 5.0, 1.0)
-    >>> [point.k for point in points_of(base, {"k": (60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}, False)]
+    >>> base = ParameterSet(90, 0.2, 5.0, 1.0)
+    >>> values = {"k": (60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}
+    >>> [choice.k for choice in parameter_sets(base, values, grid=False)]
     [60, 90]
     """
     if grid:
-        return [Point(int(k), *rest) for k, *rest in product(*values.values())]
-    return sorted({Point(**(vars(base) | {name: value})) for name, tried in values.items() for value in tried})
+        return [ParameterSet(int(k), *rest) for k, *rest in product(*values.values())]
+    return sorted({base.moved(name, value) for name, tried in values.items() for value in tried})
 
 
-def with_point(settings: Settings, point: Point) -> Settings:
-    """The settings with the four values of a point.
+def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
+    """The settings with the four values of a parameter set.
 
     Raises
     ------
@@ -164,35 +170,30 @@ def with_point(settings: Settings, point: Point) -> Settings:
     """
     plain: dict[str, Any] = settings.model_dump(mode="json")
     for name, (group, setting, _) in PARAMETERS.items():
-        plain[group][setting] = getattr(point, name)
+        plain[group][setting] = getattr(parameters, name)
     return parse(plain)
 
 
-def _parts(plan: PairPlan, points: Sequence[Point], settings_of: dict[Point, Settings]) -> list[Part]:
+def _values(name: str, asked: Sequence[float], now: float) -> tuple[float, ...]:
+    """The values of a parameter to try, ascending, with the one in force among them."""
+    if name != "k":
+        return tuple(sorted({*map(float, asked), now}))
+    if any(value != int(value) for value in asked):
+        raise SettingsError(f"--k {', '.join(f'{value:g}' for value in asked)}: whole numbers are wanted")
+    return tuple(sorted({*map(int, asked), int(now)}))
+
+
+def _parts(plan: PairPlan, settings_of: dict[ParameterSet, Settings]) -> list[Part]:
     """The wanted parts of a pair: one for each distinct setting of the graph."""
     n_points = sum(job.record.facts["n_points"] for job in plan.jobs if job.record is not None)
+    by_graph: dict[tuple[int, float], list[ParameterSet]] = {}
+    for parameters in settings_of:
+        by_graph.setdefault((parameters.k, parameters.tau_m), []).append(parameters)
     parts = []
-    for k, tau_m in dict.fromkeys((point.k, point.tau_m) for point in points):
-        walk = [point for point in points if (point.k, point.tau_m) == (k, tau_m)]
-        neutral = with_point(settings_of[walk[0]], Point(k, tau_m, 1.0, 1.0))  # delta and t are arguments
-        n_scorings = len({point.t for point in walk})
+    for (k, tau_m), own in by_graph.items():
+        neutral = with_parameters(settings_of[own[0]], ParameterSet(k, tau_m, 1.0, 1.0))  # delta and t are arguments
+        n_scorings = len({parameters.t for parameters in own})
         seconds = 1e-4 * n_points + n_scorings * 20 * CostModel().object_seconds(n_points // 60)
-        arguments = ([[*vars(point).values()] for point in walk],)
+        arguments = ([[*vars(parameters).values()] for parameters in own],)
         parts.append(Part(STAGE, f"k{k}-tau{tau_m!r}", arguments, seconds, neutral))
     return parts
-
-
-def _summarise(experiment: Experiment) -> pa.Table:
-    """All rows of `ablate`; writes their means and standard deviations over pairs."""
-    rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
-    summary = []
-    for name, own in rows.to_pandas().groupby(["k", "tau_m", "delta_m", "t"], sort=False):
-        for metric in DATASET_SCORES:
-            values = own[metric].to_numpy(dtype=np.float64)
-            mean, std = mean_and_std(values)
-            summary.append(
-                dict(zip(("k", "tau_m", "delta_m", "t"), name, strict=True))
-                | {"metric": metric, "n_pairs": int(np.count_nonzero(~np.isnan(values))), "mean": mean, "std": std}
-            )
-    experiment.write_summary(ABLATE_SUMMARY, ABLATE_SUMMARY.from_rows(summary))
-    return rows

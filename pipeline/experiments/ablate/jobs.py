@@ -7,9 +7,11 @@ from ....schemas.experiment_tables import ABLATE
 from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
 from ....stages.method import Memo, compare, partition
-from ...jobs.communities import louvain_libraries
+from ...jobs import seeds
 from ...jobs.points import POINT_COLUMNS, object_points
 from ...stage import Context, Grain, Made, Stage
+
+_SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
 def make_rows(context: Context) -> Made:
@@ -31,18 +33,10 @@ def make_rows(context: Context) -> Made:
         summary = compare(real, sim, settings, memo=memo).summary
         rows.append(
             {"pair_id": context.pair_id, "k": k, "tau_m": tau_m, "delta_m": delta_m, "t": t}
-            | {
-                "n_communities_real": len(real.objects.n_points),
-                "n_communities_sim": len(sim.objects.n_points),
-            }
-            | {name: summary[name] for name in ("n_matched", "match_rate")}
-            | {f"{metric}_mean": summary[f"{metric}_mean"] for metric in OBJECT_METRICS}
+            | {"n_communities_real": len(real.objects.n_points), "n_communities_sim": len(sim.objects.n_points)}
+            | {name: summary[name] for name in _SUMMARY}
         )
     return Made({"ablate": ABLATE.from_rows(rows)})
-
-
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    return (*louvain_libraries(settings), "POT")
 
 
 #: Its version is to be raised when the same request gives other numbers.
@@ -54,5 +48,5 @@ STAGE = Stage(
     grain=Grain.PAIR,
     version=1,
     make=make_rows,
-    libraries=_libraries,
+    libraries=seeds.STAGE.libraries,
 )

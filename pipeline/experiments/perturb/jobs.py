@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from ....schemas.columns import Row
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ....schemas.metrics import OBJECT_METRICS
-from ....schemas.settings import Settings
+from ....stages.arrays import FloatArray
 from ....stages.baselines import compare_objects
 from ....stages.ground import MIN_OBJECT_POINTS
 from ....stages.method import PartitionedScan, compare, graph_of, partition, score
 from ....stages.metrics import MIN_NODES
 from ....stages.objects import describe_objects
 from ....stages.selection import select_nodes
-from ....stages.sensing.perturbations import perturb
+from ....stages.sensing.perturbations import Perturbation, perturb
+from ...jobs import seeds
 from ...jobs.baselines import baseline_libraries
-from ...jobs.communities import louvain_libraries
 from ...jobs.points import EDGE_COLUMNS, POINT_COLUMNS, column, graph_edges, object_points
 from ...stage import Context, Grain, Made, Stage
 
-_COUNTS = ("n_matched", "n_identical", "n_too_small", "match_rate")
+_SUMMARY = ("n_matched", "n_identical", "n_too_small", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
 def make_global(context: Context) -> Made:
@@ -29,23 +31,21 @@ def make_global(context: Context) -> Made:
 
     Arguments: the perturbation, and the seeds of the repeats.
     """
-    perturbation, seeds = context.arguments
-    scan = _unaltered_scan(context)
+    scan, settings = _unaltered_scan(context), context.settings
     rows = []
-    for repeat, seed in enumerate(seeds):
-        points = perturb(scan.points, perturbation, np.random.default_rng(seed))
-        row: dict[str, Any] = vars(perturbation) | {
-            "pair_id": context.pair_id,
-            "repeat": repeat,
-            "seed": seed,
+    for row, altered in _repeats(context, scan.points, *context.arguments):
+        row |= {
             "n_points": len(scan.points),
-            "n_points_altered": len(points),
+            "n_points_altered": len(altered),
             "n_communities": len(scan.objects.n_points),
         }
-        if len(points) < MIN_OBJECT_POINTS:
-            row["reason"] = f"{len(points)} points are left, at least {MIN_OBJECT_POINTS} are needed"
+        if len(altered) < MIN_OBJECT_POINTS:
+            row["reason"] = f"{len(altered)} points are left, at least {MIN_OBJECT_POINTS} are needed"
         else:
-            row |= _compare(scan, partition(points, context.settings), context.settings)
+            altered_scan = partition(altered, settings)
+            summary = compare(scan, altered_scan, settings).summary  # the unaltered scan taken as the real side
+            row |= {name: summary[name] for name in _SUMMARY}
+            row["n_communities_altered"] = len(altered_scan.objects.n_points)
         rows.append(row)
     return Made({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
 
@@ -55,59 +55,35 @@ def make_objects(context: Context) -> Made:
 
     Arguments: the object's community id and name, the perturbation, and the seeds of the repeats.
     """
-    community_id, name, perturbation, seeds = context.arguments
-    scan, settings = _unaltered_scan(context), context.settings
-    points = scan.points[scan.labels == community_id]
-    before = graph_of(points, settings)
+    points, repeats = _object_repeats(context)
+    before = graph_of(points, context.settings)
     rows = []
-    for repeat, seed in enumerate(seeds):
-        altered = perturb(points, perturbation, np.random.default_rng(seed))
+    for row, altered in repeats:
         if len(altered):
-            scores = vars(score(before, graph_of(altered, settings), settings.selection).scores)
             distance_m = float(np.linalg.norm(altered.mean(axis=0) - points.mean(axis=0)))
+            scores = vars(score(before, graph_of(altered, context.settings), context.settings.selection).scores)
         else:
             reason = f"no point is left, at least {MIN_NODES} are needed for a spectrum"
             scores, distance_m = {"status": "too_small", "reason": reason}, None
-        rows.append(
-            vars(perturbation)
-            | {
-                "pair_id": context.pair_id,
-                "community_id": community_id,
-                "object": name,
-                "repeat": repeat,
-                "seed": seed,
-                "n_points": len(points),
-                "n_points_altered": len(altered),
-                "centroid_distance_m": distance_m,
-            }
-            | scores
-        )
+        counts = {"n_points": len(points), "n_points_altered": len(altered), "centroid_distance_m": distance_m}
+        rows.append(row | counts | scores)
     return Made({"perturb_objects": PERTURB_OBJECTS.from_rows(rows)})
 
 
 def make_baselines(context: Context) -> Made:
     """One row of `perturb_baselines` per repeat and baseline; arguments and altered objects as in `make_objects`."""
-    community_id, name, perturbation, seeds = context.arguments
-    scan, settings = _unaltered_scan(context), context.settings
-    points = scan.points[scan.labels == community_id]
+    points, repeats = _object_repeats(context)
+    settings = context.settings
     before = graph_of(points, settings)
     rows = []
-    for repeat, seed in enumerate(seeds):
-        altered = perturb(points, perturbation, np.random.default_rng(seed))
+    for row, altered in repeats:
         if not len(altered):
             continue  # perturb_objects says why
         after = graph_of(altered, settings)
         nodes = select_nodes(before, after, settings.selection)
-        repeated = vars(perturbation) | {
-            "pair_id": context.pair_id,
-            "community_id": community_id,
-            "object": name,
-            "repeat": repeat,
-            "seed": seed,
-        }
         for baseline in compare_objects(before, after, nodes, settings.selection.t, settings.metrics):
             number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
-            rows.append(repeated | {"baseline": baseline.name} | number)
+            rows.append(row | {"baseline": baseline.name} | number)
     return Made({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
 
 
@@ -122,49 +98,41 @@ def _unaltered_scan(context: Context) -> PartitionedScan:
     return context.once("unaltered scan", read)
 
 
-def _compare(scan: PartitionedScan, altered: PartitionedScan, settings: Settings) -> dict[str, Any]:
-    """Counts, match rate and means over matched objects, the unaltered scan taken as the real side."""
-    summary = compare(scan, altered, settings).summary
-    means = [f"{metric}_mean" for metric in OBJECT_METRICS]
-    return {name: summary[name] for name in (*_COUNTS, *means)} | {
-        "n_communities_altered": len(altered.objects.n_points)
-    }
+def _object_repeats(context: Context) -> tuple[FloatArray, Iterator[tuple[Row, FloatArray]]]:
+    """The points of the object that the arguments name, and its repeats."""
+    community_id, name, perturbation, random_seeds = context.arguments
+    scan = _unaltered_scan(context)
+    points = scan.points[scan.labels == community_id]
+    named = {"community_id": community_id, "object": name}
+    return points, ((row | named, altered) for row, altered in _repeats(context, points, perturbation, random_seeds))
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    return (*louvain_libraries(settings), "POT")
+def _repeats(
+    context: Context, points: FloatArray, perturbation: Perturbation, random_seeds: list[int]
+) -> Iterator[tuple[Row, FloatArray]]:
+    """Of each repeat what its row begins with, and the altered points."""
+    for repeat, seed in enumerate(random_seeds):
+        row = vars(perturbation) | {"pair_id": context.pair_id, "repeat": repeat, "seed": seed}
+        yield row, perturb(points, perturbation, np.random.default_rng(seed))
 
-
-_TAKES = {"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)}
-_SETTINGS = ("graph", "communities", "matching", "selection")
 
 #: Versions are to be raised when the same request gives other numbers.
 GLOBAL = Stage(
     name="perturb_global",
-    takes=_TAKES,
+    takes={"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)},
     gives=("perturb_global",),
-    settings=_SETTINGS,
+    settings=("graph", "communities", "matching", "selection"),
     grain=Grain.PAIR,
     version=1,
     make=make_global,
-    libraries=_libraries,
+    libraries=seeds.STAGE.libraries,
 )
-OBJECT = Stage(
-    name="perturb_objects",
-    takes=_TAKES,
-    gives=("perturb_objects",),
-    settings=_SETTINGS,
-    grain=Grain.PAIR,
-    version=1,
-    make=make_objects,
-    libraries=_libraries,
-)
-BASELINE = Stage(
+OBJECT = replace(GLOBAL, name="perturb_objects", gives=("perturb_objects",), version=1, make=make_objects)
+BASELINE = replace(
+    GLOBAL,
     name="perturb_baselines",
-    takes=_TAKES,
     gives=("perturb_baselines",),
-    settings=(*_SETTINGS, "metrics"),
-    grain=Grain.PAIR,
+    settings=(*GLOBAL.settings, "metrics"),
     version=1,
     make=make_baselines,
     libraries=baseline_libraries,

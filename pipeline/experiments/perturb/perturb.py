@@ -7,29 +7,30 @@ on is run again. *Object level*: those of one community, its graph rebuilt from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ....schemas.columns import Row
 from ....schemas.errors import DatasetError, SettingsError
-from ....schemas.settings import Settings
+from ....schemas.experiment_tables import PERTURB_SUMMARY
+from ....schemas.metrics import DATASET_SCORES, OBJECT_METRICS
 from ....stages.arrays import FloatArray, IntArray
 from ....stages.sensing.perturbations import KINDS, Perturbation
+from ....stages.sensing.typical_objects import ChosenObject
+from ....stages.statistics.sweeps import Means
 from ...engine.costs import CostModel
-from ...engine.engine import Machines
 from ...engine.plan import Part
 from ...engine.progress import Reporter
 from ...jobs.points import column
 from ...storage.files import key_of
 from ...storage.folder import RunFolder
-from ..experiment import Experiment, ExperimentOutcome, experimenting, read_source
-from .choice import ChosenObject, choose_objects
+from ..experiment import Experiment, ExperimentOutcome, ExperimentRequest, experimenting, mean_rows, read_source
 from .jobs import BASELINE, GLOBAL, OBJECT
-from .summary import summarise
+from .objects import choose_objects, read_objects
 
 #: Noise, dropout and rigid motion as in the paper; hallucination and density are ours.
 LEVELS = (
@@ -45,29 +46,20 @@ _BOUNDS = {"noise": (0, 10), "dropout": (0, 0.99), "rigid": (-180, 180), "halluc
 
 
 @dataclass(frozen=True)
-class PerturbRequest:
-    """What the user asked for.
+class PerturbRequest(ExperimentRequest):
+    """What the user asked for; of a dataset without a pattern the real side of the first pair is taken.
 
-    source : a scan file, or a dataset of whose real side the first pair is taken
-    out : folder of the experiment
     levels : ways and amounts of altering
     repeats, global_repeats : of each level at object level and of the whole scan
     seed : another one gives other random numbers
     objects : community ids and labels; None for the classes of the paper, or shapes
-    pattern : all pairs of a dataset whose name matches
-    machines : where work is done
     """
 
-    source: Path
-    out: Path
-    settings: Settings
     levels: tuple[Perturbation, ...] = LEVELS
     repeats: int = 20
     global_repeats: int = 5
     seed: int = 0
     objects: tuple[str, ...] | None = None
-    pattern: str | None = None
-    machines: Machines = field(default_factory=Machines)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +76,11 @@ class PerturbOutcome(ExperimentOutcome):
     levels: tuple[Perturbation, ...]
     summary: pa.Table
 
+    @property
+    def means(self) -> Means:
+        """The summary, to be looked up."""
+        return Means(self.summary.to_pylist())
+
 
 def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcome:
     """Alters scans and objects, scores what came of it, and writes the tables.
@@ -93,44 +90,30 @@ def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcom
     FidpipeError
         The scan, the dataset, a setting or the folder is wrong; before any work.
     """
-    start = perf_counter()
     source = read_source(request.source, request.pattern, first_only=True)
     if request.objects and any(word.isdigit() for word in request.objects) and len(source.pairs) > 1:
         raise DatasetError(
             f"--objects {','.join(request.objects)}: an object's number belongs to one scan, {len(source.pairs)} are "
             "chosen; name one with --pairs, or give labels"
         )
-    at = (source, request.out, request.settings, request.machines, reporter)
-    with experimenting("perturb", *at, stages=(GLOBAL, OBJECT, BASELINE), sides=("real",)) as experiment:
-        scans = [plan.pair_id for plan in experiment.prepare()]
-        k = request.settings.graph.k
-        choices = {scan: choose_objects(experiment.folder, scan, request.objects, k) for scan in scans}
-        for choice in choices.values():
-            for note in choice.notes:
-                reporter.say(note)
-        experiment.make({scan: _parts(request, experiment, scan, choices[scan].objects) for scan in scans})
-        summary = summarise(experiment)
-        objects = tuple(chosen for choice in choices.values() for chosen in choice.objects)
-        wall_s = perf_counter() - start
+    stages = (GLOBAL, OBJECT, BASELINE)
+    with experimenting("perturb", source, request, reporter, stages=stages, sides=("real",)) as experiment:
+        chosen = {}
+        for plan in experiment.prepare():
+            scan = read_objects(experiment.folder, plan.pair_id)
+            chosen[plan.pair_id] = choose_objects(scan, request.objects, request.settings.graph.k, reporter.say)
+        experiment.make({scan: _parts(request, experiment, scan, own) for scan, own in chosen.items()})
+        objects = tuple(each for own in chosen.values() for each in own)
+        summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
         facts = {
             "seed": request.seed,
             "repeats": {"global": request.global_repeats, "object": request.repeats},
             "levels": [vars(level) for level in request.levels],
-            "objects": [vars(chosen) for chosen in objects],
+            "objects": [vars(each) for each in objects],
         }
-        experiment.write_record("perturb", facts, wall_s)
-        n_made, n_reused = experiment.engine.n_made, experiment.n_reused
-    return PerturbOutcome(
-        folder=request.out,
-        scans=tuple(scans),
-        objects=objects,
-        levels=request.levels,
-        summary=summary,
-        failures=experiment.failures,
-        n_made=n_made,
-        n_reused=n_reused,
-        wall_s=wall_s,
-    )
+        return PerturbOutcome(
+            **experiment.finish(facts), scans=tuple(chosen), objects=objects, levels=request.levels, summary=summary
+        )
 
 
 def object_points(folder: Path, scan: str) -> tuple[FloatArray, IntArray]:
@@ -167,11 +150,6 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
     return tuple(levels)
 
 
-def seed_of(*name: object) -> int:
-    """A seed from the name of a job: 60 bits of its hash."""
-    return int(key_of(*name)[:15], 16)
-
-
 def _level(word: str, kind: str, text: str) -> Perturbation:
     shift, colon, amount = text.rpartition(":")
     low, high = _BOUNDS[kind]
@@ -192,14 +170,19 @@ def _parts(request: PerturbRequest, experiment: Experiment, scan: str, objects: 
     sizes = experiment.folder.read_table("objects", scan, "real", ["n_points"]).column("n_points").to_pylist()
     scan_seconds = sum(costs.object_seconds(n) for n in sizes)
     parts = []
+
+    def seeds_of(what: int | str, level: Perturbation, n: int) -> list[int]:
+        """Seeds of n repeats: 60 bits of the hash of what each is about."""
+        name = ("perturb", request.seed, scan, what, level.kind, level.amount, level.shift_m)
+        return [int(key_of(*name, i)[:15], 16) for i in range(n)]
+
     for level in request.levels:
-        plain = [level.kind, level.amount, level.shift_m]
-        seeds = [seed_of("perturb", request.seed, scan, "all", *plain, i) for i in range(request.global_repeats)]
+        seeds = seeds_of("all", level, request.global_repeats)
         if seeds:
             parts.append(Part(GLOBAL, _name(level), (level, seeds), len(seeds) * scan_seconds))
         for chosen in objects:
             number = chosen.community_id
-            seeds = [seed_of("perturb", request.seed, scan, number, *plain, i) for i in range(request.repeats)]
+            seeds = seeds_of(number, level, request.repeats)
             name, arguments = f"{number}-{_name(level)}", (number, chosen.name, level, seeds)
             seconds = len(seeds) * costs.object_seconds(chosen.n_points)
             parts.append(Part(OBJECT, name, arguments, seconds))
@@ -211,3 +194,16 @@ def _parts(request: PerturbRequest, experiment: Experiment, scan: str, objects: 
 def _name(level: Perturbation) -> str:
     """A level as a part's name holds it: amounts in full, since levels may agree to many digits."""
     return f"{level.kind}-{level.amount!r}" + (f"-{level.shift_m!r}" if level.kind == "rigid" else "")
+
+
+def _summary_rows(experiment: Experiment) -> list[Row]:
+    """The rows of `perturb_summary`: mean and standard deviation over the repeats of all scans."""
+    level = ["kind", "amount", "shift_m"]
+    whole, single = (experiment.rows(stage.name).to_pandas() for stage in (GLOBAL, OBJECT))
+    baselines = experiment.rows(BASELINE.name).to_pandas().rename(columns={"baseline": "metric"})
+    rows = [
+        {"scope": "global"} | row for row in mean_rows(whole.melt(level, DATASET_SCORES, "metric"), [*level, "metric"])
+    ]
+    for scores in (single.melt(["object", *level], OBJECT_METRICS, "metric"), baselines):
+        rows += [{"scope": "object"} | row for row in mean_rows(scores, ["object", *level, "metric"])]
+    return rows

@@ -12,9 +12,8 @@ import pandas as pd
 from ....schemas.metrics import metric_of
 from ....stages.arrays import FloatArray, IntArray
 from ....stages.sensing.perturbations import Perturbation
+from ....stages.statistics.sweeps import Means
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
-from ...experiments.ablate.choice import along
-from ...experiments.perturb.claims import Means
 from ...experiments.perturb.perturb import PerturbOutcome, object_points
 from ..look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from .style import VIEW, box_of, dots, draw_band, frame_of, from_above, mark_amounts, metres, new_figure, shown_name
@@ -91,7 +90,7 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
 
 def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], colours: dict[str, str]) -> None:
     """Two panels for each kind of alteration; those of one metric have the same scale."""
-    means = Means(outcome.summary)
+    means = outcome.means
     panels = [(kind, metric) for kind in curves for metric in ("r_lambda", "r_gap")]
     axes = figure.subplots((len(panels) + 3) // 4, 4, squeeze=False).ravel()
     for i, (axis, (kind, metric)) in enumerate(zip(axes, panels, strict=False)):
@@ -135,7 +134,7 @@ def _draw_answers(
 def _draw_scores(axis: Any, spreads: pd.DataFrame, outcome: AblateOutcome, name: str) -> None:
     """Mean and deviation over pairs of both scores while one setting moves."""
     values = np.array(outcome.values[name], dtype=float)
-    own = spreads.reindex(pd.MultiIndex.from_tuples([tuple(vars(point).values()) for point in along(outcome, name)]))
+    own = spreads.reindex(pd.MultiIndex.from_tuples([tuple(vars(point).values()) for point in outcome.along(name)]))
     for score, (colour, marker) in _SCORES.items():
         mean, std = own[score, "mean"].to_numpy(), own[score, "std"].fillna(0).to_numpy()
         draw_band(axis, values, mean, std, marker=marker, color=colour, label=metric_of(score).label)

@@ -12,12 +12,11 @@ from rich.text import Text
 from ....schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ....schemas.paper import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ....stages.sensing.perturbations import Perturbation
-from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome
-from ...experiments.ablate.choice import RULE, along, choose, influences
+from ....stages.statistics.parameter_choice import RULE
+from ....stages.statistics.sweeps import OWN_METRICS, Mean, Means, judge_claims, react, strongest_levels
+from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome, choose, influences
 from ...experiments.experiment import ExperimentOutcome
-from ...experiments.perturb.claims import Mean, Means, judge_claims
 from ...experiments.perturb.perturb import PerturbOutcome
-from ...experiments.perturb.reactions import OWN_METRICS, react, strongest_levels
 from .layout import mean_and_spread, number, plain_table
 
 _LEVELS = {
@@ -52,7 +51,7 @@ _ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_
 
 def perturb_view(outcome: PerturbOutcome) -> RenderableType:
     """The paper's Table I beside ours, the objects, which metric reacts to what, and the claims."""
-    means, levels = Means(outcome.summary), outcome.levels
+    means, levels = outcome.means, outcome.levels
     parts: list[RenderableType] = []
     if outcome.scans:
         if any(means.get(None, level, "match_rate").n for level in levels):
@@ -60,11 +59,11 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         parts.append(_chosen_table(outcome))
         parts += [_object_table(outcome, means, metric) for metric in ("r_lambda", "r_gap")]
         parts.append(_detail_table(outcome, means))
-        if len(react(outcome.summary, levels)) > len(OWN_METRICS):
+        if len(react(means, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
         claims = [
             (claim.claim, claim.paper, claim.here, Text(*_VERDICTS[claim.holds]))
-            for claim in judge_claims(outcome.summary, levels)
+            for claim in judge_claims(means, levels)
         ]
         if claims:
             headings = ("claim", "paper", "here", "holds")
@@ -160,7 +159,7 @@ def _detail_table(outcome: PerturbOutcome, means: Means) -> Table:
 def _reaction_table(outcome: PerturbOutcome) -> Table:
     levels = [_NARROW_LEVELS[level.kind].format(level.amount) for level in strongest_levels(outcome.levels)]
     rows = []
-    for reaction in react(outcome.summary, outcome.levels):
+    for reaction in react(outcome.means, outcome.levels):
         most = _NARROW_LEVELS[reaction.most.kind].partition("\n")[0] if reaction.most else ""
         rows.append((reaction.metric, *map(_number, reaction.values), most))
     title = "Which metric reacts to what: means over the objects at the strongest level of each kind"
@@ -171,7 +170,7 @@ def _reaction_table(outcome: PerturbOutcome) -> Table:
 
 def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> Table:
     """Means over pairs at each value of a setting, the others in force."""
-    points, counts = along(outcome, name), ["n_communities_real", "n_communities_sim"]
+    points, counts = outcome.along(name), ["n_communities_real", "n_communities_sim"]
     spreads = rows.groupby(list(PARAMETERS))[[*counts, *_ABLATED_SCORES]].agg(["mean", "std"])
     spreads = spreads.reindex(pd.MultiIndex.from_tuples([tuple(vars(point).values()) for point in points]))
     n_pairs, cells = rows.pair_id.nunique(), []

@@ -30,7 +30,7 @@ _COLOURS = {HOLDS: "green", FAILS: "red", UNKNOWN: "yellow"}
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The results of a run, as a newcomer should see them first."""
-    record, folder = RunRecord.from_dict(outcome.record), outcome.folder
+    record, folder = outcome.record, outcome.folder
     return Group(
         summary_view(folder, outcome.rows, record),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),

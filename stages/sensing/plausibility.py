@@ -1,0 +1,58 @@
+"""What is odd about the points of a scan: units, axes, hits on the ego vehicle, a half sweep."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import FloatArray
+
+FAR_COORDINATE_M = 1000.0
+SMALLEST_EXTENT_M = 1.0
+STEEP_SPREAD = 0.5
+STEEP_SPREAD_M = 20.0
+HALF_SWEEP_GAP_DEG = 90.0
+EGO_RANGE_M = 3.0
+
+
+def implausible(points: FloatArray) -> list[str]:
+    """What is odd about the values of a scan, one sentence each; nothing where there is no point.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, the scan's own frame, finite and not zero
+    """
+    if not len(points):
+        return []
+    odd = []
+    low, high = np.percentile(points, [1, 99], axis=0)
+    spread = high - low
+    reach = np.abs([low, high]).max()
+    if reach > FAR_COORDINATE_M:
+        odd.append(f"coordinates reach {reach:.0f} m; a scan has its sensor at (0, 0, 0): are they projected?")
+    elif spread.max() < SMALLEST_EXTENT_M:
+        odd.append(f"all points lie within {spread.max():.2g} m; metres are wanted")
+    elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
+        odd.append(
+            f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
+            "are the columns right (input.columns)?"
+        )
+    near = float(np.mean(np.linalg.norm(points, axis=1) < EGO_RANGE_M))
+    if near > 0.5:
+        odd.append(
+            f"{near:.0%} of the points lie within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
+            "input.min_range_m and input.exclude_box drop them"
+        )
+    return odd
+
+
+def widest_azimuth_gap_deg(points: FloatArray) -> float:
+    """The widest sector around +Z in which no point lies, in degrees; 360 where there is no point.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, the scan's own frame, finite
+    """
+    if not len(points):
+        return 360.0
+    azimuth = np.sort(np.degrees(np.arctan2(points[:, 1], points[:, 0])))
+    return float(np.diff(azimuth, append=azimuth[0] + 360.0).max())

@@ -1,0 +1,101 @@
+"""Typical objects of a scan: one of a class by its labels, or one for each shape, of median size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray, IntArray
+
+#: The shape features, in the order of the columns of `ScanObjects.shape`, and what an object of that shape is called.
+SHAPES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered"}
+PURE_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class ChosenObject:
+    """An object of a scan that was chosen.
+
+    name : its class or shape, or "object 7"
+    n_points, range_m : its size and distance
+    why : how it was chosen, in words
+    """
+
+    pair_id: str
+    community_id: int
+    name: str
+    n_points: int
+    range_m: float
+    why: str
+
+
+@dataclass(frozen=True)
+class ScanObjects:
+    """The objects of a scan, by community id.
+
+    n_points, range_m : (n,) sizes, and distances in metres
+    labels : most frequent label of the points of each; None without labels
+    label_share : (n,) its share of the points
+    shape : (n, 3) linearity, planarity and scattering
+    """
+
+    pair_id: str
+    n_points: IntArray
+    range_m: FloatArray
+    labels: list[str | None]
+    label_share: FloatArray
+    shape: FloatArray
+
+    def chosen(self, community_id: int, name: str, why: str) -> ChosenObject:
+        """The object of this id as a choice."""
+        size, range_m = int(self.n_points[community_id]), float(self.range_m[community_id])
+        return ChosenObject(self.pair_id, community_id, name, size, range_m, why)
+
+    def median_sized(self, candidates: IndexArray) -> int:
+        """Of some ids the one of median size; of an even number the lower."""
+        by_size = candidates[np.lexsort((candidates, self.n_points[candidates]))]
+        return int(by_size[(len(by_size) - 1) // 2])
+
+
+def typical_of_class(scan: ScanObjects, label: str, least: int) -> ChosenObject | None:
+    """The typical object of a class; None where no object has the label.
+
+    Of the objects of at least `least` points, three quarters of them of the label, the one of median size; where there
+    is none, the largest whose most frequent label it is.
+    """
+    is_of_class = np.array([own == label for own in scan.labels], dtype=np.bool_)
+    if not is_of_class.any():
+        return None
+    typical = np.flatnonzero(is_of_class & (scan.label_share >= PURE_SHARE) & (scan.n_points >= least))
+    if len(typical):
+        why = f"median size of {len(typical)} with {least} points and {PURE_SHARE:.0%} of the label or more"
+        return scan.chosen(scan.median_sized(typical), label, why)
+    largest = int(np.argmax(np.where(is_of_class, scan.n_points, -1)))
+    return scan.chosen(largest, label, f"the largest; none has {least} points and {PURE_SHARE:.0%} of the label")
+
+
+def typical_of_shapes(scan: ScanObjects, least: int) -> list[ChosenObject]:
+    """An object for each shape, no object for two; first those that are of a shape, then the nearest of the others.
+
+    An object is of the shape whose feature is the largest of the three; of those of a shape and at least `least` points
+    the one of median size is taken. A shape for which no object is left is left out.
+    """
+    is_large = scan.n_points >= least
+    is_free = is_large.copy() if is_large.any() else np.ones(len(scan.n_points), dtype=np.bool_)
+    n_candidates = is_free.sum()
+    chosen: dict[str, ChosenObject] = {}
+    for place, name in enumerate(SHAPES.values()):
+        typical = np.flatnonzero((np.argmax(scan.shape, axis=1) == place) & is_large)
+        if len(typical):
+            why = f"median size of {len(typical)} {name} objects"
+            chosen[name] = scan.chosen(scan.median_sized(typical), name, why)
+            is_free[chosen[name].community_id] = False
+    for place, (feature, name) in enumerate(SHAPES.items()):
+        if name not in chosen and is_free.any():
+            nearest = int(np.argmax(np.where(is_free, scan.shape[:, place], -np.inf)))
+            rest = "" if is_free.sum() == n_candidates else " of the others"
+            why = f"none is mostly {name}; this one has the largest {feature}{rest}, {scan.shape[nearest, place]:.2f}"
+            chosen[name] = scan.chosen(nearest, name, why)
+            is_free[nearest] = False
+    return [chosen[name] for name in SHAPES.values() if name in chosen]

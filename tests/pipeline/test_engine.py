@@ -1,0 +1,125 @@
+"""Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
+
+import pytest
+from rich.console import Console
+
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.engine.engine import Machines, RunEngine
+from fidpipe.pipeline.engine.plan import Part, Planner
+from fidpipe.pipeline.engine.pool import InProcess
+from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.stage import Context, Grain, Made, Stage
+from fidpipe.pipeline.storage.folder import RunFolder
+from fidpipe.schemas.errors import StageError
+from fidpipe.schemas.settings import Settings
+from fidpipe.schemas.tables import TABLES
+from pools import DyingPool, WatchedPool
+from runs import run
+from scenes import write_dataset
+
+N_BASE = 7  # both sides of ground, graph and communities, and matching
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
+
+
+def probe(takes, make=None, gives="perturb_objects"):
+    """A stage of an experiment that tells how many rows it sees."""
+
+    def count(context: Context) -> Made:
+        if make is not None:
+            make(context)
+        sides = ("",) if "matching" in takes else ("real", "sim")
+        n_rows = sum(context.table(table, side).num_rows for table in takes for side in sides)
+        return Made({gives: TABLES[gives].from_rows([])}, {"n_rows": n_rows, "arguments": context.arguments})
+
+    name = f"probe of {' and '.join(takes)}"
+    return Stage(name=name, takes=takes, gives=(gives,), grain=Grain.PAIR, make=count)
+
+
+SEES_GROUND = probe({"ground": ("point_id",)})
+SEES_MATCHING = probe({"matching": ("real_id",)}, gives="perturb_baselines")
+
+
+def make_parts(dataset, out, parts, pool):
+    """Has the parts made of every pair, after the stages up to matching; gives the engine and the finished jobs."""
+    pairs = read_dataset(dataset).pairs
+    planner = Planner(STAGES[:4], Settings(), {})
+    folder = RunFolder(out)
+    machines = Machines(pool=pool)
+    with folder.locked(), RunEngine(folder, Settings(), machines, Reporter(Console(quiet=True))) as engine:
+        engine.inspect(pairs, {})
+
+        def plan(pair):
+            return planner.plan(pair, engine.contents[pair.pair_id], parts)
+
+        survey = engine.survey(pairs, plan, selected={pair.pair_id for pair in pairs})
+        engine.replace(survey)
+        with engine.scheduling_missing(survey, plan) as schedule:
+            schedule.run()
+        return engine, {pair.pair_id: folder.ledger.jobs(pair.pair_id) for pair in pairs}
+
+
+def test_a_part_sees_what_was_made_after_another_part_had_begun(dataset, tmp_path):
+    parts = [Part(SEES_GROUND, "early"), Part(SEES_MATCHING, "late")]
+    engine, jobs = make_parts(dataset, tmp_path, parts, InProcess())
+    assert engine.failures == {}
+    for own in jobs.values():
+        assert own[SEES_GROUND.name, "early"].facts["n_rows"] > own[SEES_MATCHING.name, "late"].facts["n_rows"] > 0
+
+
+def test_each_part_gets_its_own_arguments_and_is_a_batch_of_its_own(dataset, tmp_path):
+    parts = [Part(SEES_GROUND, f"part-{i}", arguments=(i,)) for i in range(3)]
+    pool = WatchedPool()
+    engine, jobs = make_parts(dataset, tmp_path, parts, pool)
+    assert engine.n_made == 2 * (N_BASE + 3)
+    assert [jobs["000"][SEES_GROUND.name, f"part-{i}"].facts["arguments"] for i in range(3)] == [[0], [1], [2]]
+    assert all(len(batch) == 1 for batch in pool.batches if any("part" in part for _, _, part in batch))
+
+
+def test_a_poison_part_fails_alone(dataset, tmp_path):
+    parts = [Part(SEES_GROUND, f"part-{i}") for i in range(3)]
+    pool = DyingPool(lambda jobs, name: ("000", SEES_GROUND.name, "part-1") in jobs)
+    engine, jobs = make_parts(dataset, tmp_path, parts, pool)
+    assert list(engine.failures) == ["000, part-1"]
+    assert engine.failures["000, part-1"].startswith("the worker process died, and again when the pair ran alone")
+    assert pool.n_deaths == 2
+    assert (SEES_GROUND.name, "part-1") not in jobs["000"]
+    assert {pair_id: len(own) for pair_id, own in jobs.items()} == {"000": N_BASE + 2, "001": N_BASE + 3}
+    assert not (tmp_path / "perturb_objects" / "000.part-1.parquet").exists()
+    again, _ = make_parts(dataset, tmp_path, parts, InProcess())
+    assert (again.failures, again.n_made) == ({}, 1)
+
+
+def test_a_failed_part_does_not_stop_another(dataset, tmp_path):
+    def fail(context):
+        if context.part == "part-0":
+            raise StageError("no such thing")
+
+    stage = probe({"ground": ("point_id",)}, fail)
+    parts = [Part(stage, f"part-{i}") for i in range(2)]
+    engine, jobs = make_parts(dataset, tmp_path, parts, WatchedPool())
+    assert engine.failures == {f"{pair_id}, part-0": "no such thing" for pair_id in jobs}
+    assert all((stage.name, "part-1") in own for own in jobs.values())
+
+
+def test_two_parts_of_one_name_are_refused(dataset, tmp_path):
+    with pytest.raises(ValueError, match="is there twice; each needs its own name"):
+        make_parts(dataset, tmp_path, [Part(SEES_GROUND, "a"), Part(SEES_GROUND, "a")], InProcess())
+
+
+@pytest.mark.parametrize("n_deaths", [1, 2])
+def test_a_file_at_which_the_worker_dies_fails_its_pair_alone(tmp_path, n_deaths):
+    many = write_dataset(tmp_path / "streets", 17, n=40)
+    pool = DyingPool(lambda jobs, name: ("005", "inspect", "") in jobs, n_deaths)
+    outcome = run(many, tmp_path / "run", pool=pool, policy=Policy(bundle_s=10.0))
+    assert pool.n_deaths == n_deaths
+    assert sum(row["status"] == "scored" for row in outcome.rows) == 18 - n_deaths
+    if n_deaths == 2:
+        reason = "the worker process died while it read the files, and again when it did so alone"
+        assert outcome.failures == {"005": reason}
+        assert run(many, tmp_path / "run").n_made == 9

@@ -1,0 +1,188 @@
+"""The ledger: what was put in comes back, from this process and from another; what is damaged is not believed."""
+
+import gc
+import resource
+import sqlite3
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from fidpipe.pipeline.storage.ledger import LEDGER, Ledger
+from fidpipe.pipeline.storage.tables import JobRecord, StoredFile
+from fidpipe.schemas.errors import RunError
+
+
+def record(pair_id, stage="graph", **facts):
+    file = StoredFile(3, "ab", 1, 2)
+    files = {f"{stage}/{pair_id}": file}
+    return JobRecord(stage, pair_id, "real", "key", files, ("read",), facts, (("graph", 0.25),), "token")
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    return Ledger(tmp_path / LEDGER, is_writable=True)
+
+
+def again(tmp_path):
+    """The ledger as another process reads it."""
+    return Ledger(tmp_path / LEDGER, is_writable=False)
+
+
+def contents(ledger):
+    pair_ids = list(ledger.pair_ids())
+    jobs = {name: job for pair_id in pair_ids for name, job in ledger.jobs(pair_id).items()}
+    return pair_ids, jobs, {pair_id: ledger.failure(pair_id) for pair_id in ledger.failed_pairs()}
+
+
+def test_what_was_put_is_read_again_by_this_process_and_by_another(ledger, tmp_path):
+    ledger.put_job(record("b", share=0.1))
+    ledger.put_job(record("a", share=np.float64(1 / 3)))
+    ledger.put_input("a real", {"n_raw": 5})
+    ledger.put_failure("c", {"reason": "étroit"})
+    ledger.commit()
+    for own in (ledger, again(tmp_path)):
+        assert list(own.pair_ids()) == ["a", "b"]
+        assert own.jobs("a") == {("graph", "real"): record("a", share=1 / 3)}
+        assert (own.input("a real"), own.input("a sim")) == ({"n_raw": 5}, None)
+        assert own.failed_pairs() == ["c"]
+        assert own.failure("c") == {"reason": "étroit"}
+
+
+def test_the_job_of_a_file_is_found(ledger):
+    ledger.put_job(record("a"))
+    assert ledger.job_of_file("graph/a") == record("a")
+    assert ledger.knows_file("graph/a")
+    assert ledger.job_of_file("graph/b") is None
+    assert not ledger.knows_file("graph/b")
+
+
+def test_entries_are_found_after_others_were_replaced_and_dropped(ledger, tmp_path):
+    for pair_id in "cab":
+        ledger.put_job(record(pair_id, n=1))
+    ledger.put_job(record("a", "matching", n=5))
+    ledger.put_job(record("a", n=2))
+    ledger.drop_job(record("c"))
+    ledger.drop_failure("nobody")
+    ledger.commit()
+    jobs = {("graph", "real"): record("a", n=2), ("matching", "real"): record("a", "matching", n=5)}
+    assert again(tmp_path).jobs("a") == jobs
+    assert list(again(tmp_path).pair_ids()) == ["a", "b"]
+    assert not again(tmp_path).knows_file("graph/c")
+
+
+def test_entries_are_not_kept_in_memory(ledger):
+    tracemalloc.start()
+    for i in range(2000):
+        ledger.put_job(record(str(i), text="x" * 1000))
+    gc.collect()
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 100_000
+    assert len(ledger.jobs("1999")["graph", "real"].facts["text"]) == 1000
+
+
+def test_a_ledger_that_was_not_closed_in_order_says_so(ledger, tmp_path):
+    assert not ledger.is_complete
+    ledger.set_complete(True)
+    assert again(tmp_path).is_complete
+    ledger.set_complete(False)
+    assert not again(tmp_path).is_complete
+
+
+def test_a_reader_changes_nothing_on_disk(ledger, tmp_path):
+    ledger.put_job(record("a"))
+    ledger.commit()
+    before = (tmp_path / LEDGER).read_bytes()
+    reader = again(tmp_path)
+    reader.put_job(record("b"))  # found by its footer, while the run goes on
+    assert list(reader.pair_ids()) == ["a", "b"]
+    reader.close()
+    assert (tmp_path / LEDGER).read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {LEDGER}
+
+
+def test_a_reader_of_no_ledger_sees_an_empty_one_and_makes_none(tmp_path):
+    assert contents(again(tmp_path)) == ([], {}, {})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_entry_is_not_believed(ledger, tmp_path):
+    for pair_id in "ab":
+        ledger.put_job(record(pair_id, n=1))
+    ledger.set_complete(True)
+    ledger.close()
+    path = tmp_path / LEDGER
+    content = path.read_bytes()
+    assert content.count(b'"n":1') == 2
+    path.write_bytes(content.replace(b'"n":1', b'"n":2', 1))
+    found = [pair_id for pair_id in "ab" if again(tmp_path).jobs(pair_id)]
+    assert len(found) == 1
+
+
+@pytest.mark.parametrize("damage", ["text", "header", "page", "torn", "empty", "other version"])
+def test_a_ledger_that_is_none_is_made_again(tmp_path, damage):
+    path = tmp_path / LEDGER
+    ledger = Ledger(path, is_writable=True)
+    for i in range(300):
+        ledger.put_job(record(str(i), text="x" * 1000))
+    ledger.set_complete(True)
+    ledger.close()
+    spoil(path, damage)
+    reader = again(tmp_path)
+    assert contents(reader) == ([], {}, {})
+    assert not reader.is_complete
+    reader.close()
+    writer = Ledger(path, is_writable=True)
+    assert contents(writer) == ([], {}, {})
+    writer.put_job(record("a"))
+    writer.commit()
+    assert list(again(tmp_path).pair_ids()) == ["a"]
+
+
+def put_many(ledger):
+    for i in range(5000):
+        ledger.put_job(record(f"b{i}", text="x" * 1000))
+    ledger.commit()
+
+
+def spoil(path, damage):
+    content = path.read_bytes()
+    if damage == "text":
+        path.write_text("not a database " * 1000)
+    elif damage == "header":
+        path.write_bytes(b"\x00" * 100 + content[100:])
+    elif damage == "page":
+        third = len(content) // 3 // 4096 * 4096
+        path.write_bytes(content[:third] + b"\xa5" * 65536 + content[third + 65536 :])
+    elif damage == "torn":
+        path.write_bytes(content[: len(content) // 2])
+    elif damage == "empty":
+        path.write_bytes(b"")
+    else:
+        other = sqlite3.connect(path)
+        other.execute("PRAGMA user_version = 99")
+        other.close()
+
+
+def test_a_ledger_in_a_run_that_goes_on_is_read_as_it_was_committed(ledger, tmp_path):
+    ledger.put_job(record("a"))
+    ledger.commit()
+    ledger.put_job(record("b"))
+    assert list(again(tmp_path).pair_ids()) == ["a"]
+    ledger.commit()
+    assert list(again(tmp_path).pair_ids()) == ["a", "b"]
+
+
+def test_a_disk_that_takes_no_more_is_one_line_and_what_was_there_stays(ledger, tmp_path):
+    ledger.put_job(record("a"))
+    ledger.set_complete(True)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2**18, limits[1]))
+    try:
+        with pytest.raises(RunError, match=r"ledger\.sqlite: cannot be written \(.*\); run the same command again"):
+            put_many(ledger)
+        ledger.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert again(tmp_path).jobs("a")

@@ -1,0 +1,252 @@
+"""What a run makes of a folder whose ledger is lost, that was killed, that is old, or that may not be written.
+
+The tables are the truth: what they tell of themselves is enough to go on.
+"""
+
+import io
+import json
+import os
+import re
+import shutil
+from dataclasses import replace
+from functools import partial
+
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from rich.console import Console
+
+from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
+from fidpipe.pipeline.results.status import run_status
+from fidpipe.pipeline.run import RunRequest, run_dataset
+from fidpipe.pipeline.storage.ledger import LEDGER
+from fidpipe.schemas.errors import RunError, StageError
+from fidpipe.schemas.settings import Settings, load
+from fidpipe.schemas.tables import TABLES
+from runs import (
+    FOLDERS,
+    STAGE_NAMES,
+    assert_same_tables,
+    changed_files,
+    command,
+    marks,
+    no_temporary_files,
+    read_only,
+    run,
+)
+from scenes import write_dataset
+
+N_JOBS = 18
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    run(dataset, out)
+    return out
+
+
+@pytest.fixture
+def again(finished, tmp_path):
+    """A copy of the finished run that a test may spoil."""
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def lose_ledger(out):
+    (out / LEDGER).unlink()
+
+
+def fill_with_garbage(out):
+    (out / LEDGER).write_bytes(os.urandom(20_000))
+
+
+def tear_ledger(out):
+    content = (out / LEDGER).read_bytes()
+    (out / LEDGER).write_bytes(content[: len(content) // 2])
+
+
+def garble_middle(out):
+    content = (out / LEDGER).read_bytes()
+    third = len(content) // 3
+    (out / LEDGER).write_bytes(content[:third] + os.urandom(third) + content[2 * third :])
+
+
+LEDGERS = [lose_ledger, fill_with_garbage, tear_ledger, garble_middle]
+
+
+def run_told(dataset, out):
+    """A run, and what it said."""
+    told = io.StringIO()
+    request = RunRequest(dataset, out, Settings(), machines=Machines(1))
+    outcome = run_dataset(request, Reporter(Console(file=told, width=500)))
+    return outcome, told.getvalue()
+
+
+def flip(path, position):
+    content = bytearray(path.read_bytes())
+    content[position] ^= 4
+    path.write_bytes(content)
+
+
+def as_before_footers(out):
+    """Makes of a run what an older fidpipe would have left: no word of the job in the tables, an index of lines."""
+    lose_ledger(out)
+    for path in out.rglob("*.parquet"):
+        table = pq.read_table(path)
+        pq.write_table(table.replace_schema_metadata({"fidpipe.key": "key"}), path)
+    (out / "index.jsonl").write_text('0123 {"kind":"job"}\n')
+    (out / ".journal").mkdir()
+    (out / ".journal" / "token.0").write_text("0123 torn")
+
+
+@pytest.mark.parametrize("spoil", LEDGERS)
+def test_a_run_without_a_sound_ledger_makes_nothing_and_touches_no_table(again, dataset, spoil):
+    before = marks(again)
+    spoil(again)
+    outcome, told = run_told(dataset, again)
+    assert (outcome.n_made, outcome.n_reused, outcome.failures) == (0, N_JOBS, {})
+    assert marks(again) == before
+    assert "replacing" not in told
+    assert "removing" not in told
+    assert run(dataset, again).n_made == 0
+
+
+def test_results_without_a_ledger_are_those_from_before(again, finished, dataset):
+    lose_ledger(again)
+    outcome = run(dataset, again)
+    before = json.loads((finished / "run.json").read_text())
+    for part in ("summary", "findings", "inputs", "pairs"):
+        assert outcome.record.as_dict()[part] == before[part]
+    steps = pd.read_parquet(again / "timings.parquet")
+    assert steps.reused.all()
+    assert set(steps.stage) == set(STAGE_NAMES)
+
+
+def test_results_that_are_out_of_date_are_not_taken_for_lack_of_a_ledger(again, dataset, tmp_path):
+    lose_ledger(again)
+    settings = load(None, ["matching.delta_m=3"])
+    assert run(dataset, again, settings).n_made == 6
+    run(dataset, tmp_path / "fresh", settings)
+    assert_same_tables(again, tmp_path / "fresh")
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+@pytest.mark.parametrize("where", ["page", "footer"])
+def test_without_a_ledger_a_damaged_table_alone_is_made_again(again, finished, dataset, folder, where):
+    before = marks(again)
+    path = sorted((again / folder).glob("*.parquet"))[0]
+    lose_ledger(again)
+    flip(path, 40 if where == "page" else path.read_bytes().index(b"fidpipe.job") + 60)
+    outcome, told = run_told(dataset, again)
+    assert outcome.n_made == 1
+    of_one_job = {"communities", "objects"} if folder in ("communities", "objects") else {folder}
+    assert {name.split("/")[0] for name in changed_files(again, before)} == of_one_job
+    assert f"removing {len(of_one_job)} file" in told
+    assert_same_tables(again, finished)
+
+
+@pytest.mark.parametrize("spoil", LEDGERS)
+def test_show_and_status_need_no_ledger(again, finished, spoil):
+    spoil(again)
+    files = {path: path.read_bytes() for path in again.rglob("*") if path.is_file()}
+    whole, lost = FinishedRun(finished), FinishedRun(again)
+    assert lost.rows == whole.rows
+    assert pair_facts(lost, "001") == pair_facts(whole, "001")
+    assert run_status(again).stages == {stage: {"done": 2} for stage in STAGE_NAMES}
+    assert {path: path.read_bytes() for path in again.rglob("*") if path.is_file()} == files
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spoil", [None, lose_ledger])
+def test_a_folder_that_may_not_be_written_is_shown_and_judged_but_not_run(again, dataset, spoil):
+    if spoil is not None:
+        spoil(again)
+    in_it = partial(command, preexec_fn=read_only(again))
+    shown = in_it("show", again)
+    assert shown.returncode == 0, shown.stderr
+    assert "Pairs" in shown.stdout
+    status = in_it("status", again)
+    assert status.returncode == 0, status.stderr
+    assert re.search(r"metrics +2 +- +- +-", status.stdout)
+    refused = in_it("run", dataset, "--out", again, "--workers", 1)
+    assert refused.returncode == 1
+    assert f"run {again}: cannot be written (Permission denied); give another --out" in " ".join(refused.stderr.split())
+
+
+def test_an_older_run_is_replaced_with_a_word_about_it(again, finished, dataset):
+    as_before_footers(again)
+    outcome, told = run_told(dataset, again)
+    assert (outcome.n_made, outcome.failures) == (N_JOBS, {})
+    assert "replacing all tables: an older fidpipe wrote them" in told
+    assert not (again / "index.jsonl").exists()
+    assert not (again / ".journal").exists()
+    assert_same_tables(again, finished)
+    again_told = run_told(dataset, again)
+    assert again_told[0].n_made == 0
+    assert "older fidpipe" not in again_told[1]
+
+
+def test_an_older_run_is_not_shown_as_if_it_were_whole(again):
+    as_before_footers(again)
+    with pytest.raises(RunError, match=r"pairs\.parquet is damaged or gone; run it again with: fidpipe run"):
+        FinishedRun(again)
+    assert run_status(again).stages == {stage: {"to do": 2} for stage in STAGE_NAMES}
+
+
+def test_a_failure_that_the_ledger_has_lost_is_found_again(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "streets")
+    (data / "real" / "000.bin").write_bytes(b"12345")
+    out = tmp_path / "run"
+    before = run(data, out)
+    lose_ledger(out)
+    outcome = run(data, out)
+    assert outcome.failures == before.failures
+    assert outcome.n_made == 0
+
+
+def test_what_an_interrupted_run_had_finished_is_kept(dataset, finished, tmp_path):
+    def interrupted(context):
+        if context.pair_id == "001":
+            raise KeyboardInterrupt
+        return STAGES[-1].make(context)
+
+    out = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        run(dataset, out, stages=(*STAGES[:-1], replace(STAGES[-1], make=interrupted)))
+    before = marks(out)
+    assert len(before) == sum(len(list((finished / table).iterdir())) for table in FOLDERS) - 1
+    assert run_status(out).stages["selection"] == {"done": 2}
+    assert run(dataset, out).n_made == 1
+    assert set(before) & changed_files(out, before) == set()
+    assert no_temporary_files(out)
+    assert_same_tables(out, finished)
+
+
+def test_tables_of_every_stage_tell_of_their_job(finished):
+    for folder in FOLDERS:
+        for path in (finished / folder).iterdir():
+            own = pq.read_metadata(path).metadata
+            assert own[b"fidpipe.table"].decode() == folder
+            job = json.loads(own[b"fidpipe.job"])
+            assert str(path.relative_to(finished)) in job["files"]
+            assert TABLES[folder].version == int(own[b"fidpipe.schema_version"])
+
+
+def test_a_failed_stage_leaves_nothing_that_a_lost_ledger_could_bring_back(dataset, finished, tmp_path):
+    def fail(context):
+        raise StageError("no such thing")
+
+    out = tmp_path / "run"
+    stages = (*STAGES[:-1], replace(STAGES[-1], make=fail))
+    assert len(run(dataset, out, stages=stages).failures) == 2
+    lose_ledger(out)
+    assert run(dataset, out).n_made == 2
+    assert_same_tables(out, finished)

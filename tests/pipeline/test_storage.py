@@ -1,0 +1,286 @@
+"""A run's folder: safe names, tables that are whole or not at all, the lock, and what tables tell of their jobs."""
+
+import random
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fidpipe.pipeline.storage.files import key_of, write_whole
+from fidpipe.pipeline.storage.folder import RunFolder
+from fidpipe.pipeline.storage.ledger import LEDGER
+from fidpipe.pipeline.storage.tables import JobRecord, file_stem, read_footer
+from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.tables import COMMUNITIES, MATCHING, OBJECTS, PAIRS
+
+NAMES = ["_x", "../x", ".hidden", "a/b", "straße 5", "<script>", "x" * 300, "a.real", "%5Fx", "x~y", "", "..", "日本"]
+JOB = JobRecord("communities", "a", "real", "key", {}, ("read",), {"n": 1}, (("louvain", 0.5),))
+FILES = {"communities/a.real.parquet", "objects/a.real.parquet"}
+
+
+def communities(n=5):
+    return COMMUNITIES.build({"pair_id": "a", "side": "real", "point_id": np.arange(n), "community_id": np.zeros(n)})
+
+
+def objects():
+    numbers = {field.name: 1.0 for field in OBJECTS.schema if field.type == pa.float64()}
+    return OBJECTS.from_rows(
+        [{"pair_id": "a", "side": "real", "community_id": 0, "n_points": 5, "label": "car"} | numbers]
+    )
+
+
+def write(folder, record=JOB):
+    files = folder.write_job(record, {"communities": communities(), "objects": objects()})
+    return replace(record, files=files)
+
+
+@pytest.fixture
+def written(tmp_path):
+    """A folder with one finished job of two tables, in the ledger."""
+    folder = RunFolder(tmp_path)
+    with folder.locked():
+        folder.ledger.put_job(write(folder))
+    return RunFolder(tmp_path)
+
+
+def only_job(folder):
+    (record,) = folder.ledger.jobs("a").values()
+    return record
+
+
+def without_ledger(tmp_path):
+    (tmp_path / LEDGER).unlink()
+    return RunFolder(tmp_path)
+
+
+def flip(path, position, bit=0):
+    content = bytearray(path.read_bytes())
+    content[position] ^= 1 << bit
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name])
+def test_any_pair_name_is_a_safe_file_name(name):
+    stem = file_stem(name)
+    assert stem[0].isalnum()
+    assert stem.isascii()
+    assert "/" not in stem
+    assert len(stem) <= 120
+
+
+def test_different_pairs_have_different_file_names():
+    names = [*NAMES[:10], "x", "5Fx", "2Fx", "x~2fe4", "X" * 300, "x" * 299]
+    assert len({file_stem(name) for name in names}) == len(names)
+
+
+def test_a_key_depends_on_every_part():
+    keys = {key_of(*parts) for parts in [("a", 1), ("a", 2), ("a", 1.5), ("b", 1), ("a", [1]), ("a", {"k": 1})]}
+    assert len(keys) == 6
+    assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
+
+
+def test_a_file_whose_parts_fail_leaves_the_one_before(tmp_path):
+    def parts():
+        yield b"new"
+        raise ValueError("no more")
+
+    write_whole(tmp_path / "file", b"old")
+    with pytest.raises(ValueError, match="no more"):
+        write_whole(tmp_path / "file", parts())
+    assert (tmp_path / "file").read_bytes() == b"old"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(RunError, match=r"file/table: cannot be written \(File exists\); give another file"):
+        write_whole(tmp_path / "file" / "table", b"rows")
+
+
+def test_a_job_is_known_after_it_is_read_back(written):
+    record = only_job(written)
+    assert replace(record, files={}) == JOB
+    assert record.files.keys() == FILES
+    assert written.is_whole(record)
+
+
+def test_the_key_and_the_schema_version_stand_in_the_footer(written, tmp_path):
+    metadata = pq.read_metadata(tmp_path / "communities" / "a.real.parquet").metadata
+    assert (metadata[b"fidpipe.key"], metadata[b"fidpipe.schema_version"]) == (b"key", b"1")
+
+
+def test_a_table_is_read_whole_or_by_columns(written):
+    assert written.read_table("communities", "a", "real").equals(communities())
+    ids = written.read_table("communities", "a", "real", ["community_id"])
+    assert ids.column_names == ["community_id"]
+    with pytest.raises(RunError, match=r"communities/b\.real\.parquet is damaged or gone"):
+        written.read_table("communities", "b", "real")
+
+
+@pytest.mark.parametrize("position", [4, 200, -30])
+def test_a_flipped_byte_is_noticed(written, tmp_path, position):
+    flip(tmp_path / "communities" / "a.real.parquet", position)
+    assert not written.is_whole(only_job(written))
+    with pytest.raises(RunError, match=r"communities/a\.real\.parquet is damaged or gone"):
+        written.read_table("communities", "a", "real")
+
+
+def test_a_truncated_or_missing_file_is_noticed(written, tmp_path):
+    path = tmp_path / "communities" / "a.real.parquet"
+    path.write_bytes(path.read_bytes()[:-1])
+    assert not written.is_whole(only_job(written))
+    path.unlink()
+    assert not written.is_whole(only_job(written))
+
+
+def test_a_copied_run_is_still_whole(written, tmp_path):
+    path = tmp_path / "communities" / "a.real.parquet"
+    content = path.read_bytes()
+    path.unlink()
+    path.write_bytes(content)  # same content, other times
+    assert written.is_whole(only_job(written))
+
+
+def test_a_second_run_is_refused_while_the_first_one_lives(tmp_path):
+    with RunFolder(tmp_path).locked(), pytest.raises(RunError, match="another fidpipe is writing here"):
+        RunFolder(tmp_path).locked().__enter__()
+    with RunFolder(tmp_path).locked():
+        pass
+
+
+def test_a_killed_run_leaves_no_lock(tmp_path):
+    code = (
+        "import os, signal; from pathlib import Path; from fidpipe.pipeline.storage.folder import RunFolder\n"
+        f"lock = RunFolder(Path({str(tmp_path)!r})).locked(); lock.__enter__(); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    died = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True)
+    assert (died.returncode, died.stderr) == (-9, b"")
+    assert (tmp_path / ".writer").exists()
+    with RunFolder(tmp_path).locked():
+        pass
+
+
+def test_a_job_of_a_former_run_writes_nothing(tmp_path):
+    former = RunFolder(tmp_path)
+    with former.locked():
+        pass
+    with RunFolder(tmp_path).locked(), pytest.raises(RunError, match="another run has taken over"):
+        write(former)
+    assert not list((tmp_path / "communities").iterdir())
+
+
+def test_a_file_that_changes_while_in_use_is_refused(written, tmp_path):
+    path = tmp_path / "communities" / "a.real.parquet"
+    stored = only_job(written).files["communities/a.real.parquet"]
+    path.write_bytes(path.read_bytes() + b"x")
+    with pytest.raises(RunError, match="changed while the run was using it"):
+        written.read("communities", stored, path)
+
+
+def test_strays_are_removed_and_others_are_left_alone(written, tmp_path):
+    for name in ("communities/b.real.parquet", "communities/.a.real.parquet.0123abcd", "notes.txt"):
+        (tmp_path / name).touch()
+    with written.locked():
+        assert written.remove_strays() == 1  # half-written ones are not worth a word
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert left - {".lock", ".writer", LEDGER} == FILES | {"notes.txt"}
+
+
+def test_a_lost_ledger_is_made_again_from_the_tables(written, tmp_path):
+    before = only_job(written)
+    folder = without_ledger(tmp_path)
+    assert only_job(folder) == before
+    with folder.locked():
+        assert only_job(folder) == before
+    assert only_job(RunFolder(tmp_path)) == before
+
+
+def test_a_finished_job_that_a_killed_run_did_not_report_is_known(tmp_path):
+    folder = RunFolder(tmp_path)
+    with pytest.raises(KeyboardInterrupt), folder.locked():
+        record = write(folder)
+        raise KeyboardInterrupt
+    assert only_job(RunFolder(tmp_path)) == record
+    with RunFolder(tmp_path).locked():
+        pass
+    assert only_job(RunFolder(tmp_path)) == record
+
+
+def test_a_job_of_which_one_file_is_not_there_is_not_adopted(written, tmp_path):
+    (tmp_path / "objects" / "a.real.parquet").unlink()
+    assert not without_ledger(tmp_path).ledger.jobs("a")
+
+
+def test_files_of_different_results_are_not_taken_for_one_job(tmp_path):
+    folder = RunFolder(tmp_path)
+    with pytest.raises(KeyboardInterrupt), folder.locked():
+        write(folder, replace(JOB, key="old"))
+        objects_of_old = (tmp_path / "objects" / "a.real.parquet").read_bytes()
+        write(folder)
+        (tmp_path / "objects" / "a.real.parquet").write_bytes(objects_of_old)
+        raise KeyboardInterrupt
+    assert not RunFolder(tmp_path).ledger.jobs("a")
+
+
+def test_a_table_under_another_name_is_not_adopted(written, tmp_path):
+    for table in ("communities", "objects"):
+        path = tmp_path / table / "a.real.parquet"
+        path.rename(path.with_name("b.real.parquet"))
+    assert contents(without_ledger(tmp_path)) == {}
+
+
+def test_a_table_of_the_whole_run_is_adopted(tmp_path):
+    folder = RunFolder(tmp_path)
+    with folder.locked():
+        stored = folder.write_at(tmp_path / "pairs.parquet", "pairs", PAIRS.from_rows([]), "key")
+        folder.ledger.put_job(JobRecord("pairs", "", "", "key", {"pairs.parquet": stored}))
+    before = folder.ledger.jobs("")
+    folder = without_ledger(tmp_path)
+    assert folder.ledger.jobs("") == before
+    assert folder.read_table("pairs", "").num_rows == 0
+
+
+def test_a_table_without_rows_is_adopted(tmp_path):
+    folder = RunFolder(tmp_path)
+    with folder.locked():
+        folder.write_job(JobRecord("matching", "a", "", "key", {}), {"matching": MATCHING.from_rows([])})
+    assert without_ledger(tmp_path).ledger.jobs("a").keys() == {("matching", "")}
+
+
+def test_no_flipped_bit_makes_a_wrong_table_believed(written, tmp_path):
+    name = "objects/a.real.parquet"
+    path = tmp_path / name
+    content, table = path.read_bytes(), pq.read_table(path)
+    footer = read_footer(tmp_path, name)
+    assert footer is not None
+    bits = random.Random(0)
+    believed = 0
+    for position in range(bits.randrange(3), len(content), 3):
+        flip(path, position, bits.randrange(8))
+        told = read_footer(tmp_path, name)
+        if told is not None:
+            believed += 1
+            assert pq.read_table(path).equals(table), position
+            assert (replace(told[0], files={}), told[1]) == (replace(footer[0], files={}), footer[1])
+        path.write_bytes(content)
+    assert believed < len(content) / 6
+
+
+def test_a_folder_of_an_older_version_says_so_until_it_is_cleared(tmp_path):
+    (tmp_path / ".journal").mkdir()
+    (tmp_path / ".journal" / "token").write_text("{}")
+    (tmp_path / "index.jsonl").write_text("{}")
+    folder = RunFolder(tmp_path)
+    assert folder.is_of_older_version
+    with folder.locked():
+        folder.remove_strays()
+    assert not folder.is_of_older_version
+    assert not (tmp_path / ".journal").exists()
+
+
+def contents(folder):
+    return {pair_id: folder.ledger.jobs(pair_id) for pair_id in folder.ledger.pair_ids()}

@@ -1,0 +1,90 @@
+"""Pools that run in this process what they are given, remember it, and lose workers where a test wants it."""
+
+from fidpipe.pipeline.engine.costs import CostModel, largest_object
+from fidpipe.pipeline.engine.pool import InProcess, Memory, WorkerDied
+
+GIB = 2**30
+
+
+class WatchedPool(InProcess):
+    """As if `n_workers` shared a memory.
+
+    submitted : the functions that it was given, by name
+    batches : of those that make jobs, the jobs: pair_id, stage, part
+    at_once : after each submission, how many tasks are there and what as many as there are workers may need, in bytes
+    """
+
+    def __init__(self, n_workers=2, memory=8 * GIB, costs=None):
+        super().__init__()
+        self.n_workers = n_workers
+        self._given = Memory(memory, memory)
+        self._costs = costs or CostModel()
+        self._needs = {}
+        self.submitted, self.batches, self.at_once = [], [], []
+
+    @property
+    def memory(self):
+        return self._given
+
+    def submit(self, function, *args, **options):
+        self.submitted.append(function.__name__)
+        if jobs := jobs_in(function, args):
+            self.batches.append(jobs)
+        handle = super().submit(function, *args, **options)
+        self._needs[handle] = bytes_needed(function, args, self._costs)
+        self.at_once.append((len(self._needs), sum(sorted(self._needs.values())[-self.n_workers :])))
+        return handle
+
+    def next_done(self):
+        handle, outcome = super().next_done()
+        del self._needs[handle]
+        return handle, outcome
+
+
+class DyingPool(WatchedPool):
+    """A worker dies, at most `n_deaths` times, of a task that `is_fatal` says so of: after the work, before the report.
+
+    is_fatal : asked with the jobs of a task and the name of its function
+    """
+
+    def __init__(self, is_fatal, n_deaths=10**6, **options):
+        super().__init__(**options)
+        self._is_fatal, self._left = is_fatal, n_deaths
+        self.n_deaths = 0
+
+    def submit(self, function, *args, **options):
+        handle = super().submit(function, *args, **options)
+        if self.n_deaths < self._left and self._is_fatal(jobs_in(function, args), function.__name__):
+            self.n_deaths += 1
+            handle.is_doomed = True
+        return handle
+
+    def next_done(self):
+        handle, outcome = super().next_done()
+        return handle, WorkerDied("killed by a test") if hasattr(handle, "is_doomed") else outcome
+
+
+def jobs_in(function, args):
+    """The jobs that a task makes as a whole; the reading of a pair's files counts as one."""
+    if function.__name__ == "inspect_pairs":
+        return tuple((pair.pair_id, "inspect", "") for pair in args[0])
+    if function.__name__ != "run_batch":
+        return ()
+    return tuple((batch.plan.pair_id, *name) for batch in args[0] for name in batch.jobs)
+
+
+def bytes_needed(function, args, costs):
+    """What a task may occupy, by the cost model."""
+    if function.__name__ == "run_batch":
+        return max(costs.pair_bytes(batch.plan.n_raw) + _bytes_for_objects(batch, costs) for batch in args[0])
+    if function.__name__ == "score_objects":
+        plan, _, wanted = args
+        nodes = [n_keep for number, n_keep in plan.objects if number in wanted]
+        return costs.pair_bytes(plan.n_raw) + costs.object_bytes(max(nodes))
+    return 0
+
+
+def _bytes_for_objects(batch, costs):
+    if batch.bytes_for_objects is not None:
+        return batch.bytes_for_objects
+    return costs.object_bytes(largest_object(batch.plan.objects or [])[1])

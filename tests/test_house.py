@@ -1,0 +1,31 @@
+"""What the README's map promises of the way through the house."""
+
+import traceback
+from pathlib import Path
+
+import fidpipe
+from fidpipe.pipeline.jobs import graph
+from fidpipe.stages.graph import build_graph
+from runs import run
+from scenes import write_dataset
+
+PACKAGE = Path(fidpipe.__file__).parent
+README = Path(__file__).resolve().parents[1] / "README.md"
+
+
+def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, monkeypatch):
+    ways = []
+
+    def watched(points, settings):
+        frames = traceback.extract_stack()
+        ways.append([frame.name for frame in frames if PACKAGE in Path(frame.filename).parents])
+        return build_graph(points, settings)
+
+    monkeypatch.setattr(graph, "build_graph", watched)
+    assert not run(write_dataset(tmp_path / "streets", 1), tmp_path / "run").failures
+    for way in ways:
+        calls = [*way, "build_graph"]
+        assert len(calls) <= 7, calls
+        assert calls[0] == "run_dataset"
+    named = " ".join(README.read_text().split())
+    assert all(f"`{name}`" in named or f".{name}`" in named for name in ways[0][:-1])
