@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -23,7 +24,7 @@ from ..storage.record import LIBRARIES, library_versions
 from ..storage.tables import JobName, JobRecord
 from .cluster import start_pool
 from .plan import PairPlan, with_results
-from .pool import InProcess, Pool, WorkerDied
+from .pool import Handle, InProcess, Pool, WorkerDied
 from .progress import Reporter, Work, seconds_of
 from .schedule import Policy, Schedule
 from .worker import BatchResult, JobFailure, failures_in_words
@@ -31,6 +32,7 @@ from .worker import BatchResult, JobFailure, failures_in_words
 _FEW_PAIRS = 16  # whose files are read in this process
 _MOST_PAIRS_PER_BATCH = 32
 _LEAST_BATCHES = 8
+_BATCHES_PER_WORKER = 4
 
 PlanPair = Callable[[ScanPair], PairPlan]
 
@@ -224,22 +226,20 @@ class RunEngine(Engine):
             if facts is None:
                 unknown.append(pair)
             else:
-                self._judge(pair, facts, sides, is_noted)
+                self._tell(pair, self._judge(pair, facts, sides), is_noted)
         pool = self.pool if len(unknown) > _FEW_PAIRS else InProcess()
         n = max(1, min(_MOST_PAIRS_PER_BATCH, len(unknown) // _LEAST_BATCHES))
-        known: dict[str, dict[str, ScanFacts]] = {}
+        judged: dict[str, tuple[str, list[str]]] = {}
         for pair, facts in self._read_files(pool, [unknown[i : i + n] for i in range(0, len(unknown), n)], label_names):
             for side, scan in facts.items() if is_noted else ():
                 self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
-            known[pair.pair_id] = facts
+            judged[pair.pair_id] = self._judge(pair, facts, sides)
         for pair in unknown:  # in their order, whichever was read first
-            if pair.pair_id in known:
-                self._judge(pair, known[pair.pair_id], sides, is_noted)
+            if pair.pair_id in judged:
+                self._tell(pair, judged[pair.pair_id], is_noted)
             else:
-                self.fail(
-                    pair.pair_id, "the worker process died while it read the files, and again when it did so alone"
-                )
-                self._unusable.add(pair.pair_id)
+                fault = "the worker process died while it read the files, and again when it did so alone"
+                self._tell(pair, (fault, []), is_noted=False)
 
     def survey(
         self,
@@ -346,9 +346,13 @@ class RunEngine(Engine):
         self, pool: Pool, parts: Sequence[Sequence[ScanPair]], label_names: dict[int, str]
     ) -> Iterator[tuple[ScanPair, dict[str, ScanFacts]]]:
         """What the files of pairs hold, in any order; pairs at which a worker dies twice, last alone, are left out."""
-        handles = {pool.submit(inspect_pairs, part, self.settings.input, label_names): part for part in parts}
+        left, handles = iter(parts), dict[Handle, Sequence[ScanPair]]()
         suspects: list[ScanPair] = []
-        while handles:
+        while True:
+            for part in islice(left, max(0, _BATCHES_PER_WORKER * pool.n_workers - len(handles))):
+                handles[pool.submit(inspect_pairs, part, self.settings.input, label_names)] = part
+            if not handles:
+                break
             handle, read = pool.next_done()
             part = handles.pop(handle)
             if isinstance(read, WorkerDied):
@@ -373,19 +377,24 @@ class RunEngine(Engine):
             facts[side] = scan
         return facts
 
-    def _judge(self, pair: ScanPair, facts: Mapping[str, ScanFacts], sides: Sequence[str], is_noted: bool) -> None:
-        """Keeps what is needed of a pair's files, and says what is wrong with them."""
+    def _judge(self, pair: ScanPair, facts: Mapping[str, ScanFacts], sides: Sequence[str]) -> tuple[str, list[str]]:
+        """Keeps what is needed of a pair's files; gives why it cannot be used, or "", and what is odd about it."""
         facts = {side: scan for side, scan in facts.items() if side in sides}
         faults = [scan.fault for scan in facts.values() if scan.fault]
         if not faults:
             self.contents[pair.pair_id] = {side: scan.content for side, scan in facts.items()}
         lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
-        if fault := (pair.fault if lacks_scan else None) or "; ".join(faults):
+        return (pair.fault if lacks_scan else None) or "; ".join(faults), pair_warnings(pair, dict(facts))
+
+    def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool) -> None:
+        """Says why a pair cannot be used, and what is odd about it."""
+        fault, warnings = judged
+        if fault:
             self.fail(pair.pair_id, fault)
             self._unusable.add(pair.pair_id)
             if is_noted:
                 self.folder.ledger.put_failure(pair.pair_id, {"key": "input", "reason": fault})
-        for text in pair_warnings(pair, dict(facts)):
+        for text in warnings:
             self.reporter.warn(f"pair {pair.pair_id}: {text}")
 
 
