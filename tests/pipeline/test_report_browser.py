@@ -207,6 +207,12 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
     assert complaints(page) == []
 
 
+def test_each_scan_and_each_class_has_a_box_of_both_scores(page):
+    for chart, n_groups in (("box_scan", len(HOSTILE_PAIRS)), ("box_class", 2)):
+        assert len(page.find_elements("css selector", f"#{chart} path.box")) == 2 * n_groups
+        assert [one.text for one in page.find_elements("css selector", f"#{chart} .legendtext")] == ["r_lambda", "CDC"]
+
+
 def test_the_theme_can_be_chosen(page):
     before = pixels(page, "hist_cdc")
     choose(page, "theme", "dark")
