@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from time import monotonic
 from typing import Annotated
 
 import typer
@@ -17,6 +18,8 @@ from .experiments import ablate, perturb
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .results import compare, gate, report, show
 from .running import check, run, status
+
+_SECONDS_TO_STOP = 10.0
 
 app = typer.Typer(
     name="fidpipe",
@@ -34,8 +37,8 @@ def main() -> None:
     """Runs the command and exits with its code."""
     from ...schemas.errors import FidpipeError
 
-    # A batch system that ends a job means what Ctrl-C means.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):  # a batch system that ends a job means what Ctrl-C means
+        signal.signal(number, _Stop())
     try:
         code = app(standalone_mode=False)
     except FidpipeError as error:
@@ -53,6 +56,18 @@ def main() -> None:
         _complain("interrupted; run the same command again to go on")
     sys.stdout.flush()
     sys.exit(code)
+
+
+class _Stop:
+    """Ends the command at the first Ctrl-C; more of them do nothing while that is done in order, some seconds long."""
+
+    last = -_SECONDS_TO_STOP
+
+    def __call__(self, *_: object) -> None:
+        """Called by Python in the main thread; raises KeyboardInterrupt."""
+        if monotonic() - _Stop.last >= _SECONDS_TO_STOP:
+            _Stop.last = monotonic()
+            raise KeyboardInterrupt
 
 
 def _complain(text: str) -> None:

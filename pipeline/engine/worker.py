@@ -12,7 +12,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from ...schemas.errors import FidpipeError, StageError
+from ...schemas.errors import DiskFullError, FidpipeError, StageError
 from ...schemas.tables import TABLES
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
@@ -83,6 +83,8 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                     break
             try:
                 records.append(make_job(tables, job))
+            except DiskFullError:
+                raise  # of every pair that comes after
             except Exception as error:  # one broken pair does not stop a dataset
                 failures.append(_failure(job, error))
                 failed.add(job.name)
@@ -126,6 +128,8 @@ def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRo
         try:
             made = {table: [part.tables[name][table] for part in rows] for table in job.stage.gives}
             records.append(_finish_objects(tables, job, context, made))
+        except DiskFullError:
+            raise  # of every pair that comes after
         except Exception as error:  # one broken pair does not stop a dataset
             return [BatchResult(plan.pair_id, tuple(records), (_failure(job, error),))]
     return [BatchResult(plan.pair_id, tuple(records))]

@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.results import JsonObject, RunRecord
 from ..storage.folder import RunFolder
-from ..storage.record import read_run
+from ..storage.record import command_again, read_run
 from ..storage.tables import table_name
 
 
@@ -58,7 +58,7 @@ class FinishedRun:
         except ValueError as error:
             raise RunError(
                 f"run {folder}: the run has not ended, or an older fidpipe wrote it; "
-                f"finish it with: fidpipe run {record.get('dataset')} --out {folder}"
+                f"finish it with: {command_again(folder, record.get('dataset'))}"
             ) from error
         self.store = RunFolder(folder)
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
@@ -134,7 +134,7 @@ class FinishedRun:
         if record is None or not self.store.is_whole(record):
             raise RunError(
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "
-                f"fidpipe run {self.record.dataset} --out {self.folder}"
+                f"{command_again(self.folder, self.record.dataset)}"
             )
 
 

@@ -17,6 +17,7 @@ from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
 from ..datasets.scan_checks import input_hashes
+from ..storage.record import command_again
 from .findings import read_objects
 from .finished import FinishedRun
 
@@ -135,7 +136,7 @@ class Measures:
         """Pairs of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset."""
         before = self.run.record.inputs
         if not all("content" in hashes for hashes in before.values()):
-            again = f"fidpipe run {self.run.record.dataset} --out {self.run.folder}"
+            again = command_again(self.run.folder, self.run.record.dataset)
             raise _AbsentError(
                 f"an older fidpipe wrote the run and did not note all that it is made of; run again: {again}"
             )
