@@ -57,6 +57,14 @@ class InputSettings(_Group):
                 raise ValueError("each name may stand once")
         return value
 
+    @field_validator("exclude_box", "include_box", mode="before")
+    @classmethod
+    def _box_has_six_numbers(cls, value: Any) -> Any:
+        words = value.replace(",", " ").split() if isinstance(value, str) else value
+        if isinstance(words, list | tuple) and len(words) != 6:
+            raise ValueError(f"six numbers are wanted (xmin ymin zmin xmax ymax zmax), not {len(words)}")
+        return words
+
     @field_validator("exclude_box", "include_box")
     @classmethod
     def _box_has_volume(cls, value: Box | None) -> Box | None:

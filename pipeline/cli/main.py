@@ -6,6 +6,7 @@ the options are checked, so that `fidpipe --help` answers at once.
 
 from __future__ import annotations
 
+import errno
 import signal
 import sys
 from time import monotonic
@@ -20,6 +21,7 @@ from .results import compare, gate, report, show
 from .running import check, run, status
 
 _SECONDS_TO_STOP = 10.0
+_REFUSALS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)  # by the system, not our bugs
 
 app = typer.Typer(
     name="fidpipe",
@@ -43,6 +45,11 @@ def main() -> None:
         code = app(standalone_mode=False)
     except FidpipeError as error:
         _complain(f"error: {error}")
+        code = EXIT_WRONG_INPUT
+    except OSError as error:  # a folder without the right to search it, a read-only medium, a full disk
+        if error.filename is None or error.errno not in _REFUSALS:
+            raise
+        _complain(f"error: {error.filename}: {error.strerror}; allow it there, or name another place")
         code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED

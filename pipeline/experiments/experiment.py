@@ -112,6 +112,8 @@ def read_source(path: Path, pattern: str | None, *, first_only: bool = False) ->
         folder = path.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
         return Source(path, (ScanPair(stem_of(path), path, None),), names, is_scan=True)
+    if not path.exists() and suffix_of(path) is not None:
+        raise ScanError(f"{path}: no such file; a scan file or a dataset folder is wanted")
     dataset = read_dataset(path)
     pairs = select_pairs(dataset, pattern)
     return Source(path, pairs[:1] if first_only and pattern is None else pairs, dataset.label_names)

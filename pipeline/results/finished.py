@@ -51,7 +51,12 @@ class FinishedRun:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         record = read_run(folder)
-        if not record or record.get("experiment", "run") != "run":
+        if made_by := record.get("experiment"):
+            raise RunError(
+                f"run {folder}: was written by fidpipe {made_by}, whose tables are {folder}/{made_by}*.parquet; "
+                "a folder written by fidpipe run is wanted"
+            )
+        if not record:
             raise RunError(f"run {folder}: no run.json of fidpipe run found; a folder written by fidpipe run is wanted")
         try:
             self.record = RunRecord.from_dict(record)

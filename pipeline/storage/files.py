@@ -24,7 +24,7 @@ def write_whole(
     content: bytes | memoryview | Iterable[bytes | memoryview],
     *,
     before_rename: Callable[[], None] | None = None,
-    advice: str = "; give another file",
+    advice: str = "; give another --out",
 ) -> None:
     """Puts a file in place of another, if any: written beside it under a dot name, flushed, renamed.
 
