@@ -141,7 +141,7 @@ def inspect_scan(
     """
     marks, key = file_marks(path), settings_key(side, T_real_sim, settings)
     try:
-        scan = read_scan(path, settings.columns, label_names)
+        scan = read_scan(path, settings.columns_of(side), label_names)
         sha256, label_sha256 = hash_scan(path)
     except (FidpipeError, OSError) as error:
         return ScanFacts(marks, key, fault=str(error))

@@ -207,7 +207,7 @@ class PairTables:
         path = self._plan.pair.path(side)
         if path is None:
             raise StageError(f"no {side} scan")
-        columns = next(job.settings for job in self._plan.jobs).input.columns
+        columns = next(job.settings for job in self._plan.jobs).input.columns_of(side)
         scan = read_scan(path, columns, dict(self._plan.label_names))
         if hash_file(path) != self._plan.inputs[side].sha256:
             raise StageError(f"{path}: the file changed while the run was using it; run the same command again")

@@ -369,6 +369,17 @@ def test_labels_travel_to_the_objects(tmp_path):
     assert set(pd.read_parquet(tmp_path / "run" / "objects").label) == {"tree"}
 
 
+def test_each_side_may_have_its_own_columns(dataset, tmp_path):
+    scan, seen = street(), drifted(street())
+    write_bin(tmp_path / "same" / "real" / "a.bin", scan)
+    write_bin(tmp_path / "same" / "sim" / "a.bin", seen)
+    write_bin(tmp_path / "other" / "real" / "a.bin", scan)
+    write_bin(tmp_path / "other" / "sim" / "a.bin", seen, 6)
+    settings = settings_of("input.sim_columns=x y z ring time intensity")
+    same, other = run(tmp_path / "same", tmp_path / "a"), run(tmp_path / "other", tmp_path / "b", settings)
+    assert other.rows == same.rows
+
+
 def test_nothing_half_written_is_left(finished):
     assert no_temporary_files(finished[0])
 
