@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
-from ..schemas.settings import Settings
+from ..schemas.settings import Settings, parse
 from .datasets.pairs import ScanPair
 from .datasets.readers.scan import Scan
 from .datasets.scan_checks import ScanContent
@@ -47,13 +48,13 @@ class PairResult:
     seeds: pd.DataFrame | None = None
 
 
-def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = None) -> PairResult:
+def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[str, Any] | None = None) -> PairResult:
     """How far a simulated scan is from a real one, object by object; the same numbers as `fidpipe run`.
 
     Parameters
     ----------
     real, sim : (n, 3) points, metres, in the real sensor's frame (z up); computed with as float64
-    settings : by default those of the paper
+    settings : by default those of the paper; or some of them by group, such as {"graph": {"k": 60}}
 
     Raises
     ------
@@ -74,7 +75,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | None = N
     (1.0, ['identical'])
     """
     scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
-    settings = settings or Settings()
+    settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     inputs = {side: ScanContent("", "", len(scan.points)) for side, scan in scans.items()}
     plan = Planner(stages_under(settings), settings, {}).plan(ScanPair("pair", None, None), inputs)
     tables, summary = PairTables(plan, scans), dict[str, Any]()

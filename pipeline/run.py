@@ -24,7 +24,7 @@ from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .datasets.scan_checks import input_hashes
 from .engine.engine import Machines, RunEngine, Survey, current_records, modules_of
-from .engine.plan import PairPlan, Planner, with_results
+from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
 from .results.findings import run_findings
@@ -35,6 +35,8 @@ from .storage.ledger import LEDGER
 from .storage.record import (
     SETTINGS_TOML,
     StageSeconds,
+    changed_settings,
+    has_ended,
     read_run,
     run_header,
     run_record,
@@ -58,6 +60,7 @@ class RunRequest:
     pattern : only pairs whose name matches are worked on (shell style)
     machines : where work is done
     stages : by default those of the pipeline under these settings
+    replace : whether results of a finished run may be replaced because settings differ
     """
 
     dataset: Path
@@ -67,6 +70,7 @@ class RunRequest:
     pattern: str | None = None
     machines: Machines = field(default_factory=Machines)
     stages: tuple[Stage, ...] | None = None
+    replace: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,9 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
         run = _Run(request, dataset, stages, engine)
         run.inspect(selected)
         survey = run.survey(selected)
+        run.refuse_other_settings(survey)
+        if survey.todo:
+            engine.start()
         run.replace(survey)
         if survey.todo:
             with engine.scheduling_missing(survey, run.plan) as schedule:
@@ -174,6 +181,7 @@ class _Run:
         self._start = self._phase_start = perf_counter()
         before = read_run(request.out)
         self._changes = what_changed(before, request.settings, self._versions)
+        self._other_settings = changed_settings(before, request.settings) if has_ended(before) else {}
         self._findings_before = Findings.recorded(before.get("findings"))
 
     def inspect(self, selected: Iterable[ScanPair]) -> None:
@@ -192,6 +200,29 @@ class _Run:
         redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
         chosen = {pair.pair_id for pair in selected}
         return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo)
+
+    def refuse_other_settings(self, survey: Survey) -> None:
+        """Refuses to replace results of a finished run because settings differ, unless that was asked for.
+
+        Raises
+        ------
+        RunError
+            They would be replaced; says which, and by which setting.
+        """
+        if self._request.replace or self._request.from_stage:
+            return
+        touched = {stage.name for stage in self._stages if self._other_settings.keys() & set(stage.settings)}
+        outdated = [name for name, reason in survey.unwanted.items() if reason == OUT_OF_DATE]
+        if not any(stage in touched for stage, _, _ in outdated):
+            return
+        names = {stage for stage, _, _ in outdated}
+        listed = ", ".join(stage for stage in dict.fromkeys((*self._versions, *sorted(names))) if stage in names)
+        n_pairs = len({pair_id for _, pair_id, _ in outdated})
+        why = "; ".join(text for texts in self._other_settings.values() for text in texts)
+        raise RunError(
+            f"run {self._request.out}: is finished, and {listed} of {n_pairs} pair{'s' * (n_pairs > 1)} would be "
+            f"replaced ({why}); add --replace, or give another --out"
+        )
 
     def replace(self, survey: Survey) -> None:
         """Removes what is out of date, and writes the head of the record."""

@@ -25,3 +25,7 @@ class StageError(FidpipeError):
 
 class RunError(FidpipeError):
     """A fault of the run folder: it is in use, or it is not ours."""
+
+
+class DiskFullError(RunError):
+    """No space is left where a run writes: nothing can go on, of whichever pair."""

@@ -30,6 +30,8 @@ class InputSettings(_Group):
         None,
         description="names of the float32 columns of a .bin file; by default x y z intensity (and ring in .pcd.bin)",
     )
+    real_columns: tuple[str, ...] | None = Field(None, description="the same for the real side alone")
+    sim_columns: tuple[str, ...] | None = Field(None, description="the same for the simulated side alone")
     min_range_m: Annotated[float, Field(ge=0, description="nearer points are dropped (3-D range, own frame)")] = 2.5
     max_range_m: Annotated[float, Field(gt=0, description="farther points are dropped")] = 100.0
     exclude_box: Box | None = Field(
@@ -41,13 +43,13 @@ class InputSettings(_Group):
     )
     sim_flip_y: bool = Field(False, description="negate y of the simulated side (left-handed simulators such as CARLA)")
 
-    @field_validator("columns", "exclude_box", "include_box", mode="before")
+    @field_validator("columns", "real_columns", "sim_columns", "exclude_box", "include_box", mode="before")
     @classmethod
     def _split_words(cls, value: Any) -> Any:
         """`x,y,z,intensity` and `x y z intensity` are read as lists."""
         return value.replace(",", " ").split() if isinstance(value, str) else value
 
-    @field_validator("columns")
+    @field_validator("columns", "real_columns", "sim_columns")
     @classmethod
     def _columns_hold_xyz(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
         if value is not None:
@@ -56,6 +58,14 @@ class InputSettings(_Group):
             if len(set(value)) != len(value):
                 raise ValueError("each name may stand once")
         return value
+
+    @field_validator("exclude_box", "include_box", mode="before")
+    @classmethod
+    def _box_has_six_numbers(cls, value: Any) -> Any:
+        words = value.replace(",", " ").split() if isinstance(value, str) else value
+        if isinstance(words, list | tuple) and len(words) != 6:
+            raise ValueError(f"six numbers are wanted (xmin ymin zmin xmax ymax zmax), not {len(words)}")
+        return words
 
     @field_validator("exclude_box", "include_box")
     @classmethod
@@ -69,6 +79,11 @@ class InputSettings(_Group):
         if self.min_range_m >= self.max_range_m:
             raise ValueError(f"min_range_m {self.min_range_m} must be below max_range_m {self.max_range_m}")
         return self
+
+    def columns_of(self, side: str) -> tuple[str, ...] | None:
+        """The columns of a raw file of a side ("real" or "sim"), if they are not the usual ones."""
+        own = self.real_columns if side == "real" else self.sim_columns
+        return own or self.columns
 
 
 class GroundSettings(_Group):

@@ -6,8 +6,10 @@ the options are checked, so that `fidpipe --help` answers at once.
 
 from __future__ import annotations
 
+import errno
 import signal
 import sys
+from time import monotonic
 from typing import Annotated
 
 import typer
@@ -17,6 +19,9 @@ from .experiments import ablate, perturb
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .results import compare, gate, report, show
 from .running import check, run, status
+
+_SECONDS_TO_STOP = 10.0
+_REFUSALS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)  # by the system, not our bugs
 
 app = typer.Typer(
     name="fidpipe",
@@ -34,12 +39,17 @@ def main() -> None:
     """Runs the command and exits with its code."""
     from ...schemas.errors import FidpipeError
 
-    # A batch system that ends a job means what Ctrl-C means.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):  # a batch system that ends a job means what Ctrl-C means
+        signal.signal(number, _Stop())
     try:
         code = app(standalone_mode=False)
     except FidpipeError as error:
         _complain(f"error: {error}")
+        code = EXIT_WRONG_INPUT
+    except OSError as error:  # a folder without the right to search it, a read-only medium, a full disk
+        if error.filename is None or error.errno not in _REFUSALS:
+            raise
+        _complain(f"error: {error.filename}: {error.strerror}; allow it there, or name another place")
         code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
@@ -53,6 +63,18 @@ def main() -> None:
         _complain("interrupted; run the same command again to go on")
     sys.stdout.flush()
     sys.exit(code)
+
+
+class _Stop:
+    """Ends the command at the first Ctrl-C; more of them do nothing while that is done in order, some seconds long."""
+
+    last = -_SECONDS_TO_STOP
+
+    def __call__(self, *_: object) -> None:
+        """Called by Python in the main thread; raises KeyboardInterrupt."""
+        if monotonic() - _Stop.last >= _SECONDS_TO_STOP:
+            _Stop.last = monotonic()
+            raise KeyboardInterrupt
 
 
 def _complain(text: str) -> None:

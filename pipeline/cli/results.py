@@ -64,6 +64,9 @@ def report(
         typer.Option("--pairs", metavar="PATTERN", help="Show pairs whose name matches in 3D, such as '0000*'."),
     ] = None,
     folder: Annotated[bool, typer.Option("--folder", help="One page per pair and an index, in RUN/report.")] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for page and figures.", show_default="the run's own")
+    ] = None,
 ) -> None:
     """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
 
@@ -80,7 +83,7 @@ def report(
     """
     from ..report.page.page import write_report
 
-    made = write_report(run, pairs, one_page_a_pair=folder)
+    made = write_report(run, pairs, one_page_a_pair=folder, out=out)
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
     print(f"figures: {made.figures[0].parent} ({', '.join(path.stem for path in made.figures[::2])}; PNG and SVG)")
@@ -105,11 +108,15 @@ def gate(
     json_: Annotated[
         Path | None, typer.Option("--json", help="The same as JSON.", show_default="RUN/gate.json")
     ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for gate.xml and gate.json.", show_default="the run's own")
+    ] = None,
 ) -> None:
     """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
 
     A criterion on something that could not be computed fails. So do, unless other bounds are given for pairs.failed,
     pairs.to_do and pairs.changed, a run with failed pairs, one that is not finished, and one whose scans have changed.
+    Where the run's folder may not be written (a read-only medium), the verdict is printed alone.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
     missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; a wrong name lists all.
@@ -122,6 +129,8 @@ def gate(
 
     fidpipe gate runs/dataset --criteria acceptance.toml
     """
+    from ...schemas.errors import RunError
+    from ..engine.progress import Reporter
     from ..report.terminal.gate import gate_view, junit_xml
     from ..results.gate import judge_run, parse_word, read_criteria
     from ..storage.files import write_whole
@@ -133,8 +142,16 @@ def gate(
     if not wanted:
         raise typer.BadParameter("no criterion is given; --max, --min or --criteria is wanted")
     result = judge_run(run, wanted)
-    write_whole(junit or run / "gate.xml", junit_xml(result))
-    write_whole(json_ or run / "gate.json", dumps(result.as_dict()))
+    for asked, name, content in (
+        (junit, "gate.xml", junit_xml(result)),
+        (json_, "gate.json", dumps(result.as_dict())),
+    ):
+        try:
+            write_whole(asked or (out or run) / name, content)
+        except RunError as error:
+            if asked or out:
+                raise
+            Reporter().warn(str(error))  # the verdict does not depend on it
     print_view(gate_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 
@@ -147,6 +164,7 @@ def compare(
         ),
     ],
     html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Write compare.html to this folder.")] = None,
     as_json: AsJson = False,
     allow_different_settings: Annotated[
         bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
@@ -171,6 +189,6 @@ def compare(
     if len(runs) < 2:
         raise typer.BadParameter("one run is given, two or more are wanted")
     comparisons = compare_runs(runs, allow_different_settings=allow_different_settings)
-    if html:
-        write_whole(html, compare_page(comparisons).encode())
+    if page := html or (out and out / "compare.html"):
+        write_whole(page, compare_page(comparisons).encode())
     print_json([each.as_dict() for each in comparisons]) if as_json else print_view(compare_view(comparisons))

@@ -62,16 +62,22 @@ def run(
             "--seeds", min=1, help="Repeat communities to metrics with so many seeds; tells how stable scores are."
         ),
     ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace results of a finished run that was made with other settings.")
+    ] = False,
 ) -> None:
     """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
 
-    What is there already and still right is not computed again. Exits with 0 if all pairs are scored, 3 if some failed.
+    What is there already and still right is not computed again. A finished run keeps its results: other settings need
+    --replace or another --out. Exits with 0 if all pairs are scored, 3 if some failed.
 
     Examples
     --------
     fidpipe run dataset/                         results go to runs/dataset
 
-    fidpipe run dataset/ --set matching.delta_m=3    only matching and what follows is made again
+    fidpipe run dataset/ --set matching.delta_m=3 --out runs/delta3
+
+    fidpipe run dataset/ --set matching.delta_m=3 --replace    only matching and what follows is made again
 
     fidpipe run dataset/ --from metrics --pairs '0001*' --workers 8
 
@@ -106,6 +112,7 @@ def run(
         from_stage=from_stage,
         pattern=pairs,
         machines=Machines(workers, scheduler),
+        replace=replace,
     )
     outcome = run_dataset(request, Reporter())
     print_outcome(outcome_view(outcome), outcome.failures)

@@ -6,18 +6,21 @@ real, sim and perhaps timestamp_s and T_real_sim (12 numbers separated by spaces
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
-from .readers import stem_of, suffix_of
+from .readers import FORMATS, stem_of, suffix_of
 
 MANIFEST = "pairs.csv"
 LABEL_NAMES = "labels.toml"
+_MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim")
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -67,11 +70,13 @@ def read_dataset(folder: Path) -> Dataset:
     DatasetError
         There is no such folder, no pair in it, the manifest or `labels.toml` is wrong, or two files have one stem.
     """
+    if folder.is_file():
+        raise DatasetError(f"dataset {folder}: is a file, a folder is wanted: {folder.parent}")
     if not folder.is_dir():
         raise DatasetError(f"dataset {folder}: no such folder")
     manifest = folder / MANIFEST
     warnings: list[str] = []
-    pairs = _from_manifest(manifest) if manifest.exists() else _from_folders(folder, warnings)
+    pairs = _from_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
     if not pairs:
         wanted = f"files are wanted in real/ and sim/, or a {MANIFEST}"
         why = f"{MANIFEST} is empty" if manifest.exists() else wanted
@@ -101,15 +106,43 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     by_side: dict[str, dict[str, Path]] = {}
     for side in SIDES:
         if not (folder / side).is_dir():
-            raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found; one of the two is wanted")
+            near = next((path.name for path in sorted(folder.iterdir()) if path.is_dir() and _means(path, side)), None)
+            hint = f"; did you mean {near}/? rename it {side}/" if near else "; one of the two is wanted"
+            raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
         by_side[side] = _scans_by_stem(folder / side, warnings)
+    unread = {side: _unread_by_stem(folder / side) for side in SIDES}
+    orphans = {side: by_side[side].keys() - by_side[other].keys() for side, other in (SIDES, SIDES[::-1])}
+    by_number = {side: {_frame_number(stem): stem for stem in orphans[side]} for side in SIDES}
     pairs = []
     for stem in by_side["real"].keys() | by_side["sim"].keys():
         real, sim = by_side["real"].get(stem), by_side["sim"].get(stem)
         absent = "sim" if real else "real"
         fault = f"{real or sim}: no partner; a scan named {stem} is wanted in {folder / absent}"
+        number = _frame_number(stem)
+        if stem in unread[absent]:
+            fault = f"{unread[absent][stem]}: not readable; known formats are {', '.join(FORMATS)}"
+        elif number is not None and number in by_number[absent]:
+            other = by_side[absent][by_number[absent][number]].name
+            fault += f"; {other} has the same number: a {MANIFEST} (pair_id,real,sim) pairs files of different names"
         pairs.append(ScanPair(stem, real, sim, fault=None if real and sim else fault))
     return pairs
+
+
+def _means(path: Path, side: str) -> bool:
+    """Whether a folder's name is a side's in other letters, or longer: `Real`, `simulated`."""
+    name = path.name.lower()
+    return name.startswith(side) or bool(get_close_matches(name, [side], 1, 0.7))
+
+
+def _unread_by_stem(folder: Path) -> dict[str, Path]:
+    """Files of unknown formats by stem."""
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.is_file() and suffix_of(path) is None}
+
+
+def _frame_number(stem: str) -> int | None:
+    """The last number in a file's stem, without leading zeros."""
+    numbers = re.findall("[0-9]+", stem)
+    return int(numbers[-1]) if numbers else None
 
 
 def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
@@ -129,7 +162,7 @@ def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
     return scans
 
 
-def _from_manifest(manifest: Path) -> list[ScanPair]:
+def _from_manifest(manifest: Path, warnings: list[str]) -> list[ScanPair]:
     import pandas as pd
 
     try:
@@ -141,6 +174,13 @@ def _from_manifest(manifest: Path) -> list[ScanPair]:
         raise DatasetError(
             f"{manifest}: columns {', '.join(map(str, rows.columns))} found; {', '.join(missing)} wanted as well"
         )
+    for name in map(str, rows.columns):
+        if name not in _MANIFEST_COLUMNS:
+            near = get_close_matches(name.lower(), [known.lower() for known in _MANIFEST_COLUMNS], 1)
+            meant = next((known for known in _MANIFEST_COLUMNS if [known.lower()] == near), None)
+            if meant is not None and meant not in rows.columns:
+                raise DatasetError(f"{manifest}: column {name} is not known; did you mean {meant}?")
+            warnings.append(f"{manifest}: column {name} is not known, ignored")
     pairs = []
     seen: dict[str, int] = {}
     for line, row in enumerate(rows.to_dict("records"), start=2):

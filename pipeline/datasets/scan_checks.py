@@ -17,12 +17,16 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
+from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
+from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
 from ..storage.files import hash_file, key_of
 from .pairs import ScanPair, read_dataset
 from .readers import read_scan, stem_of
 from .readers.scan import label_path_of
+
+_MOST_NOT_FINITE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +141,7 @@ def inspect_scan(
     """
     marks, key = file_marks(path), settings_key(side, T_real_sim, settings)
     try:
-        scan = read_scan(path, settings.columns, label_names)
+        scan = read_scan(path, settings.columns_of(side), label_names)
         sha256, label_sha256 = hash_scan(path)
     except (FidpipeError, OSError) as error:
         return ScanFacts(marks, key, fault=str(error))
@@ -156,8 +160,8 @@ def inspect_scan(
         low=clean.points.min(axis=0).tolist() if len(clean.points) else [],
         high=clean.points.max(axis=0).tolist() if len(clean.points) else [],
         azimuth_gap_deg=widest_azimuth_gap_deg(own),
-        warnings=[f"{path}: {text}" for text in implausible(own)],
-        fault=None if len(clean.points) else _nothing_left(path, clean.dropped),
+        warnings=[f"{path}: {text}" for text in (*implausible(own), *_not_finite(scan.points))],
+        fault=None if len(clean.points) >= MIN_OBJECT_POINTS else _too_few_left(path, len(clean.points), clean.dropped),
     )
 
 
@@ -242,6 +246,15 @@ def settings_key(side: str, T_real_sim: tuple[float, ...] | None, settings: Inpu
     return key_of(side, T_real_sim, settings.model_dump(mode="json"))
 
 
-def _nothing_left(path: Path, dropped: dict[str, int]) -> str:
-    why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items() if n)
-    return f"{path}: no point is left after cleaning ({why})"
+def _not_finite(points: FloatArray) -> list[str]:
+    share = 1.0 - float(np.isfinite(points).all(axis=1).mean())
+    if share <= _MOST_NOT_FINITE:
+        return []
+    return [f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped; is the export whole?"]
+
+
+def _too_few_left(path: Path, n_left: int, dropped: dict[str, int]) -> str:
+    why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items() if n) or "no more in the file"
+    if not n_left:
+        return f"{path}: no point is left after cleaning ({why})"
+    return f"{path}: {n_left} points are left after cleaning ({why}), at least {MIN_OBJECT_POINTS} are needed"

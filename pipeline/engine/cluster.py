@@ -114,30 +114,16 @@ class DaskPool:
         self._handles: dict[str, tuple[Handle, bool]] = {}
         self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
+        self._client: Any = None
         self._address, self._given_memory = address, memory
         self._n_workers, self._asked = 1, -_SECONDS_BETWEEN_COUNTS
-        if address is None:
-            with prefork.ignoring_interrupts():
-                self._cluster = distributed.LocalCluster(
-                    n_workers=n_workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address=":0",  # any free port, so that runs beside each other do not fight for one
-                    scheduler_kwargs={"dashboard": False},
-                    memory_limit=self.memory.together,  # of each: one may need what the others leave
-                    silence_logs=logging.CRITICAL,
-                    preload=[prefork.WORKER_START],
-                )
         try:
-            self._client = distributed.Client(
-                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
-            )
-            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
-        except (OSError, TimeoutError) as error:
-            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
-        if address is not None:
-            self._check_workers(address, shared_file, libraries)
+            self._start(n_workers, address)
+            if address is not None:
+                self._check_workers(address, shared_file, libraries)
+        except BaseException:
+            self.close(now=True)
+            raise
 
     @property
     def n_workers(self) -> int:
@@ -184,13 +170,39 @@ class DaskPool:
 
     def close(self, *, now: bool = False) -> None:
         """See `Pool`."""
-        with suppress(TimeoutError):  # a busy machine; what still runs ends with this process
-            self._client.close(timeout=_STOP_S)
+        if self._client is not None:
+            with suppress(TimeoutError):  # a busy machine; what still runs ends with this process
+                self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
             if now:
                 self._cluster.sync(self._stop_workers)
             with suppress(TimeoutError):
                 self._cluster.close(timeout=_STOP_S)
+
+    def _start(self, n_workers: int, address: str | None) -> None:
+        """The cluster and its first worker; Ctrl-C waits while there are processes that nobody could end yet."""
+        import distributed
+
+        if address is None:
+            with prefork.interrupts_afterwards():
+                self._cluster = distributed.LocalCluster(
+                    n_workers=n_workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address=":0",  # any free port, so that runs beside each other do not fight for one
+                    scheduler_kwargs={"dashboard": False},
+                    memory_limit=self.memory.together,  # of each: one may need what the others leave
+                    silence_logs=logging.CRITICAL,
+                    preload=[prefork.WORKER_START],
+                )
+        try:
+            self._client = distributed.Client(
+                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
+            )
+            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
+        except (OSError, TimeoutError) as error:
+            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
 
     async def _stop_workers(self) -> None:
         """Ends the worker processes in the middle of whatever they are doing."""

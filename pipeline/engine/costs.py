@@ -19,11 +19,17 @@ class CostModel:
     process_bytes : what a worker process occupies before it has read anything
     bytes_per_point : a scan's tables, its graph twice, and what Louvain makes of it
     bytes_per_node : an object's arcs, the candidates for its alignment
+    disk_bytes_per_point : of all tables of a run, over the points of both files
     """
 
     process_bytes: int = 300 * _MIB
     bytes_per_point: int = 6_000
     bytes_per_node: int = 15_000
+    disk_bytes_per_point: int = 120
+
+    def disk_bytes(self, n_raw: int) -> int:
+        """Bytes of the tables of pairs whose files have so many points together, without extras."""
+        return self.disk_bytes_per_point * n_raw
 
     def side_seconds(self, n_raw: int) -> float:
         """Seconds of the stages of one side, whose file has so many points."""

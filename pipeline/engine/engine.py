@@ -15,19 +15,21 @@ from types import TracebackType
 from typing import Self
 
 from ...schemas.columns import SIDES
+from ...schemas.errors import DiskFullError
 from ...schemas.settings import Settings
 from ..datasets.pairs import ScanPair
 from ..datasets.scan_checks import ScanContent, ScanFacts, input_name, inspect_pairs, pair_warnings, recall_scan
 from ..stage import Stage
+from ..storage.files import megabytes
 from ..storage.folder import RunFolder
 from ..storage.record import LIBRARIES, library_versions
 from ..storage.tables import JobName, JobRecord
 from .cluster import start_pool
-from .plan import PairPlan, with_results
+from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import Handle, InProcess, Pool, WorkerDied
 from .progress import Reporter, Work, seconds_of
 from .schedule import Policy, Schedule
-from .worker import BatchResult, JobFailure, failures_in_words
+from .worker import BatchResult, JobFailure, failures_in_words, is_required
 
 _FEW_PAIRS = 16  # whose files are read in this process
 _MOST_PAIRS_PER_BATCH = 32
@@ -128,6 +130,10 @@ class Engine:
                 self._modules,
             )
         return self._pool
+
+    def start(self) -> None:
+        """Starts the pool, if it is not there: what fails here fails before anything is removed."""
+        _ = self.pool
 
     @property
     def n_workers(self) -> int:
@@ -299,7 +305,7 @@ class RunEngine(Engine):
             count = Counter(stage for stage, _, _ in names)
             listed = ", ".join(stage for stage in dict.fromkeys((*stages, *count)) if stage in count)
             n_pairs = len({pair_id for _, pair_id, _ in names})
-            why = f"{reason} ({'; '.join(changes) or 'the input files changed'})" if reason == "out of date" else reason
+            why = f"{reason} ({'; '.join(changes) or 'the input files changed'})" if reason == OUT_OF_DATE else reason
             self.reporter.say(f"replacing {listed} of {n_pairs} pair{'s' * (n_pairs > 1)}: {why}")
             for stage, pair_id, part in names:
                 record = self.folder.ledger.jobs(pair_id).get((stage, part))
@@ -321,6 +327,13 @@ class RunEngine(Engine):
         try:
             with self.scheduling(plans, work) as schedule:
                 yield schedule
+        except DiskFullError as error:
+            n_raw = sum(scan.n_raw for pair in survey.todo for scan in self.contents[pair.pair_id].values())
+            need = megabytes(self._machines.policy.costs.disk_bytes(n_raw))
+            raise DiskFullError(
+                f"{error}; the {len(survey.todo)} pairs of this run need about {need} in all; make room or give "
+                "another --out, then run the same command again: it goes on where it stopped"
+            ) from error
         finally:
             self.folder.ledger.commit()
         if self.failures:
@@ -333,9 +346,13 @@ class RunEngine(Engine):
         super().batch_done(result)
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """See `Watcher`: the ledger learns why a pair failed."""
+        """See `Watcher`: the ledger learns why a pair failed, and nothing of a pair without scores stays."""
         super().pair_done(plan, failures)
         _, own = _split_failures(plan, failures)
+        if any(is_required(plan.job((failure.stage, failure.part))) for failure in own):
+            for record in self.folder.ledger.jobs(plan.pair_id).values():
+                self.folder.forget(record)
+                self.n_made -= record.made_by == self.folder.token
         if own:
             key = plan.job((own[0].stage, own[0].part)).key
             self.folder.ledger.put_failure(plan.pair_id, {"key": key, "reason": self.failures[plan.pair_id]})

@@ -18,6 +18,8 @@ from ..storage.folder import RunFolder
 from ..storage.record import library_versions
 from ..storage.tables import JobName, JobRecord
 
+OUT_OF_DATE = "out of date"  #: the reason for which a result is not wanted that was made from or with something else
+
 JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
 
@@ -237,7 +239,7 @@ def with_results(
         if record is None:
             continue
         if record.key != job.key:
-            unwanted[record.name] = "out of date"
+            unwanted[record.name] = OUT_OF_DATE
         elif not folder.is_whole(record):
             unwanted[record.name] = "damaged or gone"
         elif job.stage.name in redo:
@@ -247,7 +249,7 @@ def with_results(
     wanted = {job.key for job in plan.jobs} | {key for job in plan.jobs for key in job.reads}
     for record in records.values():
         if not wanted.issuperset(record.reads):
-            unwanted[record.name] = "out of date"
+            unwanted[record.name] = OUT_OF_DATE
         elif record.stage in exhaustive:
             unwanted[record.name] = "not asked for"
     return replace(plan, folder=folder.folder, token=folder.token).with_records(whole), unwanted

@@ -26,6 +26,8 @@ _ENVIRONMENT = {
     "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
 }
 
+_STOPPING = (signal.SIGINT, signal.SIGTERM)
+
 
 def is_available() -> bool:
     """Whether processes can be forked from one that was started for it."""
@@ -41,24 +43,39 @@ def start(modules: Iterable[str] = ()) -> None:
     """
     if not is_available():
         return
-    from multiprocessing import forkserver
+    from multiprocessing import forkserver, resource_tracker
 
+    resource_tracker.ensure_running()  # the forkserver wants it; starting it would let Ctrl-C through again
     forkserver.set_forkserver_preload([WORKER_START, *modules])
-    with _environment(_ENVIRONMENT), ignoring_interrupts():
+    with _environment(_ENVIRONMENT), _without_interrupts():
         forkserver.ensure_running()
 
 
 @contextmanager
-def ignoring_interrupts() -> Iterator[None]:
-    """Within it Ctrl-C does nothing, and processes that are started inherit that: this one deals with it alone."""
+def interrupts_afterwards() -> Iterator[None]:
+    """Within it Ctrl-C and an end by a batch system wait: what is being started can then be ended in order."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    came: list[int] = []
+    before = {number: signal.signal(number, lambda own, _: came.append(own)) for number in _STOPPING}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        signal.raise_signal(came[0])
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Processes that are started within it never get Ctrl-C: this one deals with it alone, at the end of the block."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from ...schemas.errors import FidpipeError, StageError
+from ...schemas.errors import DiskFullError, FidpipeError, StageError
 from ...schemas.tables import TABLES
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
@@ -83,6 +83,8 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                     break
             try:
                 records.append(make_job(tables, job))
+            except DiskFullError:
+                raise  # of every pair that comes after
             except Exception as error:  # one broken pair does not stop a dataset
                 failures.append(_failure(job, error))
                 failed.add(job.name)
@@ -126,6 +128,8 @@ def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRo
         try:
             made = {table: [part.tables[name][table] for part in rows] for table in job.stage.gives}
             records.append(_finish_objects(tables, job, context, made))
+        except DiskFullError:
+            raise  # of every pair that comes after
         except Exception as error:  # one broken pair does not stop a dataset
             return [BatchResult(plan.pair_id, tuple(records), (_failure(job, error),))]
     return [BatchResult(plan.pair_id, tuple(records))]
@@ -203,7 +207,7 @@ class PairTables:
         path = self._plan.pair.path(side)
         if path is None:
             raise StageError(f"no {side} scan")
-        columns = next(job.settings for job in self._plan.jobs).input.columns
+        columns = next(job.settings for job in self._plan.jobs).input.columns_of(side)
         scan = read_scan(path, columns, dict(self._plan.label_names))
         if hash_file(path) != self._plan.inputs[side].sha256:
             raise StageError(f"{path}: the file changed while the run was using it; run the same command again")

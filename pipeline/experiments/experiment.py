@@ -112,6 +112,8 @@ def read_source(path: Path, pattern: str | None, *, first_only: bool = False) ->
         folder = path.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
         return Source(path, (ScanPair(stem_of(path), path, None),), names, is_scan=True)
+    if not path.exists() and suffix_of(path) is not None:
+        raise ScanError(f"{path}: no such file; a scan file or a dataset folder is wanted")
     dataset = read_dataset(path)
     pairs = select_pairs(dataset, pattern)
     return Source(path, pairs[:1] if first_only and pattern is None else pairs, dataset.label_names)
@@ -130,7 +132,7 @@ class Experiment:
         self._base = _needed(stages)
         self._planner = Planner(self._base, engine.settings, source.label_names, sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
-        self._write_record({})
+        self._has_head = False
 
     def prepare(self) -> list[PairPlan]:
         """Makes the stages that the experiment's own need; gives the pairs of which all that is done.
@@ -176,9 +178,18 @@ class Experiment:
         failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
         n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
         jobs = {"made": n_made, "reused": n_done - n_made}
+        if not self._has_head:
+            self._write_head()
         self._write_record({**facts, "failures": failures, "jobs": jobs, "wall_s": wall_s})
         outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}
         return outcome | {f"n_{name}": n for name, n in jobs.items()}
+
+    def _write_head(self) -> None:
+        """Notes what the experiment is made with, before the first of its results is replaced or made."""
+        settings = to_toml(self.engine.settings).encode()
+        write_whole(self.folder.folder / SETTINGS_TOML, settings, before_rename=self.folder.check_token)
+        self._write_record({})
+        self._has_head = True
 
     def _write_record(self, facts: Mapping[str, Any]) -> None:
         header = {"experiment": self._name, **run_header(self._source.path, self.engine.settings, _VERSIONS).as_dict()}
@@ -206,6 +217,10 @@ class Experiment:
             exhaustive=frozenset(stage.name for stage in stages),
             why_absent="not asked for",
         )
+        if survey.todo:
+            self.engine.start()
+        if (survey.todo or survey.unwanted) and not self._has_head:
+            self._write_head()
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
         if survey.todo:
             with self.engine.scheduling_missing(survey, self._plan) as schedule:
@@ -222,7 +237,7 @@ def experimenting(
     stages: tuple[Stage, ...],
     sides: Sequence[str],
 ) -> Iterator[Experiment]:
-    """The folder of an experiment, locked, with the head of its record written.
+    """The folder of an experiment, locked.
 
     Parameters
     ----------
@@ -239,9 +254,7 @@ def experimenting(
     check_folder(request.out, source.path, name)
     folder, modules = RunFolder(request.out), modules_of((*STAGES, *stages))
     with folder.locked(), RunEngine(folder, request.settings, request.machines, reporter, modules) as engine:
-        experiment = Experiment(name, engine, source, stages, sides)
-        write_whole(request.out / SETTINGS_TOML, to_toml(request.settings).encode(), before_rename=folder.check_token)
-        yield experiment
+        yield Experiment(name, engine, source, stages, sides)
 
 
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:

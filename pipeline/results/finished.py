@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.results import JsonObject, RunRecord
 from ..storage.folder import RunFolder
-from ..storage.record import read_run
+from ..storage.record import command_again, read_run
 from ..storage.tables import table_name
 
 
@@ -51,14 +51,19 @@ class FinishedRun:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         record = read_run(folder)
-        if not record or record.get("experiment", "run") != "run":
+        if made_by := record.get("experiment"):
+            raise RunError(
+                f"run {folder}: was written by fidpipe {made_by}, whose tables are {folder}/{made_by}*.parquet; "
+                "a folder written by fidpipe run is wanted"
+            )
+        if not record:
             raise RunError(f"run {folder}: no run.json of fidpipe run found; a folder written by fidpipe run is wanted")
         try:
             self.record = RunRecord.from_dict(record)
         except ValueError as error:
             raise RunError(
                 f"run {folder}: the run has not ended, or an older fidpipe wrote it; "
-                f"finish it with: fidpipe run {record.get('dataset')} --out {folder}"
+                f"finish it with: {command_again(folder, record.get('dataset'))}"
             ) from error
         self.store = RunFolder(folder)
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
@@ -134,7 +139,7 @@ class FinishedRun:
         if record is None or not self.store.is_whole(record):
             raise RunError(
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "
-                f"fidpipe run {self.record.dataset} --out {self.folder}"
+                f"{command_again(self.folder, self.record.dataset)}"
             )
 
 

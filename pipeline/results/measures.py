@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
 from ..datasets.scan_checks import input_hashes
+from ..storage.record import command_again
 from .findings import read_objects
 from .finished import FinishedRun
 
@@ -36,6 +38,16 @@ KNOWN = (
     "missing.within_20m and missing.within_20m.share (any distance)",
     "matched.total|mean|min",
     f"pairs.{'|'.join(_STATES)}",
+)
+
+
+#: The names that stand for themselves, to guess what a wrong one means.
+_PLAIN_NAMES = (
+    *(f"{score}.{stat}" for score in _PAIR_SCORES for stat in _OF_PAIRS),
+    *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in _OF_OBJECTS),
+    *(f"{what}.{count}" for what in _UNMATCHED for count in (*_COUNTS, "within_20m")),
+    *(f"matched.{count}" for count in ("total", "mean", "min")),
+    *(f"pairs.{state}" for state in _STATES),
 )
 
 
@@ -72,7 +84,9 @@ class Measures:
                     return Measured(float(measure(self, **match.groupdict())))
                 except _AbsentError as why:
                     return Measured(None, str(why))
-        raise SettingsError(f"criterion {name!r}: no such measure; known are {'; '.join(KNOWN)}")
+        near = get_close_matches(name, _PLAIN_NAMES, 1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise SettingsError(f"criterion {name!r}: no such measure; {hint}known are {'; '.join(KNOWN)}")
 
     @cached_property
     def dataset_is_gone(self) -> bool:
@@ -95,6 +109,7 @@ class Measures:
         values: FloatArray = getattr(matched, score)
         if label is None:
             return _statistic(values, stat, "matched object", score)
+        self._refuse_unknown_class(label)
         return _statistic(values[matched.label == label], stat, f"matched object of class {label}", score)
 
     def _unmatched(self, label: str | None, what: str, within: str | None, count: str | None) -> float:
@@ -103,10 +118,7 @@ class Measures:
         chosen: BoolArray = np.ones(len(side.pair), dtype=np.bool_)
         if label is not None:
             chosen &= side.label == label
-            labels = np.unique(np.concatenate([own.label for own in sides])).tolist()
-            if label not in labels:
-                known = ", ".join(filter(None, labels)) or "none"
-                raise _AbsentError(f"no object has the class {label}; classes are {known}")
+            self._refuse_unknown_class(label)
         if within is not None:
             chosen &= side.range_m < float(within)
         if count == "share":
@@ -115,6 +127,13 @@ class Measures:
             return float(np.mean(~side.is_matched[chosen]))
         alone = side.pair[chosen & ~side.is_matched]
         return _counted(np.bincount(alone, minlength=len(self.run.scored)), count or "total")
+
+    def _refuse_unknown_class(self, label: str) -> None:
+        *sides, _ = self._objects
+        labels = np.unique(np.concatenate([own.label for own in sides])).tolist()
+        if label not in labels:
+            known = ", ".join(filter(None, labels)) or "none"
+            raise _AbsentError(f"no object has the class {label}; classes are {known}")
 
     def _both(self, count: str) -> float:
         return _counted(np.array([row["n_matched"] for row in self._scored]), count)
@@ -135,7 +154,7 @@ class Measures:
         """Pairs of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset."""
         before = self.run.record.inputs
         if not all("content" in hashes for hashes in before.values()):
-            again = f"fidpipe run {self.run.record.dataset} --out {self.run.folder}"
+            again = command_again(self.run.folder, self.run.record.dataset)
             raise _AbsentError(
                 f"an older fidpipe wrote the run and did not note all that it is made of; run again: {again}"
             )

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import secrets
+import shutil
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ...schemas.errors import RunError
+from ...schemas.errors import DiskFullError, RunError
+
+#: Of an OSError: the disk is full, or the user's share of it.
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 def write_whole(
@@ -19,7 +24,7 @@ def write_whole(
     content: bytes | memoryview | Iterable[bytes | memoryview],
     *,
     before_rename: Callable[[], None] | None = None,
-    advice: str = "; give another file",
+    advice: str = "; give another --out",
 ) -> None:
     """Puts a file in place of another, if any: written beside it under a dot name, flushed, renamed.
 
@@ -47,10 +52,39 @@ def write_whole(
             before_rename()
         temporary.replace(path)
     except OSError as error:
+        if error.errno in NO_SPACE:
+            raise DiskFullError(f"{path}: {error.strerror}, {space_words(path)}") from error
         raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
     finally:
         with suppress(OSError):  # it is gone, or its folder is what cannot be written
             temporary.unlink()
+
+
+def free_bytes(path: Path) -> int | None:
+    """Bytes that may still be written where a file or folder is to be made; None where that cannot be told."""
+    for folder in (path, *path.absolute().parents):
+        with suppress(OSError):
+            return shutil.disk_usage(folder).free
+    return None
+
+
+def space_words(path: Path) -> str:
+    """How much is free there, in words."""
+    free = free_bytes(path)
+    return "what is free is not known" if free is None else f"{megabytes(free)} free"
+
+
+def megabytes(n_bytes: int) -> str:
+    """A number of bytes in words.
+
+    Examples
+    --------
+    >>> megabytes(900_000), megabytes(76_161_803), megabytes(3_210_000_000)
+    ('0.9 MB', '76 MB', '3.2 GB')
+    """
+    if n_bytes >= 1e9:
+        return f"{n_bytes / 1e9:.3g} GB" if n_bytes >= 1e10 else f"{n_bytes / 1e9:.2g} GB"
+    return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 9.5e6 else f"{n_bytes / 1e6:.1f} MB"
 
 
 def remove_stale(path: Path) -> None:

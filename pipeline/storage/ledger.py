@@ -18,7 +18,8 @@ from typing import Any
 
 import orjson
 
-from ...schemas.errors import RunError
+from ...schemas.errors import DiskFullError, RunError
+from .files import space_words
 from .tables import JobName, JobRecord, StoredFile
 
 LEDGER = "ledger.sqlite"
@@ -206,6 +207,8 @@ class Ledger:
             yield
         except sqlite3.OperationalError as error:
             self._begun = None
+            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
+                raise DiskFullError(f"{self._path}: {error}, {space_words(self._path)}") from error
             raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
 
 

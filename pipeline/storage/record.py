@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
@@ -190,15 +191,7 @@ def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[
     """In words, what is other than in the record of the last run: settings, library versions, stage code."""
     if not before:
         return []
-    changes = []
-    now = settings.model_dump(mode="json")
-    for group, values in now.items():
-        old = before["settings"].get(group, {})
-        changes += [
-            f"{group}.{name} was {old.get(name)}, is {value}"
-            for name, value in values.items()
-            if old.get(name) != value
-        ]
+    changes = [text for texts in changed_settings(before, settings).values() for text in texts]
     for name, found in library_versions(before["libraries"]).items():
         if found != before["libraries"][name]:
             changes.append(f"{name} was {before['libraries'][name]}, is {found}")
@@ -206,6 +199,33 @@ def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[
         f"code of stage {stage} is new" for stage, own in stages.items() if before["stages"].get(stage, own) != own
     ]
     return changes
+
+
+def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str, list[str]]:
+    """By group, in words, which settings are other than in the record of the last run; only groups that changed."""
+    changes = {}
+    for group, values in settings.model_dump(mode="json").items():
+        old = before["settings"].get(group, {})
+        texts = [
+            f"{group}.{name} was {old.get(name)}, is {value}"
+            for name, value in values.items()
+            if old.get(name) != value
+        ]
+        if texts:
+            changes[group] = texts
+    return changes
+
+
+def has_ended(record: Mapping[str, Any]) -> bool:
+    """Whether a record is that of a run which came to its end: its summary is written last."""
+    return "summary" in record
+
+
+def command_again(folder: Path, dataset: object) -> str:
+    """The command that goes on with a run under the settings that it has."""
+    own = folder / SETTINGS_TOML
+    settings = ["--settings", str(own)] if own.exists() else []
+    return shlex.join(["fidpipe", "run", str(dataset), "--out", str(folder), *settings])
 
 
 def _processor() -> str:

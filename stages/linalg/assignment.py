@@ -22,6 +22,7 @@ _DENSE_NODES = 400  # up to here the dense solver is the faster one
 _COARSER = 4
 _TIGHT_ARCS_PER_NODE = 16
 _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this to be added
+_OFFSET_STEP_M = 1024.0  # a power of two: the difference is exact, and nearer sets stay as they are
 _BLOCK_DISTANCES = 2**20
 
 #: Candidates of each node to begin with; few must be completed often, many cost memory.
@@ -64,6 +65,9 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
     StageError
         The network simplex ends without an assignment.
     """
+    offset = np.round(b.mean(axis=0) / _OFFSET_STEP_M) * _OFFSET_STEP_M
+    if offset.any():  # far from the origin (UTM) single precision would not tell the candidates apart
+        a, b = a - offset, b - offset
     if len(a) <= _DENSE_NODES:
         sim_of_real: IndexArray = linear_sum_assignment(cdist(a, b))[1]
         return sim_of_real

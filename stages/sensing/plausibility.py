@@ -12,6 +12,8 @@ STEEP_SPREAD = 0.5
 STEEP_SPREAD_M = 20.0
 HALF_SWEEP_GAP_DEG = 90.0
 EGO_RANGE_M = 3.0
+MOST_RANGE_M = 150.0
+_UNITS = (("centimetres", 100), ("millimetres", 1000))
 
 
 def implausible(points: FloatArray) -> list[str]:
@@ -28,7 +30,12 @@ def implausible(points: FloatArray) -> list[str]:
     spread = high - low
     reach = np.abs([low, high]).max()
     if reach > FAR_COORDINATE_M:
-        odd.append(f"coordinates reach {reach:.0f} m; a scan has its sensor at (0, 0, 0): are they projected?")
+        unit = _unit(low, high)
+        odd.append(
+            f"coordinates reach {reach:.0f} m; metres are wanted: are they {unit}?"
+            if unit
+            else f"coordinates reach {reach:.0f} m; a scan has its sensor at (0, 0, 0): are they projected?"
+        )
     elif spread.max() < SMALLEST_EXTENT_M:
         odd.append(f"all points lie within {spread.max():.2g} m; metres are wanted")
     elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
@@ -43,6 +50,15 @@ def implausible(points: FloatArray) -> list[str]:
             "input.min_range_m and input.exclude_box drop them"
         )
     return odd
+
+
+def _unit(low: FloatArray, high: FloatArray) -> str:
+    """Centimetres or millimetres, where the box of the points then is that of a scan around its sensor; else ""."""
+    if (low[:2] > 0).any() or (high[:2] < 0).any():
+        return ""
+    reach = np.abs([low, high]).max()
+    fitting = [name for name, factor in _UNITS if reach / factor <= MOST_RANGE_M]
+    return fitting[0] if fitting else ""
 
 
 def widest_azimuth_gap_deg(points: FloatArray) -> float:

@@ -31,7 +31,14 @@ def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
     assert (tmp_path / "runs" / "streets" / "run.json").exists()
     again = command("run", dataset, "--workers", 1, cwd=tmp_path)
     assert "0 jobs done, 18 reused" in again.stdout
-    changed = command("run", dataset, "--workers", 1, "--set", "matching.delta_m=3", cwd=tmp_path)
+    other = ("run", dataset, "--workers", 1, "--set", "matching.delta_m=3")
+    refused = command(*other, cwd=tmp_path)
+    assert refused.returncode == 1
+    assert one_line(refused.stderr) == (
+        "error: run runs/streets: is finished, and matching, selection, metrics of 2 pairs would be replaced "
+        "(matching.delta_m was 5.0, is 3.0); add --replace, or give another --out"
+    )
+    changed = command(*other, "--replace", cwd=tmp_path)
     assert "replacing matching, selection, metrics of 2 pairs: out of date (matching.delta_m was 5.0, is 3.0)" in (
         changed.stderr
     )

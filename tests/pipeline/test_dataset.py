@@ -135,6 +135,34 @@ def test_every_fault_is_found_in_one_go(tmp_path):
     assert "no point is left after cleaning (20 zero)" in found.faults[2]
 
 
+def warnings_of(tmp_path, scan):
+    for side in ("real", "sim"):
+        write_bin(tmp_path / side / "a.bin", scan)
+    return " ".join(check_dataset(tmp_path, load(None, ["input.max_range_m=1e9"])).warnings)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(100, "centimetres"), (1000, "millimetres")])
+def test_a_scan_in_another_unit_is_told_by_its_unit(tmp_path, factor, unit):
+    assert f"metres are wanted: are they {unit}?" in warnings_of(tmp_path, street() * factor)
+
+
+def test_projected_coordinates_are_not_taken_for_another_unit(tmp_path):
+    assert "are they projected?" in warnings_of(tmp_path, street() + [4000, 9000, 0])
+
+
+def test_half_the_points_not_finite_is_a_warning(tmp_path):
+    scan = street()
+    scan[::2] = np.nan
+    assert "50% of the points are not finite" in warnings_of(tmp_path, scan)
+
+
+def test_five_points_are_a_fault(tmp_path):
+    folders(tmp_path)
+    write_bin(tmp_path / "real" / "a.bin", street()[:5])
+    (fault,) = check_dataset(tmp_path, Settings()).faults
+    assert "5 points are left after cleaning (no more in the file), at least 8 are needed" in fault
+
+
 @pytest.mark.real_data
 def test_the_faults_of_real_scans_are_seen(real_data, tmp_path):
     carla = real_data / "carla"

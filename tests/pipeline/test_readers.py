@@ -4,7 +4,7 @@ import pytest
 
 from fidpipe.pipeline.datasets.readers import read_scan, stem_of, suffix_of
 from fidpipe.schemas.errors import ScanError
-from scenes import write_bin
+from scenes import street, write_bin
 
 POINTS = np.array([[1.5, -2.25, 0.5], [4, 5, 6], [-7, 8, 9.125]])
 
@@ -254,3 +254,29 @@ def test_real_labels_are_read(real_data):
     labels = read_scan(real_data / "rellis/000104.bin", label_names={4: "tree"}).labels
     assert len(labels) == 131072
     assert {"tree", "3", "17"} <= set(labels.tolist())
+
+
+@pytest.mark.parametrize("n_columns", [3, 4])
+def test_float64_rows_in_a_bin_are_refused_with_their_layout(tmp_path, n_columns):
+    rows = np.column_stack([street(), np.zeros(len(street()))])[:, :n_columns]
+    (tmp_path / "a.bin").write_bytes(rows.astype("<f8").tobytes())
+    with pytest.raises(ScanError, match=f"holds float64 rows of {n_columns} columns, float32 is wanted"):
+        read_scan(tmp_path / "a.bin")
+    assert len(read_scan(write_bin(tmp_path / "b.bin", street())).points) == len(street())
+
+
+@pytest.mark.parametrize(
+    ("shape", "fault"),
+    [((3, 50), r"one row per point is wanted; save array\.T"), ((50, 7), "name its 7 columns in input.columns")],
+)
+def test_an_npy_whose_columns_are_not_known_is_refused(tmp_path, shape, fault):
+    np.save(tmp_path / "a.npy", np.ones(shape))
+    with pytest.raises(ScanError, match=fault):
+        read_scan(tmp_path / "a.npy")
+
+
+def test_columns_of_an_npy_can_be_named(tmp_path):
+    np.save(tmp_path / "a.npy", np.column_stack([[9, 8, 7], [0, 0, 0], POINTS]))
+    scan = read_scan(tmp_path / "a.npy", ("intensity", "ring", "x", "y", "z"))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert scan.intensity.tolist() == [9, 8, 7]

@@ -235,6 +235,20 @@ def test_a_broken_pair_fails_alone_with_its_reason(dataset, tmp_path):
     assert {row["pair_id"]: row["status"] for row in again.rows} == {"000": "failed", "001": "failed", "002": "scored"}
 
 
+def test_a_failed_pair_leaves_no_table_behind(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "streets")
+    flat = np.column_stack([np.random.default_rng(0).uniform(-20, 20, (900, 2)), np.full(900, -1.7)])
+    write_bin(data / "sim" / "001.bin", flat)
+    out = tmp_path / "run"
+    outcome = run(data, out)
+    assert set(outcome.failures) == {"001"}
+    for table in ("ground", "graph", "communities", "objects"):
+        assert set(pd.read_parquet(out / table).pair_id) == {"000", "002"}
+    assert (outcome.n_made, outcome.n_reused) == (18, 0)
+    again = run(data, out, pattern="000")
+    assert {row["pair_id"]: row["reason"] for row in again.rows}["001"] == outcome.failures["001"]
+
+
 def test_a_mended_pair_is_scored_by_the_next_run(dataset, tmp_path):
     data = shutil.copytree(dataset, tmp_path / "streets")
     good = (data / "real" / "000.bin").read_bytes()
@@ -353,6 +367,17 @@ def test_labels_travel_to_the_objects(tmp_path):
     (data / "labels.toml").write_text('7 = "tree"\n')
     run(data, tmp_path / "run")
     assert set(pd.read_parquet(tmp_path / "run" / "objects").label) == {"tree"}
+
+
+def test_each_side_may_have_its_own_columns(dataset, tmp_path):
+    scan, seen = street(), drifted(street())
+    write_bin(tmp_path / "same" / "real" / "a.bin", scan)
+    write_bin(tmp_path / "same" / "sim" / "a.bin", seen)
+    write_bin(tmp_path / "other" / "real" / "a.bin", scan)
+    write_bin(tmp_path / "other" / "sim" / "a.bin", seen, 6)
+    settings = settings_of("input.sim_columns=x y z ring time intensity")
+    same, other = run(tmp_path / "same", tmp_path / "a"), run(tmp_path / "other", tmp_path / "b", settings)
+    assert other.rows == same.rows
 
 
 def test_nothing_half_written_is_left(finished):

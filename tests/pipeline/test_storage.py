@@ -97,7 +97,7 @@ def test_a_file_whose_parts_fail_leaves_the_one_before(tmp_path):
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(RunError, match=r"file/table: cannot be written \(File exists\); give another file"):
+    with pytest.raises(RunError, match=r"file/table: cannot be written \(File exists\); give another --out"):
         write_whole(tmp_path / "file" / "table", b"rows")
 
 

@@ -4,6 +4,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 import textbook
+from fidpipe.stages.linalg import assignment
 from fidpipe.stages.linalg.assignment import align_nodes, assign_nodes
 
 
@@ -64,3 +65,16 @@ def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng):
 def test_the_alignment_undoes_a_shuffle_and_a_shift(rng):
     points, order = rng.normal(0, 1, (80, 3)), rng.permutation(80)
     np.testing.assert_array_equal(order[align_nodes(points, (points + [30, -4, 2])[order])], np.arange(80))
+
+
+def test_coordinates_of_utm_size_cost_no_more_rounds(monkeypatch, rng):
+    a, b = rng.uniform(-20, 20, (2, 600, 3))
+    utm = np.array([512_345.0, 5_412_345.0, 120.0])
+    rounds = []
+    solve = assignment._solve
+    monkeypatch.setattr(assignment, "_solve", lambda *args: rounds.append(1) or solve(*args))
+    near = assignment.assign_nodes(a, b)
+    n_near = len(rounds)
+    far = assignment.assign_nodes(a + utm, b + utm)
+    assert len(rounds) - n_near <= n_near + 1
+    np.testing.assert_array_equal(far, near)

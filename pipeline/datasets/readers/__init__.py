@@ -18,7 +18,7 @@ class Format(NamedTuple):
 
     module : the file of this folder whose `read(path) -> Scan` reads them; it is imported when first used
     columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
-        these, or those of the setting `input.columns`
+        these, or those of the setting `input.columns`; () where the shape tells them
     """
 
     module: str
@@ -29,7 +29,7 @@ class Format(NamedTuple):
 FORMATS = {
     ".pcd.bin": Format("float32", _NUSCENES),
     ".bin": Format("float32", _KITTI),
-    ".npy": Format("npy"),
+    ".npy": Format("npy", ()),
     ".pcd": Format("pcd"),
     ".ply": Format("ply"),
     ".csv": Format("csv"),
@@ -72,7 +72,7 @@ def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: d
         if path.stat().st_size == 0:
             raise ScanError(f"{path}: the file is empty, points are wanted")
         reader = importlib.import_module(f".{module}", __name__)
-        scan: Scan = reader.read(path, columns or usual_columns) if usual_columns else reader.read(path)
+        scan: Scan = reader.read(path) if usual_columns is None else reader.read(path, columns or usual_columns)
     except OSError as error:
         raise ScanError(f"{path}: cannot be read ({error.strerror or error})") from error
     if not len(scan.points):

@@ -12,8 +12,8 @@ from .scan import Scan, refused_unless, scan_from_columns
 _COLUMNS = ("x", "y", "z", "intensity")
 
 
-def read(path: Path) -> Scan:
-    """The scan in a `.npy` file.
+def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
+    """The scan in a `.npy` file; `columns` name those of an array that has as many.
 
     Raises
     ------
@@ -24,6 +24,15 @@ def read(path: Path) -> Scan:
         array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})
+    if array.ndim == 2 and array.dtype.kind in "fiu" and array.shape[1] == len(columns):
+        return scan_from_columns(path, dict(zip(columns, array.T, strict=True)))
+    if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] > 4:
+        raise ScanError(f"{path}: array of shape {array.shape} found, one row per point is wanted; save array.T")
+    if array.ndim == 2 and array.shape[1] > 4:
+        raise ScanError(
+            f"{path}: array of shape {array.shape} found, (n, 3) or (n, 4) wanted; name its {array.shape[1]} columns "
+            "in input.columns"
+        )
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         raise ScanError(
             f"{path}: {array.dtype} array of shape {array.shape} found, numbers of shape (n, 3) or (n, 4) wanted"

@@ -35,13 +35,16 @@ class ReportFiles:
     n_pairs: int
 
 
-def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: bool = False) -> ReportFiles:
-    """Writes the page and the figures of a finished run into its folder, in place of those of an earlier report.
+def write_report(
+    folder: Path, pattern: str | None = None, *, one_page_a_pair: bool = False, out: Path | None = None
+) -> ReportFiles:
+    """Writes the page and the figures of a finished run, in place of those of an earlier report.
 
     Parameters
     ----------
     folder : of the run
     pattern : only pairs whose name matches are shown in 3D (shell style); the rest of the page is of all pairs
+    out : folder that they are written into; by default the run's own
     one_page_a_pair : whether to write a folder of pages, one for each of those pairs, in place of the single page
 
     Raises
@@ -51,6 +54,7 @@ def write_report(folder: Path, pattern: str | None = None, *, one_page_a_pair: b
         written.
     """
     results = read_results(folder)
+    folder = out or folder
     chosen = results.select(pattern)
     shown = chosen if one_page_a_pair else some_of(chosen, MOST_VIEWS)
     files = {name: f"pair-{file_stem(name)}.html" for name in chosen} if one_page_a_pair else {}

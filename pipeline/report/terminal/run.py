@@ -35,7 +35,7 @@ def outcome_view(outcome: RunOutcome) -> RenderableType:
         summary_view(folder, outcome.rows, record),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
         Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
-        Text(f"to look at them: fidpipe report {folder}"),
+        *([Text(f"to look at them: fidpipe report {folder}")] if record.pairs.scored else ()),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -10,8 +11,13 @@ from rich.text import Text
 from ....schemas.columns import SIDES
 from ....schemas.paper import TIMINGS
 from ...datasets.scan_checks import DatasetCheck
+from ...engine.costs import CostModel
 from ...results.status import STATES, RunStatus
+from ...storage.files import free_bytes, megabytes
+from ...storage.record import command_again
 from .layout import plain_table
+
+RUNS = Path("runs")  #: where runs lie unless --out says otherwise
 
 
 def check_view(dataset: DatasetCheck) -> RenderableType:
@@ -33,18 +39,30 @@ def check_view(dataset: DatasetCheck) -> RenderableType:
         plain_table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *(Text(f"warning: {text}", style="yellow") for text in dataset.warnings),
         *(Text(f"fault: {text}", style="red") for text in dataset.faults),
+        _space_needed(sum(facts.n_raw for _, sides in dataset.pairs for facts in sides.values())),
         Text(verdict, style="red" if dataset.faults else "green"),
     )
 
 
 def status_view(status: RunStatus) -> RenderableType:
     """Stages by pairs, where the time goes, and why pairs failed."""
+    is_open = any(counts["stale"] or counts["to do"] for counts in status.stages.values())
     rows = ((stage, *(counts[state] or None for state in STATES)) for stage, counts in status.stages.items())
     return Group(
         plain_table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}", ("stage", *STATES), rows),
         *(_timing_tables(status.mean_seconds) if status.mean_seconds else ()),
         *(Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()),
+        *([Text(f"finish it with: {command_again(status.folder, status.dataset)}")] if is_open else ()),
     )
+
+
+def _space_needed(n_raw: int) -> Text:
+    """What the tables of a run may take, and what is free where runs lie by default."""
+    need, free = CostModel().disk_bytes(n_raw), free_bytes(RUNS)
+    text = f"a run needs about {megabytes(need)} on disk"
+    if free is not None and need > free:
+        return Text(f"warning: {text}; {megabytes(free)} are free here, give it another --out", style="yellow")
+    return Text(text if free is None else f"{text}; {megabytes(free)} are free here")
 
 
 def _timing_tables(mean: Mapping[str, Mapping[str, float]]) -> tuple[RenderableType, RenderableType]:

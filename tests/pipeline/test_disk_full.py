@@ -1,0 +1,78 @@
+"""A disk that is full ends a run once, with what it needs, and nothing that was finished is lost."""
+
+import errno
+import os
+import re
+
+import pytest
+
+from fidpipe.pipeline.cli.output import print_view
+from fidpipe.pipeline.datasets.scan_checks import check_dataset
+from fidpipe.pipeline.engine.costs import CostModel
+from fidpipe.pipeline.report.terminal import status
+from fidpipe.pipeline.storage.ledger import Ledger
+from fidpipe.schemas.errors import DiskFullError
+from fidpipe.schemas.settings import Settings
+from runs import assert_same_tables, command, run
+from scenes import write_dataset
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 3)
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monkeypatch, number):
+    written = []
+
+    def fsync(file):
+        written.append(file)
+        if len(written) > 12:
+            raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fsync)
+        with pytest.raises(DiskFullError) as error:
+            run(dataset, tmp_path / "run")
+    told = str(error.value)
+    assert re.search(rf"run/\w+/00\d\S*\.parquet: {os.strerror(number)}, [0-9.]+ [MG]B free", told)
+    assert "the 3 pairs of this run need about 1.2 MB in all; make room or give another --out" in told
+    assert "\n" not in told
+    assert not (tmp_path / "run" / "pairs.parquet").exists()
+    n_done = sum(1 for path in (tmp_path / "run").glob("*/*.parquet") if path.parent.name not in ("objects",))
+    assert n_done > 0
+    assert run(dataset, tmp_path / "run").n_made == 27 - n_done
+    run(dataset, tmp_path / "fresh")
+    assert_same_tables(tmp_path / "run", tmp_path / "fresh")
+
+
+def test_a_ledger_on_a_full_disk_says_so(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite", is_writable=True)
+    ledger._db.execute("PRAGMA max_page_count = 8")
+    with pytest.raises(DiskFullError, match=r"ledger\.sqlite: database or disk is full, [0-9.]+ [MG]B free"):
+        for i in range(1000):
+            ledger.put_input(f"{i}", {"text": "x" * 5000})
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+def test_the_estimate_of_disk_space_is_near_what_a_run_takes(real_data, tmp_path):
+    data = real_data / "kitti_twin"
+    run(data, tmp_path / "run", pattern="000002", workers=None)
+    taken = sum(path.stat().st_size for path in (tmp_path / "run").rglob("*.parquet"))
+    n_raw = sum(path.stat().st_size // 16 for path in data.glob("*/000002.bin"))
+    assert 0.7 < taken / CostModel().disk_bytes(n_raw) < 1.3
+
+
+def test_check_says_how_much_a_run_needs_and_what_is_free(dataset):
+    shown = command("check", dataset).stdout
+    assert re.search(r"a run needs about 1\.2 MB on disk; [0-9.]+ [MG]B are free here", shown)
+
+
+def test_check_warns_where_a_run_does_not_fit(dataset, monkeypatch, capsys):
+    monkeypatch.setattr(status, "free_bytes", lambda path: 1000)
+    print_view(status.check_view(check_dataset(dataset, Settings())))
+    assert "warning: a run needs about 1.2 MB on disk; 0.0 MB are free here, give it another --out" in (
+        capsys.readouterr().out
+    )

@@ -1,0 +1,156 @@
+"""What a user could lose: results that are replaced too early, by mistake, or by an interrupt at the wrong moment."""
+
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import time
+
+import pytest
+
+from fidpipe.pipeline.engine import prefork
+from fidpipe.pipeline.results.status import run_status
+from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.settings import load
+from runs import FIDPIPE, command, marks, run
+from scenes import write_dataset
+
+NO_CLUSTER = "tcp://127.0.0.1:9"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    run(dataset, out)
+    return out
+
+
+@pytest.fixture
+def again(finished, tmp_path):
+    """A copy of the finished run that a test may spoil."""
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in (".parquet", ".json", ".toml")}
+
+
+@pytest.mark.slow
+def test_a_run_without_its_cluster_removes_nothing(again, dataset):
+    before = contents(again)
+    with pytest.raises(RunError, match="no cluster with a worker could be reached"):
+        run(dataset, again, load(None, ["communities.seed=3"]), workers=None, scheduler=NO_CLUSTER)
+    assert contents(again) == before
+    assert run(dataset, again).n_made == 0
+
+
+@pytest.mark.slow
+def test_an_experiment_without_its_cluster_removes_nothing(dataset, tmp_path):
+    words = ["ablate", dataset, "--out", tmp_path / "ablate"]
+    values = ["--k", "30", "--tau", "0.2", "--t", "1", "--delta", "3,5"]
+    assert command(*words, *values, "--workers", 1).returncode == 0
+    before = contents(tmp_path / "ablate")
+    failed = command(*words, *values, "--set", "communities.seed=3", "--scheduler", NO_CLUSTER)
+    assert failed.returncode == 1
+    assert "no cluster with a worker could be reached" in failed.stderr
+    assert contents(tmp_path / "ablate") == before
+
+
+@pytest.mark.parametrize("word", ["matching.delta_m=3", "communities.seed=3", "input.max_range_m=50"])
+def test_a_finished_run_is_not_replaced_by_another_setting_unasked(again, dataset, word):
+    before = contents(again)
+    name, _, value = word.partition("=")
+    with pytest.raises(
+        RunError, match=rf"is finished, .* of 2 pairs would be replaced \({name} was .*, is {value}.*\); add --replace"
+    ):
+        run(dataset, again, load(None, [word]), replace=False)
+    assert contents(again) == before
+    assert run(dataset, again, load(None, [word]), replace=True).n_made > 0
+
+
+def test_a_setting_that_replaces_nothing_needs_no_leave(again, dataset):
+    assert run(dataset, again, load(None, ["metrics.baselines=chamfer"]), replace=False).n_made == 2
+    assert run(dataset, again, load(None, ["machine.memory_gib=4"]), replace=False).n_made == 0
+
+
+def test_a_stage_asked_for_by_from_needs_no_leave(again, dataset):
+    settings = load(None, ["matching.delta_m=3"])
+    assert run(dataset, again, settings, replace=False, from_stage="matching").n_made == 6
+
+
+def test_an_unfinished_run_takes_other_settings_as_before(again, dataset):
+    leave_unfinished(again)
+    assert run(dataset, again, load(None, ["matching.delta_m=3"]), replace=False).n_made == 6
+
+
+def test_the_hint_to_finish_a_run_keeps_its_settings(dataset, tmp_path):
+    out = tmp_path / "my runs" / "seed 3"
+    run(dataset, out, load(None, ["communities.seed=3"]))
+    leave_unfinished(out)
+    (out / "metrics" / "001.parquet").unlink()
+    before = marks(out)
+    for words in (("show", out), ("status", out)):
+        result = command(*words)
+        hint = re.search("finish it with: fidpipe (.*)", result.stdout + result.stderr)[1]
+        assert shlex.split(hint) == ["run", str(dataset), "--out", str(out), "--settings", str(out / "settings.toml")]
+    assert command(*shlex.split(hint), "--workers", 1).returncode == 0
+    after = marks(out)
+    assert {name: after[name] for name in before} == before
+    assert run_status(out).stages["metrics"] == {"done": 2}
+    assert "finish it with" not in command("status", out).stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_something_starts_waits_and_is_not_lost(number, monkeypatch):
+    before = signal.signal(number, signal.default_int_handler)
+    started = []
+    try:
+        with pytest.raises(KeyboardInterrupt), prefork.interrupts_afterwards():
+            signal.raise_signal(number)
+            started.append(True)
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, before)
+    assert started
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n_times", [1, 3])
+@pytest.mark.parametrize("later_s", [0.0, 0.2, 0.5, 1.0])
+def test_ctrl_c_while_the_cluster_starts_ends_the_run(dataset, tmp_path, n_times, later_s):
+    out = tmp_path / "run"
+    words = [FIDPIPE, "run", str(dataset), "--out", str(out), "--workers", "2"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    wait_until((out / ".writer").exists)
+    begun = time.monotonic() + later_s
+    for i in range(n_times):  # as a terminal does it: to the workers too
+        wait_until(lambda i=i: time.monotonic() > begun + 0.2 * i)
+        os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert time.monotonic() - begun < 20  # 2 to 5 on a machine with nothing else to do
+    assert "Traceback" not in errors
+    assert "interrupted; run the same command again to go on" in errors
+
+
+def leave_unfinished(out):
+    """Makes of a run's record what it was when the run began."""
+    record = json.loads((out / "run.json").read_text())
+    header = ("fidpipe", "written", "dataset", "settings", "seed", "stages", "libraries", "machine")
+    (out / "run.json").write_text(json.dumps({name: record[name] for name in header}))
+
+
+def wait_until(is_so, timeout=60):
+    end = time.monotonic() + timeout
+    while not is_so():
+        if time.monotonic() > end:
+            raise TimeoutError
+        time.sleep(0.005)

@@ -1,0 +1,188 @@
+"""What a newcomer gets wrong, and the one line that says so."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+import fidpipe
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.gate import judge_run, parse_word
+from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
+from fidpipe.schemas.settings import Settings, load
+from runs import command, read_only, run
+from scenes import drifted, street, write_bin, write_dataset
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 1)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    run(dataset, out)
+    return out
+
+
+def one_error(result):
+    assert result.returncode == 1
+    (line,) = [line for line in result.stderr.splitlines() if line.strip()]
+    return line
+
+
+def test_a_manifest_in_place_of_its_folder_is_named_as_a_file(tmp_path):
+    (tmp_path / "pairs.csv").write_text("pair_id,real,sim\n")
+    with pytest.raises(DatasetError, match=rf"pairs\.csv: is a file, a folder is wanted: {tmp_path}"):
+        read_dataset(tmp_path / "pairs.csv")
+
+
+def test_a_scan_that_is_not_there_is_no_missing_folder(tmp_path):
+    assert one_error(command("perturb", "nothere.bin", cwd=tmp_path)) == (
+        "error: nothere.bin: no such file; a scan file or a dataset folder is wanted"
+    )
+
+
+@pytest.mark.parametrize(("made", "side"), [("Real", "real"), ("simulated", "sim"), ("reel", "real")])
+def test_a_folder_of_nearly_the_right_name_is_pointed_at(dataset, tmp_path, made, side):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    (data / side).rename(data / made)
+    with pytest.raises(DatasetError, match=rf"no folder {side}/ .*did you mean {made}/\? rename it {side}/"):
+        read_dataset(data)
+
+
+def test_a_file_of_an_unknown_format_is_not_called_a_missing_partner(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    (data / "sim" / "000.bin").rename(data / "sim" / "000.las")
+    (pair,) = read_dataset(data).pairs
+    assert "sim/000.las: not readable; known formats are .pcd.bin, .bin" in pair.fault
+
+
+def test_frames_of_the_same_number_and_other_names_suggest_a_manifest(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    (data / "sim" / "000.bin").rename(data / "sim" / "frame_0.bin")
+    for pair in read_dataset(data).pairs:
+        assert "has the same number: a pairs.csv (pair_id,real,sim) pairs files of different names" in pair.fault
+
+
+@pytest.mark.parametrize("name", ["T_sim_real", "t_real_sim", "timestamp"])
+def test_a_manifest_column_with_a_typo_is_refused(dataset, tmp_path, name):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    (data / "pairs.csv").write_text(f"pair_id,real,sim,{name}\na,real/000.bin,sim/000.bin,1\n")
+    with pytest.raises(DatasetError, match=f"column {name} is not known; did you mean (T_real_sim|timestamp_s)"):
+        read_dataset(data)
+
+
+def test_a_manifest_column_of_ones_own_is_ignored_with_a_warning(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    (data / "pairs.csv").write_text("pair_id,real,sim,weather\na,real/000.bin,sim/000.bin,rain\n")
+    assert [text.rsplit(": ", 1)[1] for text in read_dataset(data).warnings] == ["column weather is not known, ignored"]
+
+
+@pytest.mark.parametrize("value", ['"1 2 3"', "[1, 2, 3]", "1 2 3"])
+def test_a_box_of_three_numbers_says_how_many_are_wanted(value):
+    with pytest.raises(SettingsError, match=r"six numbers are wanted \(xmin ymin zmin xmax ymax zmax\), not 3"):
+        load(None, [f"input.exclude_box={value}"])
+    assert load(None, ["input.exclude_box=-1,-1,-1,1,1,1"]).input.exclude_box == (-1, -1, -1, 1, 1, 1)
+
+
+def test_the_folder_of_an_experiment_is_not_called_no_run(tmp_path):
+    (tmp_path / "run.json").write_text('{"experiment": "perturb"}')
+    with pytest.raises(RunError, match=r"was written by fidpipe perturb, whose tables are .*/perturb\*\.parquet"):
+        FinishedRun(tmp_path)
+
+
+def test_a_measure_with_a_typo_is_guessed(finished):
+    with pytest.raises(SettingsError, match=r"no such measure; did you mean r_lambda\.mean\?"):
+        judge_run(finished, [parse_word("r_lamda.mean=1", "max")])
+
+
+def test_a_class_that_is_not_there_tells_which_are(tmp_path):
+    data = write_dataset(tmp_path / "data", 1)
+    for side in ("real", "sim"):
+        np.full((data / side / "000.bin").stat().st_size // 16, 7, dtype="<u4").tofile(data / side / "000.label")
+    (data / "labels.toml").write_text('7 = "car"\n')
+    run(data, tmp_path / "run")
+    judged = judge_run(tmp_path / "run", [parse_word("class.bus.r_lambda.mean=1", "max")]).judged
+    assert judged[-1].why == "could not be computed: no object has the class bus; classes are car"
+
+
+def test_settings_may_be_a_dictionary():
+    real, sim = street(), drifted(street())
+    given = fidpipe.evaluate_pair(real, sim, {"matching": {"delta_m": 3}})
+    assert given.summary == fidpipe.evaluate_pair(real, sim, load(None, ["matching.delta_m=3"])).summary
+    with pytest.raises(SettingsError, match="no such setting"):
+        fidpipe.evaluate_pair(real, sim, {"matching": {"delta": 3}})
+    assert given.summary != fidpipe.evaluate_pair(real, sim, Settings()).summary or given.summary["n_matched"]
+
+
+def test_no_report_is_offered_where_nothing_is_scored(tmp_path):
+    write_bin(tmp_path / "data" / "real" / "a.bin", street())
+    (tmp_path / "data" / "sim").mkdir()
+    (tmp_path / "data" / "sim" / "a.bin").touch()
+    result = command("run", tmp_path / "data", "--workers", 1, "--out", tmp_path / "run")
+    assert result.returncode == 3
+    assert "fidpipe report" not in result.stdout
+
+
+@pytest.mark.slow
+def test_a_run_on_a_read_only_medium_is_judged_compared_and_reported_elsewhere(dataset, finished, tmp_path):
+    medium = shutil.copytree(finished, tmp_path / "medium")
+    before = {path: path.stat().st_mtime_ns for path in medium.rglob("*")}
+    forbid = read_only(medium)
+    judged = command("gate", medium, "--max", "r_lambda.mean=1", preexec_fn=forbid)
+    assert judged.returncode == 0, judged.stderr
+    assert "gate.xml: cannot be written (Permission denied)" in " ".join(judged.stderr.split())
+    refused = one_error(command("report", medium, preexec_fn=forbid))
+    assert refused.endswith("report.html: cannot be written (Permission denied); give another --out")
+    out = tmp_path / "elsewhere"
+    for words in (
+        ("gate", medium, "--max", "r_lambda.mean=1", "--out", out),
+        ("report", medium, "--out", out),
+        ("compare", medium, medium, "--out", out),
+        ("show", medium),
+        ("status", medium),
+    ):
+        result = command(*words, preexec_fn=forbid)
+        assert result.returncode == 0, (words, result.stderr)
+        assert result.stderr == "", words
+    assert {"gate.xml", "gate.json", "report.html", "figures", "compare.html"} == {path.name for path in out.iterdir()}
+    assert {path: path.stat().st_mtime_ns for path in medium.rglob("*")} == before
+
+
+@pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1"), ("check",)])
+def test_a_folder_that_may_not_be_searched_is_named_in_one_line(tmp_path, words):
+    (tmp_path / "shut").mkdir()
+
+    def forbid():
+        read_only(tmp_path / "shut")()
+        (tmp_path / "shut").chmod(0o600)
+
+    result = command(words[0], tmp_path / "shut" / "run", *words[1:], preexec_fn=drop_search(forbid))
+    assert "shut/run" in one_error(result)
+    assert "Permission denied; allow it there, or name another place" in result.stderr
+
+
+@pytest.mark.parametrize("out", ["/dev/null/x", "/proc/x"])
+def test_an_out_that_cannot_be_made_is_named_in_one_line(dataset, out):
+    result = command("run", dataset, "--out", out, "--workers", 1)
+    assert one_error(result).startswith(f"error: run {out}: cannot be written (")
+
+
+def test_a_working_folder_that_may_not_be_written_is_named_in_one_line(dataset, tmp_path):
+    (tmp_path / "here").mkdir()
+    result = command("run", dataset, "--workers", 1, cwd=tmp_path / "here", preexec_fn=read_only(tmp_path / "here"))
+    assert one_error(result) == "error: run runs/streets: cannot be written (Permission denied); give another --out"
+
+
+def drop_search(first):
+    """What a command's process does first: all that `first` does, and no right of root to read and search."""
+    import ctypes
+
+    def forbid():
+        first()
+        ctypes.CDLL(None).prctl(24, 2, 0, 0, 0)
+
+    return forbid
