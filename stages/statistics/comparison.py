@@ -141,7 +141,7 @@ def blocks_of(contents: Sequence[str], timestamps_s: Sequence[float | None]) -> 
     Examples
     --------
     >>> blocks_of(["a", "a", "b", "c"], [None, None, 0.0, 9.0]).tolist()
-    [0, 0, 1, 1]
+    [0, 0, 2, 2]
     """
     first: dict[str, int] = {}
     blocks = np.array([first.setdefault(content, i) for i, content in enumerate(contents)], dtype=np.int32)
