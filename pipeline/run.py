@@ -17,7 +17,6 @@ import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError, RunError
-from ..schemas.metrics import DATASET_SCORES
 from ..schemas.results import Findings, RunHeader, RunRecord
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
@@ -34,6 +33,7 @@ from .storage.folder import RunFolder
 from .storage.ledger import LEDGER
 from .storage.record import (
     SETTINGS_TOML,
+    SUMMARISED,
     StageSeconds,
     changed_settings,
     has_ended,
@@ -254,7 +254,7 @@ class _Run:
             if pair.pair_id in contents
         }
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        rows = pairs.select(["pair_id", "status", *DATASET_SCORES]).to_pylist()
+        rows = pairs.select(["pair_id", *SUMMARISED]).to_pylist()
         scored = [row for row in rows if row["status"] == "scored"]
         times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
         scored_ids = [row["pair_id"] for row in scored]

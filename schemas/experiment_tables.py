@@ -8,7 +8,7 @@ from .columns import FLOAT64, INT32, PAIR, STRING, Table, column
 from .metrics import OBJECT_METRICS
 
 _LEVEL = [
-    column("kind", STRING, "noise, dropout, rigid, hallucination or density"),
+    column("kind", STRING, "null, noise, dropout, rigid, hallucination or density"),
     column("amount", FLOAT64, "noise: m; dropout, hallucination: share of the points; rigid: degrees; density: factor"),
     column("shift_m", FLOAT64, "rigid: length of the translation; else 0", "m"),
 ]

@@ -284,8 +284,8 @@ class Spread(Result):
     mean : over pairs, of each pair's mean over seeds
     std_pairs : standard deviation (n - 1) over pairs of each pair's mean over seeds
     std_seeds : standard deviation over seeds within a pair: root mean square of those (n - 1) of all pairs
-    least_pair, least_dataset : two evaluations of a pair (of all pairs) under seeds of their own that differ only by
-        chance are nearer than this in 95 % of the cases
+    least_pair, least_dataset : repeatability limit (ISO 5725): two evaluations of a pair (of all pairs) under seeds of
+        their own that differ only by chance are nearer than this in 95 % of the cases
     """
 
     mean: float | None
@@ -358,7 +358,7 @@ class RunRecord(RunHeader):
 
     workers : of the last command; 0 where there was nothing to do
     wall_s : seconds of the last command by phase
-    summary : by column of `pairs`
+    summary : by column of `pairs`; `cdc_unmatched_worst_mean` and the like: with unmatched objects counted as worst
     findings : None ({} in JSON) where no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     baselines, seeds : only where they were asked for

@@ -55,6 +55,27 @@ def summarise_dataset(pair_means: Mapping[str, Sequence[Number]]) -> dict[str, S
     return summary
 
 
+def with_unmatched_as_worst(mean: Number, n: int, n_unmatched: int, worst: float) -> float | None:
+    """A pair's mean over n objects, with its unmatched objects counted as the worst; None where there is no object.
+
+    A mean over matched objects alone gets better where the hardest objects are lost; this one does not.
+
+    Parameters
+    ----------
+    mean : over the n matched objects that have the score; None where n is 0
+    n_unmatched : missing and hallucinated objects
+    worst : the upper bound of the score
+
+    Examples
+    --------
+    >>> with_unmatched_as_worst(0.5, 2, 1, 2.0)
+    1.0
+    """
+    if not n + n_unmatched:
+        return None
+    return ((mean or 0.0) * n + worst * n_unmatched) / (n + n_unmatched)
+
+
 def mean_and_std(values: FloatArray) -> tuple[float | None, float | None]:
     """Mean and standard deviation (n - 1) of the values that are not NaN; None where there are too few."""
     known = values[~np.isnan(values)]

@@ -74,7 +74,7 @@ def perturb(
     from ...schemas.settings import load
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..experiments.perturb.perturb import LEVELS, PerturbRequest, parse_levels, perturb_source
+    from ..experiments.perturb.perturb import LEVELS, NULL, PerturbRequest, parse_levels, perturb_source
     from ..report.figures.experiments import draw_perturbations
     from ..report.terminal.experiments import perturb_view
 
@@ -84,7 +84,7 @@ def perturb(
         source=source,
         out=out or _experiment_folder(source, "perturb"),
         settings=load(settings, [*(assignments or []), *baselines]),
-        levels=parse_levels(sweep) if sweep else LEVELS,
+        levels=tuple(dict.fromkeys((NULL, *parse_levels(sweep)))) if sweep else LEVELS,
         repeats=repeats,
         global_repeats=global_repeats,
         seed=seed,

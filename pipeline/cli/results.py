@@ -172,8 +172,8 @@ def compare(
 ) -> None:
     """Compare simulator versions on the same real scans: which scores, and which objects, got better or worse.
 
-    Differences are paired, with 95 % bootstrap intervals over pairs. Real objects are followed from run to run: those
-    that vanished from the simulation, appeared in it, got better or worse.
+    Differences are paired (Student's t over pairs, Holm over the scores). Real objects are followed from run to run:
+    those that vanished from the simulation, appeared in it, got better or worse.
 
     Examples
     --------

@@ -8,17 +8,29 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...schemas.errors import RunError
+from ...schemas.errors import DatasetError, RunError
 from ...schemas.metrics import METRIC, metric_of
 from ...schemas.results import JsonObject
-from ...stages.statistics.comparison import KINDS, Difference, judge, kinds_of_change, paired_difference
+from ...stages.arrays import IntArray
+from ...stages.statistics.comparison import (
+    KINDS,
+    Difference,
+    blocks_of,
+    direction,
+    far_beyond_noise,
+    holm,
+    judge,
+    kinds_of_change,
+    paired_difference,
+)
 from ...stages.statistics.spread import spread
+from ..datasets.pairs import read_dataset
 from ..jobs import STAGES
 from ..storage.tables import table_name
 from .finished import FinishedRun, PairObjects
@@ -44,7 +56,9 @@ class ScoreChange:
     """A score of the dataset before and after.
 
     of_pairs : by pair, after less before; None where a value is null
-    verdict : better, worse, same or undecided
+    verdict : better, worse, same or undecided; over all scores together it is by chance in under 5 % of the cases
+    p : how often chance makes so large a difference of one of all the scores (Holm); None without an interval
+    is_far : whether it moved farther than any noise that is known, however few pairs there are
     seed_noise : by so much the two means differ at most in 95 % of the cases through Louvain seeds alone; where both
         runs have `seeds`. Too large rather than too small, for the runs share the real side's communities
     """
@@ -55,6 +69,14 @@ class ScoreChange:
     verdict: str
     of_pairs: dict[str, float | None]
     seed_noise: float | None = None
+    p: float | None = None
+    is_far: bool = False
+
+    @property
+    def direction(self) -> str:
+        """Which way it moved, better or worse, whether that is decided or not; "" where it did not."""
+        change = self.difference.difference
+        return direction(change, self.higher_is_better) if change else ""
 
     @property
     def beyond_seeds(self) -> bool | None:
@@ -99,6 +121,8 @@ class Comparison:
     unfollowed : pairs whose real communities differ, so that their objects cannot be followed
     settings : settings that differ, in words
     notes : what else differs
+    n_blocks : independent pairs: copies of a scan, and scans within 10 s, count once
+    has_times : whether the dataset says when its scans were taken
     """
 
     base: Path
@@ -110,6 +134,8 @@ class Comparison:
     notes: tuple[str, ...]
     scores: tuple[ScoreChange, ...]
     objects: tuple[ObjectChange, ...]
+    n_blocks: int
+    has_times: bool
 
     @property
     def kinds(self) -> dict[str, int]:
@@ -154,6 +180,12 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
         before, after = base.objects(name), other.objects(name)
         if _same_real_side(before, after):
             changes[name] = _follow(name, before, after)
+    times_s = _times_s(base, other)
+    blocks = blocks_of([base.record.inputs[name]["real"] for name in names], [times_s.get(name) for name in names])
+    scores = [
+        *(_score_change(base, other, names, column, blocks) for column in SCORES),
+        *(_shared_change(score, {name: changes.get(name, []) for name in names}, blocks) for score in SHARED_SCORES),
+    ]
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -162,12 +194,38 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
         unfollowed=tuple(name for name in names if name not in changes),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        scores=(
-            *(_score_change(base, other, names, column) for column in SCORES),
-            *(_shared_change(score, {name: changes.get(name, []) for name in names}) for score in SHARED_SCORES),
-        ),
+        scores=tuple(_judged(scores)),
         objects=tuple(change for own in changes.values() for change in own),
+        n_blocks=len(np.unique(blocks)),
+        has_times=bool(times_s),
     )
+
+
+def _times_s(*runs: FinishedRun) -> dict[str, float]:
+    """When the real scans were taken, by pair; {} where no dataset that says so is on this machine."""
+    times_s: dict[str, float] = {}
+    for run in runs:
+        try:
+            pairs = read_dataset(Path(run.record.dataset)).pairs
+        except (DatasetError, OSError):
+            continue
+        times_s |= {pair.pair_id: pair.timestamp_s for pair in pairs if pair.timestamp_s is not None}
+    return times_s
+
+
+def _judged(scores: Sequence[ScoreChange]) -> list[ScoreChange]:
+    """The scores with their verdicts, which stand together: the more scores, the more chances to differ by chance."""
+    p_values = holm([score.difference.p for score in scores])
+    far = far_beyond_noise([score.difference for score in scores], [score.seed_noise for score in scores])
+    return [
+        replace(
+            score,
+            verdict=judge(score.difference, score.higher_is_better, p, score.seed_noise),
+            p=p,
+            is_far=is_far,
+        )
+        for score, p, is_far in zip(scores, p_values, far, strict=True)
+    ]
 
 
 def _settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
@@ -241,15 +299,17 @@ def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[Objec
     ]
 
 
-def _score_change(base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str) -> ScoreChange:
+def _score_change(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str, blocks: IntArray
+) -> ScoreChange:
     values = {name: (base.row(name)[column], other.row(name)[column]) for name in names}
     a, b = (_seed_noise(run, names, column) for run in (base, other))
     noise = None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
     metric = metric_of(column)
-    return _change(metric.label, metric.higher_is_better, values, noise)
+    return _change(metric.label, metric.higher_is_better, values, blocks, noise)
 
 
-def _shared_change(score: str, changes: Mapping[str, Sequence[ObjectChange]]) -> ScoreChange:
+def _shared_change(score: str, changes: Mapping[str, Sequence[ObjectChange]], blocks: IntArray) -> ScoreChange:
     """The means of a score by pair over the objects that have it in both runs."""
     means: dict[str, tuple[float | None, float | None]] = {}
     for name, own in changes.items():
@@ -258,20 +318,21 @@ def _shared_change(score: str, changes: Mapping[str, Sequence[ObjectChange]]) ->
         before, after = (float(np.mean(values)) for values in zip(*known, strict=True)) if known else (None, None)
         means[name] = before, after
     metric = METRIC[score]
-    return _change(f"{metric.label} (objects in both)", metric.higher_is_better, means)
+    return _change(f"{metric.label} (objects in both)", metric.higher_is_better, means, blocks)
 
 
 def _change(
     heading: str,
     higher_is_better: bool,
     values: dict[str, tuple[float | None, float | None]],
+    blocks: IntArray,
     seed_noise: float | None = None,
 ) -> ScoreChange:
-    difference = paired_difference(
-        *np.array([*zip(*values.values(), strict=True)], dtype=np.float64)
-    )  # None becomes NaN
+    """The change of a score, yet without a verdict."""
+    before, after = np.array([*zip(*values.values(), strict=True)], dtype=np.float64)  # None becomes NaN
+    difference = paired_difference(before, after, blocks)
     of_pairs = {name: None if a is None or b is None else b - a for name, (a, b) in values.items()}
-    return ScoreChange(heading, higher_is_better, difference, judge(difference, higher_is_better), of_pairs, seed_noise)
+    return ScoreChange(heading, higher_is_better, difference, "undecided", of_pairs, seed_noise)
 
 
 def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:

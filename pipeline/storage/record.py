@@ -15,12 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from ...schemas.columns import Row
-from ...schemas.metrics import DATASET_SCORES
+from ...schemas.metrics import DATASET_SCORES, DISTRIBUTED, METRIC
 from ...schemas.results import Findings, Machine, PairCounts, RunHeader, RunRecord, ScoreSummary, Seconds
 from ...schemas.settings import Settings
-from ...stages.summary import summarise_dataset
+from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
 from .tables import JobRecord
+
+#: Columns of `pairs` that the summary of a run is made from.
+SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *DATASET_SCORES)
 
 RUN_JSON = "run.json"
 SETTINGS_TOML = "settings.toml"
@@ -117,7 +120,7 @@ def run_record(
     ----------
     header : from `run_header`
     input_hashes : by pair, content hash by side, and `content` of all that the pair's numbers come from
-    rows : of `pairs`, with at least status and `DATASET_SCORES`
+    rows : of `pairs`, with at least `SUMMARISED`
     wall_s : seconds of this command by phase
     n_workers : of this command; 0 where there was nothing to do
     seconds : from `StageSeconds`
@@ -140,9 +143,32 @@ def run_record(
 
 
 def summarise_pairs(rows: Iterable[Row]) -> dict[str, ScoreSummary]:
-    """Mean and standard deviation over the scored pairs of each score."""
+    """Mean and standard deviation over the scored pairs of each score; of bounded ones also with unmatched as worst."""
     scored = [row for row in rows if row["status"] == "scored"]
-    return summarise_dataset({name: [row[name] for row in scored] for name in DATASET_SCORES})
+    scores = {name: [row[name] for row in scored] for name in DATASET_SCORES}
+    return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
+
+
+def unmatched_worst(metric: str) -> str:
+    """The name in the summary of a score's mean with unmatched objects counted as worst."""
+    return f"{metric}_unmatched_worst_mean"
+
+
+def _with_unmatched(rows: Sequence[Row], name: str) -> list[float | None]:
+    """Of each pair the mean of an object score with missing and hallucinated objects counted at its upper bound."""
+    worst = METRIC[name].high
+    if worst is None:
+        raise ValueError(f"{name} has no upper bound that an unmatched object could count as")
+    n_without = "n_too_small" if METRIC[name].is_nullable else None
+    return [
+        with_unmatched_as_worst(
+            row[METRIC[name].mean_column],
+            row["n_matched"] - (row[n_without] if n_without else 0),
+            row["n_missing"] + row["n_hallucinated"],
+            worst,
+        )
+        for row in rows
+    ]
 
 
 class StageSeconds:

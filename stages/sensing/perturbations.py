@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray
 
-KINDS = ("noise", "dropout", "rigid", "hallucination", "density")
+KINDS = ("noise", "dropout", "rigid", "hallucination", "density", "null")
 
 CLUSTER_POINTS = 20
 CLUSTER_STD_M = 0.15
@@ -29,8 +29,9 @@ class Perturbation:
     """One way and amount of altering points.
 
     kind : one of `KINDS`
-    amount : noise: standard deviation in metres; dropout: share of points lost; rigid: angle in degrees;
-        hallucination: spurious points over true ones; density: factor of the local density
+    amount : null: points lost, the others in another order; noise: standard deviation in metres; dropout: share of
+        points lost; rigid: angle in degrees; hallucination: spurious points over true ones; density: factor of the
+        local density
     shift_m : rigid only, length of the translation
     """
 
@@ -40,7 +41,7 @@ class Perturbation:
 
 
 def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> FloatArray:
-    """The altered points, (m, 3); points that stay keep their order, new ones follow them.
+    """The altered points, (m, 3); points that stay keep their order (but for `null`), new ones follow them.
 
     Parameters
     ----------
@@ -61,6 +62,8 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
     7
     """
     amount = perturbation.amount
+    if perturbation.kind == "null":
+        return reorder(points, round(amount), rng)
     if perturbation.kind == "noise":
         return add_noise(points, amount, rng)
     if perturbation.kind == "dropout":
@@ -72,6 +75,11 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
     if perturbation.kind == "density":
         return change_density(points, amount, rng)
     raise ValueError(f"perturbation {perturbation.kind!r}: no such kind; known are {', '.join(KINDS)}")
+
+
+def reorder(points: FloatArray, n_lost: int, rng: Generator) -> FloatArray:
+    """All points but a few, in a random order: nothing has changed, but Louvain visits nodes in their order."""
+    return points[rng.permutation(len(points))[n_lost:]]
 
 
 def add_noise(points: FloatArray, std_m: float, rng: Generator) -> FloatArray:

@@ -18,6 +18,12 @@ RIGID_R_LAMBDA = 0.01
 RIGID_R_GAP = 1e-4
 LINEAR_TOLERANCE = 1e-3
 _TIE = 1e-12
+#: The paper's four objects, and what it says of them at 40 % dropout (section "Point Dropout").
+_CLASSES = ("vegetation", "car", "tree", "wall")
+_DROPOUT_SHARE = 0.4
+_R_LAMBDA_AT_SHARE = {"car": 0.40, "vegetation": 0.35}
+_WALL_R_GAP = 0.004
+_IN_WORDS = "(in words)"
 
 OWN_METRICS = (
     "r_lambda",
@@ -201,6 +207,7 @@ def _dropout_claims(means: Means, dropout: list[Perturbation]) -> list[Claim]:
             lambda curves: _share(curves, lambda name: _is_rising(curves[name])),
             means.objects,
         )
+    claims += _class_claims(means, dropout)
     claims += _judge(
         "the match rate falls with dropout",
         "0.915, 0.884, 0.854",
@@ -216,6 +223,83 @@ def _dropout_claims(means: Means, dropout: list[Perturbation]) -> list[Claim]:
         lambda curves: (_listed(curves[None]), _is_rising(curves[None])),
     )
     return claims
+
+
+def _class_claims(means: Means, dropout: list[Perturbation]) -> list[Claim]:
+    """What the paper says of its four classes under dropout; of those that have a name, not a shape."""
+    names = [name for name in means.objects if name in _CLASSES]
+    if len(names) < len(_CLASSES):
+        return []
+    most = dropout[-1:]
+
+    def is_lowest(curves: _Curves) -> tuple[str, bool]:
+        return _ranked(curves), min(names, key=lambda name: curves[name][-1]) == "wall"
+
+    def are_highest(curves: _Curves) -> tuple[str, bool]:
+        first = sorted(names, key=lambda name: -curves[name][-1])[:2]
+        return _ranked(curves), set(first) == {"car", "vegetation"}
+
+    def is_small(curves: _Curves) -> tuple[str, bool]:
+        return f"up to {_most(curves):.4f}", _most(curves) < _WALL_R_GAP
+
+    claims = []
+    for metric in ("r_lambda", "r_gap"):
+        claims += [
+            *_judge(
+                f"dropout: the wall is most robust by {metric}", _IN_WORDS, means, (metric, most), is_lowest, names
+            ),
+            *_judge(
+                f"dropout: car and vegetation are most sensitive by {metric}",
+                _IN_WORDS,
+                means,
+                (metric, most),
+                are_highest,
+                names,
+            ),
+        ]
+    claims += _judge(
+        "dropout: r_gap of the wall stays small",
+        f"below {_WALL_R_GAP:g}",
+        means,
+        ("r_gap", dropout),
+        is_small,
+        ["wall"],
+    )
+    if most[0].amount == _DROPOUT_SHARE:
+        for name, value in _R_LAMBDA_AT_SHARE.items():
+
+            def is_near(curves: _Curves, value: float = value) -> tuple[str, bool]:
+                return f"{_most(curves):.3f}", abs(_most(curves) - value) <= value / 10
+
+            claim = f"r_lambda of the {name} at {_DROPOUT_SHARE:.0%} dropout, within a tenth"
+            claims += _judge(claim, f"{value:.2f}", means, ("r_lambda", most), is_near, [name])
+    return claims
+
+
+def _flat_tree(means: Means, noise: list[Perturbation]) -> list[Claim]:
+    """That the tree answers to noise near-flat: of the four classes its r_lambda moves least over the levels."""
+    names = [name for name in means.objects if name in _CLASSES]
+    if len(names) < len(_CLASSES) or len(noise) < 2:
+        return []
+
+    def is_flattest(curves: _Curves) -> tuple[str, bool]:
+        moves = {name: [max(curve) - min(curve)] for name, curve in curves.items()}
+        return _ranked(moves), min(moves, key=lambda name: moves[name]) == "tree"
+
+    return _judge(
+        "noise: r_lambda of the tree is near-flat (moves least)",
+        _IN_WORDS,
+        means,
+        ("r_lambda", noise),
+        is_flattest,
+        names,
+    )
+
+
+def _ranked(curves: _Curves) -> str:
+    """The last value of each object, largest first."""
+    order = sorted(curves, key=lambda name: -curves[name][-1])
+    return ", ".join(f"{name} {curves[name][-1]:.3g}" for name in order)
 
 
 def _noise_claims(
@@ -238,6 +322,7 @@ def _noise_claims(
             lambda curves: _share(curves, lambda name: max(curves[name][:n]) < max(curves[name][n:])),
             means.objects,
         )
+    claims += _flat_tree(means, noise)
     by_kind = {
         kind: means.series(None, levels, _SPECTRA)
         for kind, levels in (("noise", noise), ("dropout", dropout), ("rigid", rigid))

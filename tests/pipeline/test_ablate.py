@@ -181,7 +181,7 @@ def test_of_equal_match_rates_the_clearly_lower_r_lambda_wins(tmp_path):
 
 
 def test_many_values_need_a_clearer_difference(tmp_path):
-    rates = [[0.60, 0.60, 0.60, 0.60], [0.66, 0.64, 0.65, 0.61], [0.60, 0.60, 0.60, 0.60]]
+    rates = [[0.60, 0.61, 0.59, 0.60], [0.66, 0.64, 0.65, 0.61], [0.60, 0.60, 0.60, 0.60]]
     alone = made_up(tmp_path, rates, [[0.4] * 4] * 3)
     both = alone.rows.filter(pc.not_equal(alone.rows.column("k"), 30))
     assert choose(replace(alone, rows=both, values=alone.values | {"k": (60, 90)}))[0].chosen.k == 60

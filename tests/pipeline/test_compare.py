@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
 
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.report.page.compare import compare_page
-from fidpipe.pipeline.report.terminal.compare import remarks
+from fidpipe.pipeline.report.terminal.compare import remarks, verdict
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
@@ -46,10 +47,59 @@ def by_name(comparison):
 
 def test_a_worse_simulator_is_told_from_a_better_one_both_ways(versions):
     worse, better = (compare_runs(order)[0] for order in (versions, versions[::-1]))
-    assert by_name(worse)["CDC"].verdict == "worse"
-    assert by_name(better)["CDC"].verdict == "better"
+    for found, word in ((worse, "worse"), (better, "better")):
+        assert by_name(found)["CDC (objects in both)"].verdict == word
+        assert verdict(found).startswith(f"{word}: ")
+        assert any(line.startswith("what seeds alone make is unknown of ") for line in remarks(found))
     assert by_name(worse)["CDC"].difference.difference == pytest.approx(-by_name(better)["CDC"].difference.difference)
     assert worse.kinds["worse"] > worse.kinds["better"]
+
+
+def test_a_break_on_too_few_pairs_is_said_in_words(versions, tmp_path):
+    folders = []
+    for version in versions:
+        data = shutil.copytree(version.parent / f"data-{version.name}", tmp_path / f"data-{version.name}")
+        if version.name == "bad":
+            for i in range(len(HOSTILE)):
+                write_bin(data / f"sim{i}.bin", read_scan(data / f"sim{i}.bin").points * [1, -1, 1])
+        lines = (data / "pairs.csv").read_text(encoding="utf-8").splitlines()
+        (data / "pairs.csv").write_text("\n".join(lines[:6]) + "\n", encoding="utf-8")
+        folders.append(tmp_path / version.name)
+        run(data, folders[-1])
+    found = compare_runs(folders)[0]
+    assert found.n_blocks == 5
+    assert {one.verdict for one in found.scores} == {"undecided"}
+    assert "no score is decidedly" not in verdict(found)
+    assert "far beyond the noise, though 5 independent pairs decide nothing: worse: " in verdict(found)
+
+
+def test_copies_of_one_pair_under_another_seed_are_not_better(tmp_path):
+    scan = street()
+    for i in range(8):
+        write_bin(tmp_path / "data" / "real" / f"{i}.bin", scan)
+        write_bin(tmp_path / "data" / "sim" / f"{i}.bin", drifted(scan, noise=0.3, keep=0.6))
+    runs = [tmp_path / "a", tmp_path / "b"]
+    for folder, seed in zip(runs, (1, 2), strict=True):
+        run(tmp_path / "data", folder, load(assignments=[f"communities.seed={seed}"]))
+    found = compare_runs(runs, allow_different_settings=True)[0]
+    assert (len(found.pairs), found.n_blocks) == (8, 1)
+    assert {one.verdict for one in found.scores} <= {"undecided", "same"}
+    assert not any(one.is_far for one in found.scores)
+    assert any(line.startswith("8 pairs count as 1: copies of a real scan") for line in remarks(found))
+
+
+def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
+    folders = []
+    for version in versions:
+        data = shutil.copytree(version.parent / f"data-{version.name}", tmp_path / f"data-{version.name}")
+        rows = [f'"{name}",real{i}.bin,sim{i}.bin,{0.2 * i}' for i, name in enumerate(HOSTILE)]
+        (data / "pairs.csv").write_text("pair_id,real,sim,timestamp_s\n" + "\n".join(rows) + "\n", encoding="utf-8")
+        folders.append(tmp_path / version.name)
+        run(data, folders[-1])
+    found = compare_runs(folders)[0]
+    assert (len(found.pairs), found.n_blocks) == (6, 1)
+    assert {one.verdict for one in found.scores} == {"undecided"}
+    assert verdict(found).startswith("13 of 33 objects that were matched have vanished")
 
 
 def test_differences_are_those_of_the_tables(versions):

@@ -18,12 +18,20 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.experiments.experiment import experimenting, read_source
 from fidpipe.pipeline.experiments.perturb.jobs import GLOBAL
 from fidpipe.pipeline.experiments.perturb.objects import choose_objects
-from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, object_points, parse_levels, perturb_source
+from fidpipe.pipeline.experiments.perturb.perturb import LEVELS as DEFAULT_LEVELS
+from fidpipe.pipeline.experiments.perturb.perturb import (
+    NULL,
+    PerturbRequest,
+    object_points,
+    parse_levels,
+    perturb_source,
+)
 from fidpipe.pipeline.report.figures.experiments import draw_perturbations
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.stages.graph import build_graph
+from fidpipe.stages.method import partition
 from fidpipe.stages.sensing.perturbations import Perturbation, perturb
 from fidpipe.stages.sensing.typical_objects import ScanObjects
 from fidpipe.stages.statistics.sweeps import react
@@ -91,6 +99,24 @@ def test_a_row_can_be_made_again_from_its_recorded_seed(done):
     left = perturb(own, Perturbation("dropout", 0.4), np.random.default_rng(row.seed))
     assert (len(own), len(left)) == (row.n_points, row.n_points_altered)
     assert np.linalg.norm(left.mean(axis=0) - own.mean(axis=0)) == row.centroid_distance_m
+
+
+def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(scan, tmp_path, monkeypatch):
+    seeds = []
+
+    def watched(points, settings):
+        seeds.append(settings.communities.seed)
+        return partition(points, settings)
+
+    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.jobs.partition", watched)
+    assert DEFAULT_LEVELS[0] == NULL
+    outcome = perturbed(scan, tmp_path / "run", levels=(NULL, *LEVELS[:1]), repeats=2, global_repeats=2)
+    assert not outcome.failures
+    of_scan = rows(tmp_path / "run", "perturb_global")
+    null = of_scan.query("kind == 'null'")
+    assert (null.n_points - null.n_points_altered).tolist() == [1, 1]
+    assert sorted(seeds) == sorted([*(null.seed % 2**31), SETTINGS.communities.seed, SETTINGS.communities.seed])
+    assert rows(tmp_path / "run").query("kind == 'null'").r_lambda.notna().all()
 
 
 def test_all_seeds_differ(done):

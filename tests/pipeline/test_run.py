@@ -350,7 +350,10 @@ def test_the_record_tells_what_the_run_was_made_with(finished, dataset):
     assert set(record["inputs"]) == {"000", "001", "002"}
     assert record["libraries"]["scipy"]
     assert record["summary"]["cdc_mean"]["n_pairs"] == 3
-    means = pd.read_parquet(finished[0] / "pairs.parquet").cdc_mean
+    pairs = pd.read_parquet(finished[0] / "pairs.parquet")
+    n_alone, means = pairs.n_missing + pairs.n_hallucinated, pairs.cdc_mean
+    as_worst = (pairs.n_matched * means + 2 * n_alone) / (pairs.n_matched + n_alone)
+    assert record["summary"]["cdc_unmatched_worst_mean"]["mean"] == pytest.approx(as_worst.mean())
     assert record["summary"]["cdc_mean"]["mean"] == pytest.approx(means.mean())
     assert record["summary"]["cdc_mean"]["std"] == pytest.approx(means.std())
     assert load(finished[0] / "settings.toml") == Settings()

@@ -131,7 +131,7 @@ def test_the_terminal_shows_the_spread(repeated):
     Console(width=80, file=shown).print(seeds_view(SeedSummary.from_dict(repeated[1].record.as_dict()["seeds"])))
     text = shown.getvalue()
     assert "How stable the scores are (3 seeds, 2 pairs)" in text
-    for word in ("match rate", "r_lambda", "real above", "000", "001"):
+    for word in ("match rate", "r_lambda", "repeatability limit", "000", "001"):
         assert word in text
 
 

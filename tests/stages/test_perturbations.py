@@ -109,3 +109,12 @@ def test_no_points_stay_no_points(kind):
 def test_an_unknown_kind_is_refused(cloud):
     with pytest.raises(ValueError, match="'fog': no such kind; known are noise, dropout"):
         perturb(cloud, Perturbation("fog", 1.0), seeded())
+
+
+def test_the_null_row_loses_one_point_and_keeps_the_others_in_another_order(rng):
+    points = rng.normal(size=(50, 3))
+    left = perturb(points, Perturbation("null", 1.0), rng)
+    kept = {tuple(point) for point in left}
+    assert len(left) == len(kept) == 49
+    assert kept < {tuple(point) for point in points}
+    assert not np.array_equal(left, points[:49])

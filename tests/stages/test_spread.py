@@ -34,3 +34,18 @@ def test_results_that_differ_only_by_seed_are_nearer_than_the_least_difference_i
     assert np.mean(apart < found.least_pair) == pytest.approx(0.95, abs=0.01)
     means = (of_pairs + rng.normal(0, 0.2, (20000, 2, 40))).mean(axis=2)
     assert np.mean(np.abs(np.diff(means)).ravel() < found.least_dataset) == pytest.approx(0.95, abs=0.01)
+
+
+@pytest.mark.parametrize(("n_pairs", "n_seeds"), [(1, 2), (1, 5), (3, 2), (5, 5)])
+def test_the_repeatability_limit_covers_19_of_20_differences_however_few_the_repeats(n_pairs, n_seeds):
+    rng = np.random.default_rng(1)
+    n = 2000
+    found = [spread(rng.normal(0, 0.2, (n_pairs, n_seeds))) for _ in range(n)]
+    one, means = (np.abs(np.diff(rng.normal(0, 0.2 / k**0.5, (n, 2)))).ravel() for k in (1, n_pairs))
+    error = 3 * (0.05 * 0.95 / n) ** 0.5
+    assert np.mean(one < [own.least_pair for own in found]) == pytest.approx(0.95, abs=error)
+    assert np.mean(means < [own.least_dataset for own in found]) == pytest.approx(0.95, abs=error)
+    known = 1.959963984540054 * 2**0.5
+    covered_before = np.mean(one < [known * own.std_seeds for own in found])
+    assert covered_before < 0.95 - error
+    assert (covered_before < 0.75) == (n_pairs * (n_seeds - 1) == 1)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.stages.summary import mean_and_std, summarise_dataset, summarise_pair
+from fidpipe.stages.summary import mean_and_std, summarise_dataset, summarise_pair, with_unmatched_as_worst
 
 
 def test_nulls_are_left_out_and_the_deviation_is_that_of_a_sample():
@@ -36,3 +36,13 @@ def test_no_matches_are_a_rate_of_zero_and_no_medians():
 def test_the_dataset_is_the_mean_of_the_pairs_means():
     summary = summarise_dataset({"cdc_mean": [0.2, None, 0.4]})
     assert vars(summary["cdc_mean"]) == {"mean": pytest.approx(0.3), "std": pytest.approx(np.sqrt(0.02)), "n_pairs": 2}
+
+
+def test_losing_the_worst_object_makes_the_plain_mean_better_and_the_one_with_unmatched_worse():
+    before, after = with_unmatched_as_worst(0.6, 3, 0, 2.0), with_unmatched_as_worst(0.2, 2, 1, 2.0)
+    assert (before, after) == (pytest.approx(0.6), pytest.approx(0.8))
+
+
+def test_a_pair_without_a_match_is_the_worst_and_one_without_objects_has_no_score():
+    assert with_unmatched_as_worst(None, 0, 4, 2.0) == 2.0
+    assert with_unmatched_as_worst(None, 0, 0, 2.0) is None

@@ -22,7 +22,7 @@ from ....schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
 from ....schemas.metrics import DATASET_SCORES
 from ....schemas.settings import Settings, parse
 from ....stages.arrays import FloatArray
-from ....stages.statistics.parameter_choice import Influence, ParameterSet, Verdict, influence, judge_parameter
+from ....stages.statistics.parameter_choice import Influence, ParameterSet, Trial, Verdict, influence, judge_parameters
 from ...engine.costs import CostModel
 from ...engine.plan import PairPlan, Part
 from ...engine.progress import Reporter
@@ -117,16 +117,18 @@ def choose(outcome: AblateOutcome) -> list[Verdict]:
         rows = outcome.rows.to_pandas()[_NAMES].drop_duplicates()
         rows = rows[rows["delta_m"] == outcome.base.delta_m]
         tried["grid"] = [ParameterSet(*row) for row in rows.itertuples(index=False)]
-    return [
-        judge_parameter(
-            name,
-            own,
-            own.index(outcome.base),
-            outcome.scores("match_rate", own),
-            outcome.scores("r_lambda_mean", own),
-        )
-        for name, own in tried.items()
-    ]
+    return judge_parameters(
+        [
+            Trial(
+                name,
+                own,
+                own.index(outcome.base),
+                outcome.scores("match_rate", own),
+                outcome.scores("r_lambda_mean", own),
+            )
+            for name, own in tried.items()
+        ]
+    )
 
 
 def influences(outcome: AblateOutcome) -> list[Influence]:

@@ -10,6 +10,7 @@ import numpy as np
 from ....schemas.columns import Row
 from ....schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ....schemas.metrics import OBJECT_METRICS
+from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray
 from ....stages.baselines import compare_objects
 from ....stages.ground import MIN_OBJECT_POINTS
@@ -42,7 +43,7 @@ def make_global(context: Context) -> Made:
         if len(altered) < MIN_OBJECT_POINTS:
             row["reason"] = f"{len(altered)} points are left, at least {MIN_OBJECT_POINTS} are needed"
         else:
-            altered_scan = partition(altered, settings)
+            altered_scan = partition(altered, _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings)
             summary = compare(scan, altered_scan, settings).summary  # the unaltered scan taken as the real side
             row |= {name: summary[name] for name in _SUMMARY}
             row["n_communities_altered"] = len(altered_scan.objects.n_points)
@@ -85,6 +86,12 @@ def make_baselines(context: Context) -> Made:
             number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
             rows.append(row | {"baseline": baseline.name} | number)
     return Made({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
+
+
+def _with_seed(settings: Settings, seed: int) -> Settings:
+    """The settings with another Louvain seed, drawn from the seed of a repeat."""
+    communities = settings.communities.model_copy(update={"seed": seed % 2**31})
+    return Settings(graph=settings.graph, communities=communities)
 
 
 def _unaltered_scan(context: Context) -> PartitionedScan:

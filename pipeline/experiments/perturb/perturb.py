@@ -32,8 +32,12 @@ from ..experiment import Experiment, ExperimentOutcome, ExperimentRequest, exper
 from .jobs import BASELINE, GLOBAL, OBJECT
 from .objects import choose_objects, read_objects
 
-#: Noise, dropout and rigid motion as in the paper; hallucination and density are ours.
+#: What a scan differs from itself by where nothing has changed: the first row of every table. One point less, rows in
+#: another order, another Louvain seed; noise and rigid motion keep the order, dropout and the others do not.
+NULL = Perturbation("null", 1.0)
+#: Noise, dropout and rigid motion as in the paper; the null row, hallucination and density are ours.
 LEVELS = (
+    NULL,
     *(Perturbation("noise", std_m) for std_m in (1e-3, 1e-2, 1e-1)),
     *(Perturbation("dropout", share) for share in (0.05, 0.2, 0.4)),
     *(Perturbation("rigid", angle_deg, shift_m) for shift_m, angle_deg in ((0.0, 0.5), (0.0, 1.0), (0.05, 2.0))),
@@ -42,7 +46,14 @@ LEVELS = (
 )
 
 #: Least and largest amount of each kind.
-_BOUNDS = {"noise": (0, 10), "dropout": (0, 0.99), "rigid": (-180, 180), "hallucination": (0, 10), "density": (0, 20)}
+_BOUNDS = {
+    "null": (0, 100),
+    "noise": (0, 10),
+    "dropout": (0, 0.99),
+    "rigid": (-180, 180),
+    "hallucination": (0, 10),
+    "density": (0, 20),
+}
 
 
 @dataclass(frozen=True)

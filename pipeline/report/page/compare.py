@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ....schemas.metrics import labels
-from ....stages.statistics.comparison import CONFIDENCE, N_RESAMPLES, SEED
+from ....stages.statistics.comparison import BLOCK_S, CONFIDENCE
 from ...results.compare import Comparison
 from ..charts import change_chart
 from ..terminal.compare import OBJECTS_NOTE, changed, kind_table, object_table, remarks, score_table, signed, verdict
@@ -19,9 +19,10 @@ _PAIR_SCORES = labels(("match_rate", "cdc", "r_lambda", "r_gap", "n_missing"))
 def compare_page(comparisons: Sequence[Comparison]) -> str:
     """The whole page; every name is escaped."""
     method = (
-        f"Differences are after less before, means over pairs. Intervals: {100 * CONFIDENCE:.0f} %, paired bootstrap "
-        f"over pairs (BCa, {N_RESAMPLES} resamples, seed {SEED}); each stands for itself, and one in twenty leaves out "
-        f"0 by chance. {OBJECTS_NOTE}"
+        f"Differences are after less before, means over pairs; copies of a real scan, and scans within {BLOCK_S:g} s "
+        f"of each other, count as one pair. Intervals: {100 * CONFIDENCE:.0f} %, each of its score alone (paired t, "
+        f"skew allowed for). Verdicts: p below {1 - CONFIDENCE:.2f} over all scores together (Holm), and more than "
+        f"seeds make, where that is known. {OBJECTS_NOTE}"
     )
     charts = {f"changes_{i}": change_chart(one.scores) for i, one in enumerate(comparisons)}
     return render("compare.html", {"charts": charts}, sections=[_section(one) for one in comparisons], method=method)

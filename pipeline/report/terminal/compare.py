@@ -9,8 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.metrics import METRIC
-from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS
-from ...results.compare import SHARED_SCORES, Comparison, ObjectChange
+from ....stages.statistics.comparison import BLOCK_S, LEAST_CHANGE, LEAST_PAIRS
+from ...results.compare import SHARED_SCORES, Comparison, ObjectChange, ScoreChange
 from .layout import number, percent, plain_table
 
 _MOST_OBJECTS = 10
@@ -22,8 +22,8 @@ OBJECTS_NOTE = (
     f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and neither the other way. "
     "Single objects also change where Louvain cuts the simulated side otherwise: trust many, not one."
 )
-#: Fewer pairs make an interval that is too narrow.
-FEW_PAIRS = 10
+#: From this share of the matched objects on it is said first that they have gone.
+_MANY = 0.25
 
 
 def compare_view(comparisons: Sequence[Comparison]) -> RenderableType:
@@ -32,10 +32,31 @@ def compare_view(comparisons: Sequence[Comparison]) -> RenderableType:
 
 
 def verdict(comparison: Comparison) -> str:
-    """In words, which scores are better and which are worse."""
+    """In words, which scores are better and which are worse, and what broke although too few pairs decide."""
     named = {word: [score.name for score in comparison.scores if score.verdict == word] for word in ("better", "worse")}
-    return "; ".join(f"{word}: {', '.join(names)}" for word, names in named.items() if names) or (
-        "no score is decidedly better or worse"
+    parts = [f"{word}: {', '.join(names)}" for word, names in named.items() if names]
+    for word in ("better", "worse"):
+        far = [score for score in comparison.scores if score.is_far and score.verdict == "undecided"]
+        words = [f"{score.name} ({_moved(score)})" for score in far if score.direction == word]
+        if words:
+            parts.append(
+                f"far beyond the noise, though {_pairs(comparison.n_blocks)} decide nothing: {word}: {', '.join(words)}"
+            )
+    n_gone, n_new = (comparison.kinds[kind] for kind in ("vanished", "appeared"))
+    n_before = sum(change.cdc_before is not None for change in comparison.objects)
+    if n_gone - n_new > _MANY * max(n_before, 1) and n_gone > LEAST_PAIRS:
+        parts.append(f"{n_gone} of {n_before} objects that were matched have vanished, {n_new} have appeared")
+    if parts:
+        return "; ".join(parts)
+    if {score.verdict for score in comparison.scores} == {"same"}:
+        return "all scores are the same"
+    decided = "no score is decidedly better or worse"
+    if comparison.n_blocks >= LEAST_PAIRS:
+        return decided
+    moved = [score for score in comparison.scores if score.direction and score.difference.before]
+    largest = max(moved, key=lambda s: abs((s.difference.difference or 0) / (s.difference.before or 1)), default=None)
+    return f"{_pairs(comparison.n_blocks)} cannot decide what is better or worse" + (
+        f"; the largest change is {largest.name} ({_moved(largest)})" if largest else ""
     )
 
 
@@ -48,8 +69,7 @@ def remarks(comparison: Comparison) -> list[str]:
         if score.difference.why:
             undecided.setdefault(score.difference.why, []).append(score.name)
     lines += [f"undecided: {', '.join(names)}: {why}" for why, names in undecided.items()]
-    if LEAST_PAIRS <= len(comparison.pairs) < FEW_PAIRS:
-        lines.append(f"{len(comparison.pairs)} pairs are few: the intervals are too narrow rather than too wide")
+    lines += _on_chance(comparison)
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
         lines.append(f"{n_unfollowed} pairs have other real objects in the two runs: their objects are not followed")
@@ -63,6 +83,41 @@ def remarks(comparison: Comparison) -> list[str]:
     return lines
 
 
+def _on_chance(comparison: Comparison) -> list[str]:
+    """What the verdicts stand on: independent pairs, and seeds."""
+    n, n_blocks = len(comparison.pairs), comparison.n_blocks
+    lines = []
+    if n_blocks < n:
+        lines.append(
+            f"{n} pairs count as {n_blocks}: copies of a real scan, and scans within {BLOCK_S:g} s, count once"
+        )
+    elif not comparison.has_times and n > 1:
+        lines.append(
+            "no timestamps: each pair counts as independent; where pairs are neighbouring frames of a drive, give "
+            "timestamp_s in pairs.csv, or differences by chance are taken for real ones"
+        )
+    by_seeds = [score.name for score in comparison.scores if score.beyond_seeds is False]
+    if by_seeds:
+        lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
+    decided = [score for score in comparison.scores if score.verdict in ("better", "worse") or score.is_far]
+    if any(score.seed_noise is None for score in decided):
+        names = [score.name for score in decided if score.seed_noise is None]
+        lines.append(
+            f"what seeds alone make is unknown of {', '.join(names)}; with fidpipe run --seeds 5 for both runs it is "
+            "known of the scores over all objects"
+        )
+    return lines
+
+
+def _pairs(n: int) -> str:
+    return "1 independent pair" if n == 1 else f"{n} independent pairs"
+
+
+def _moved(score: ScoreChange) -> str:
+    change = score.difference
+    return f"{number(change.before)} to {number(change.after)}"
+
+
 def changed(comparison: Comparison) -> list[ObjectChange]:
     """The objects that have changed: vanished ones, then those that got worse, most first, then the others."""
     return sorted(
@@ -72,12 +127,14 @@ def changed(comparison: Comparison) -> list[ObjectChange]:
 
 
 def score_table(comparison: Comparison) -> list[list[str]]:
-    """Headings, then one row per score: name, verdict, before, after, change and its interval.
+    """Headings, then one row per score: name, verdict, before, after, change, its interval and p.
 
     Where both runs were repeated under other seeds, also whether the change is more than they alone would make.
     """
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
-    rows = [["score", "verdict", "before", "after", "change", "from", "to", *["more than seeds make"] * with_seeds]]
+    rows = [
+        ["score", "verdict", "before", "after", "change", "from", "to", "p", *["more than seeds make"] * with_seeds]
+    ]
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
     for score in comparison.scores:
         change = score.difference
@@ -85,6 +142,7 @@ def score_table(comparison: Comparison) -> list[list[str]]:
             number(change.before),
             number(change.after),
             *map(signed, (change.difference, change.low, change.high)),
+            number(score.p),
         )
         seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
         rows.append([score.name, score.verdict, *numbers, *[seeds] * with_seeds])
@@ -117,9 +175,9 @@ def signed(value: float | None) -> str:
 def _parts(comparison: Comparison) -> list[RenderableType]:
     headings, *scores = score_table(comparison)
     for row in (headings, *scores):
-        row.insert(6, row.pop(1))  # the verdict, behind the numbers that it is about
+        row.insert(7, row.pop(1))  # the verdict, behind the numbers that it is about
     title = f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, means and 95 % intervals"
-    parts: list[RenderableType] = [_table(f"{title} (paired bootstrap)", headings, scores, words=(0, 6, 7))]
+    parts: list[RenderableType] = [_table(f"{title} (paired t)", headings, scores, words=(0, 7, 8))]
     if comparison.objects:
         headings, *kinds = kind_table(comparison)
         parts.append(_table("Real objects", headings, kinds))

@@ -20,6 +20,7 @@ from ...experiments.perturb.perturb import PerturbOutcome
 from .layout import mean_and_spread, number, plain_table
 
 _LEVELS = {
+    "null": "null, {0.amount:g} point less",
     "noise": "noise {0.amount:g} m",
     "dropout": "dropout {0.amount:.0%}",
     "rigid": "rigid {0.shift_m:g} m, {0.amount:g}°",
@@ -27,6 +28,7 @@ _LEVELS = {
     "density": "density x {0.amount:g}",
 }
 _NARROW_LEVELS = {
+    "null": "null\n-{:g}",
     "noise": "noise\n{:g} m",
     "dropout": "drop\n{:.0%}",
     "rigid": "rigid\n{:g}°",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 
@@ -13,10 +13,11 @@ from rich.text import Text
 
 from ....schemas.columns import Row
 from ....schemas.metrics import DISTRIBUTED, HEADLINE_SCORES, METRIC, labels, metric_of, narrow_labels, unit_words
-from ....schemas.results import BaselineSummary, Claim, Findings, RunRecord, ScoreSummary, SeedSummary, Unmatched
+from ....schemas.results import BaselineSummary, Claim, Findings, RunRecord, SeedSummary, Unmatched
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...run import RunOutcome
+from ...storage.record import unmatched_worst
 from .layout import mean_and_spread, number, percent, plain_table
 
 _MOST_PAIRS = 20
@@ -43,7 +44,7 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
     """The pairs of a run, what they say together, and which failed."""
     parts: list[RenderableType] = []
     if record.findings:
-        parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record.summary)]
+        parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
         verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
@@ -94,7 +95,7 @@ def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
 def seeds_view(seeds: SeedSummary) -> RenderableType:
     """Spread over seeds beside spread over pairs, and mean and deviation over seeds of each pair."""
     spreads = [(metric_of(name).label, *vars(seeds.dataset[name]).values()) for name in HEADLINE_SCORES]
-    headings = ("std over\npairs", "std over\nseeds", "real above\n(one pair)", "real above\n(all pairs)")
+    headings = ("std over\npairs", "std over\nseeds", "repeatability\n(one pair)", "repeatability\n(all pairs)")
     title = f"How stable the scores are ({seeds.n_seeds} seeds, {seeds.n_pairs} pairs)"
     dataset = plain_table(title, ("score", "mean", *headings), spreads)
     chosen, title = list(seeds.pairs.items()), "Pairs (mean ± standard deviation over seeds)"
@@ -108,8 +109,8 @@ def seeds_view(seeds: SeedSummary) -> RenderableType:
     pairs = plain_table(title, ("pair", *labels(_SEED_SCORES)), rows)
     pairs.columns[0].min_width = 6
     lines = (
-        "real above: two results under seeds of their own, of one pair or the means of all pairs, that differ by less",
-        "may differ by chance alone (95 %); a simulator is better than another only if it is so by more",
+        "repeatability limit (ISO 5725): two results under seeds of their own, of one pair or the means of all pairs,",
+        "that differ by less may do so by chance alone (95 %); a simulator is better only if it is so by more",
     )
     return Group(dataset, *map(Text, lines), pairs)
 
@@ -129,13 +130,18 @@ def _pairs_table(scored: Sequence[Row]) -> Table:
     return table
 
 
-def _dataset_table(summary: Mapping[str, ScoreSummary]) -> Table:
-    rows = (
-        (metric_of(column).label, summary[column].mean, summary[column].std, metric_of(column).reading)
-        for column in HEADLINE_SCORES
-    )
-    title = "Dataset (mean and standard deviation over pairs)"
-    return plain_table(title, ("score", "mean", "std", "how to read it"), rows, words=(0, 3))
+def _dataset_table(record: RunRecord) -> Table:
+    """Means over pairs, of how many pairs they are, and the means with unmatched objects counted as worst."""
+    summary = record.summary
+    rows = []
+    for column in HEADLINE_SCORES:
+        metric, score = metric_of(column), summary[column]
+        worst = summary.get(unmatched_worst(metric.column))
+        pairs = f"{score.n_pairs} of {record.pairs.scored}"
+        rows.append((metric.label, score.mean, score.std, pairs, worst.mean if worst else "", metric.reading))
+    title = "Dataset (mean and standard deviation over pairs; pairs without a match have no object scores)"
+    headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it")
+    return plain_table(title, headings, rows, words=(0, 5))
 
 
 def _findings_parts(findings: Findings) -> list[RenderableType]:
