@@ -14,9 +14,19 @@ from types import TracebackType
 from typing import Self
 
 from ...schemas.columns import SIDES
+from ...schemas.results import FrameSuspect
 from ...schemas.settings import Settings
+from ..datasets.frame_checks import frames_name
 from ..datasets.pairs import ScanPair
-from ..datasets.scan_checks import ScanContent, ScanFacts, input_name, inspect_pairs, pair_warnings, recall_scan
+from ..datasets.scan_checks import (
+    PairFacts,
+    ScanContent,
+    input_name,
+    inspect_pairs,
+    pair_warnings,
+    recall_pair_frames,
+    recall_scan,
+)
 from ..stage import Stage
 from ..storage.folder import RunFolder
 from ..storage.record import LIBRARIES, library_versions
@@ -191,6 +201,7 @@ class RunEngine(Engine):
     Attributes
     ----------
     contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
+    frames : by pair_id, those of `contents` whose simulated scan seems to lie in another frame
     """
 
     def __init__(
@@ -199,6 +210,7 @@ class RunEngine(Engine):
         super().__init__(settings, machines, reporter, modules, folder.token_path)
         self.folder = folder
         self.contents: dict[str, dict[str, ScanContent]] = {}
+        self.frames: dict[str, FrameSuspect] = {}
         self._unusable: set[str] = set()
 
     def inspect(
@@ -227,10 +239,12 @@ class RunEngine(Engine):
                 self._judge(pair, facts, sides, is_noted)
         pool = self.pool if len(unknown) > _FEW_PAIRS else InProcess()
         n = max(1, min(_MOST_PAIRS_PER_BATCH, len(unknown) // _LEAST_BATCHES))
-        known: dict[str, dict[str, ScanFacts]] = {}
+        known: dict[str, PairFacts] = {}
         for pair, facts in self._read_files(pool, [unknown[i : i + n] for i in range(0, len(unknown), n)], label_names):
-            for side, scan in facts.items() if is_noted else ():
+            for side, scan in facts.sides.items() if is_noted else ():
                 self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
+            if facts.frames and is_noted:
+                self.folder.ledger.put_input(frames_name(pair), facts.frames.as_dict())
             known[pair.pair_id] = facts
         for pair in unknown:  # in their order, whichever was read first
             if pair.pair_id in known:
@@ -344,7 +358,7 @@ class RunEngine(Engine):
 
     def _read_files(
         self, pool: Pool, parts: Sequence[Sequence[ScanPair]], label_names: dict[int, str]
-    ) -> Iterator[tuple[ScanPair, dict[str, ScanFacts]]]:
+    ) -> Iterator[tuple[ScanPair, PairFacts]]:
         """What the files of pairs hold, in any order; pairs at which a worker dies twice, last alone, are left out."""
         handles = {pool.submit(inspect_pairs, part, self.settings.input, label_names): part for part in parts}
         suspects: list[ScanPair] = []
@@ -361,31 +375,37 @@ class RunEngine(Engine):
             if not isinstance(read, WorkerDied):
                 yield pair, read[0]
 
-    def _recall(self, pair: ScanPair, sides: Sequence[str]) -> dict[str, ScanFacts] | None:
+    def _recall(self, pair: ScanPair, sides: Sequence[str]) -> PairFacts | None:
         """What a pair's files hold, if it is known from the last time and still so."""
-        facts = {}
+        known, facts = self.folder.ledger.input, {}
         for side in sides:
             if pair.path(side) is None:
                 continue
-            scan = recall_scan(self.folder.ledger.input, pair, side, self.settings.input)
+            scan = recall_scan(known, pair, side, self.settings.input)
             if scan is None:
                 return None
             facts[side] = scan
-        return facts
+        if len(facts) < len(SIDES):
+            return PairFacts(facts, None)
+        frames = recall_pair_frames(known, pair, facts)
+        return None if frames is None else PairFacts(facts, frames)
 
-    def _judge(self, pair: ScanPair, facts: Mapping[str, ScanFacts], sides: Sequence[str], is_noted: bool) -> None:
+    def _judge(self, pair: ScanPair, known: PairFacts, sides: Sequence[str], is_noted: bool) -> None:
         """Keeps what is needed of a pair's files, and says what is wrong with them."""
-        facts = {side: scan for side, scan in facts.items() if side in sides}
+        facts = {side: scan for side, scan in known.sides.items() if side in sides}
+        frames = known.frames if len(facts) == len(SIDES) else None
         faults = [scan.fault for scan in facts.values() if scan.fault]
         if not faults:
             self.contents[pair.pair_id] = {side: scan.content for side, scan in facts.items()}
+            if frames and frames.suspect:
+                self.frames[pair.pair_id] = frames.suspect
         lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
         if fault := (pair.fault if lacks_scan else None) or "; ".join(faults):
             self.fail(pair.pair_id, fault)
             self._unusable.add(pair.pair_id)
             if is_noted:
                 self.folder.ledger.put_failure(pair.pair_id, {"key": "input", "reason": fault})
-        for text in pair_warnings(pair, dict(facts)):
+        for text in pair_warnings(pair, facts, frames):
             self.reporter.warn(f"pair {pair.pair_id}: {text}")
 
 
