@@ -61,7 +61,8 @@ _MIRROR_Y: FloatArray = _TURNS["mirrored in y"]
 class FrameCheck:
     """How well the simulated scan covers the real one, as it lies and in the reading that fits best.
 
-    as_it_lies, coverage : 0 to 1, see `check_frames`; of the scan as it lies and in the best reading
+    as_it_lies, coverage : 0 to 1, see `check_frames`; of the scan as it lies and in the best reading; where the first
+        is so high that nothing can be suspect, no other is looked for
     reading : the best reading in words, "as it lies" where no other fits better
     is_suspect : whether the other reading fits much better
     setting : what makes the best reading the one that is evaluated; "" where that is the present one
@@ -153,6 +154,8 @@ def check_frames(
             coverage = _coverage(target, source, reading, placement.include_box)
             if reading.name == AS_IT_LIES:
                 as_it_lies = coverage
+                if 1 - as_it_lies < LEAST_GAIN:  # no other reading can be suspect
+                    return FrameCheck(as_it_lies, AS_IT_LIES, as_it_lies, False, "")
             if best is None or coverage > best[0]:
                 best = coverage, reading
         if best is not None and best[1].unit == unit and best[0] < 1 and can_move():
