@@ -20,6 +20,7 @@ from ..schemas.errors import DatasetError, RunError
 from ..schemas.results import Findings, RunHeader, RunRecord
 from ..schemas.settings import Settings, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
+from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .datasets.scan_checks import input_hashes
 from .engine.engine import Machines, RunEngine, Survey, current_records, modules_of
@@ -192,6 +193,12 @@ class _Run:
         for text in self._dataset.warnings:
             self._reporter.warn(text)
         self._engine.inspect(pairs, self._dataset.label_names)
+        hashes = {
+            pair_id: {side: scan.sha256 for side, scan in sides.items()}
+            for pair_id, sides in self._engine.contents.items()
+        }
+        for text in [*swapped_sides(pairs, self._request.dataset), *shared_files(hashes)]:
+            self._reporter.warn(text)
         self._end_phase("inspect")
 
     def survey(self, selected: Iterable[ScanPair]) -> Survey:
@@ -273,6 +280,7 @@ class _Run:
             seconds.result(),
             findings,
             n_to_do,
+            self._engine.frames,
             extras,
         )
         write_record(self._request.out, record.as_dict(), self._folder.check_token)

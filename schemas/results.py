@@ -335,6 +335,20 @@ class Seconds(Result):
     pairs: dict[str, dict[str, float]]
 
 
+class FrameSuspect(Result):
+    """A pair whose simulated scan fits the real one much better in another reading than as it is evaluated.
+
+    reading : in words, such as "mirrored in y"
+    coverage, as_it_lies : 0 to 1, how well the scans cover each other in that reading, and as they are evaluated
+    setting : what makes that reading the one that is evaluated
+    """
+
+    reading: str
+    coverage: float
+    as_it_lies: float
+    setting: str
+
+
 class RunHeader(Result):
     """What `run.json` holds from the start of a run: what it is made from and with.
 
@@ -361,6 +375,7 @@ class RunRecord(RunHeader):
     summary : by column of `pairs`; `cdc_unmatched_worst_mean` and the like: with unmatched objects counted as worst
     findings : None ({} in JSON) where no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
+    frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
     baselines, seeds : only where they were asked for
     """
 
@@ -377,6 +392,7 @@ class RunRecord(RunHeader):
     ]
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
+    frames: dict[str, FrameSuspect] | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
 

@@ -20,8 +20,10 @@ from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
 from ...stages.ground import MIN_OBJECT_POINTS
+from ...stages.sensing.frames import FRAMES_VERSION, can_move, check_frames
 from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
 from ..storage.files import hash_file, key_of
+from .frame_checks import FrameFacts, frame_warning, recall_frames, shared_files, swapped_sides
 from .pairs import ScanPair, read_dataset
 from .readers import read_scan, stem_of
 from .readers.scan import label_path_of
@@ -84,6 +86,18 @@ class ScanFacts:
 
 
 @dataclass(frozen=True)
+class PairFacts:
+    """What was learnt of the files of a pair.
+
+    sides : by side; one whose file is missing is left out
+    frames : of both scans together; None where one is missing
+    """
+
+    sides: dict[str, ScanFacts]
+    frames: FrameFacts | None
+
+
+@dataclass(frozen=True)
 class DatasetCheck:
     """What would be read from a dataset, and what is wrong with it.
 
@@ -107,32 +121,40 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     """
     dataset = read_dataset(folder)
     facts = inspect_pairs(dataset.pairs, settings.input, dataset.label_names)
-    pairs, faults, warnings = list(zip(dataset.pairs, facts, strict=True)), [], list(dataset.warnings)
-    for pair, sides in pairs:
+    pairs = [(pair, own.sides) for pair, own in zip(dataset.pairs, facts, strict=True)]
+    faults, warnings = [], [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
+    warnings += shared_files(
+        {pair.pair_id: {side: scan.sha256 for side, scan in sides.items()} for pair, sides in pairs}
+    )
+    for own, (pair, sides) in zip(facts, pairs, strict=True):
         own_faults = [pair.fault, *(scan.fault for scan in sides.values())]
         faults += [f"pair {pair.pair_id}: {fault}" for fault in own_faults if fault]
-        warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides)]
+        warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides, own.frames)]
     return DatasetCheck(folder, pairs, faults, warnings)
 
 
-def inspect_pairs(
-    pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]
-) -> list[dict[str, ScanFacts]]:
+def inspect_pairs(pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]) -> list[PairFacts]:
     """What the files of each pair hold, by side; a side whose file is missing is left out."""
-    return [
-        {
-            side: inspect_scan(path, side, pair.T_real_sim, settings, label_names)
-            for side in SIDES
-            if (path := pair.path(side)) is not None
-        }
-        for pair in pairs
-    ]
+    return [_inspect_pair(pair, settings, label_names) for pair in pairs]
+
+
+def _inspect_pair(pair: ScanPair, settings: InputSettings, label_names: dict[int, str]) -> PairFacts:
+    sides, points = {}, {}
+    for side in SIDES:
+        path = pair.path(side)
+        if path is not None:
+            sides[side], points[side] = inspect_scan(path, side, pair.T_real_sim, settings, label_names)
+    if len(sides) < len(SIDES):
+        return PairFacts(sides, None)
+    T = np.array(pair.T_real_sim).reshape(3, 4) if pair.T_real_sim else None
+    check = check_frames(points["real"], points["sim"], settings, T)
+    return PairFacts(sides, FrameFacts(*_marks_and_keys(sides), check))
 
 
 def inspect_scan(
     path: Path, side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings, label_names: dict[int, str]
-) -> ScanFacts:
-    """What one scan file holds; a fault of the file is a fact, not an error.
+) -> tuple[ScanFacts, FloatArray]:
+    """What one scan file holds, and its points; a fault of the file is a fact, not an error, and leaves no points.
 
     Parameters
     ----------
@@ -144,12 +166,12 @@ def inspect_scan(
         scan = read_scan(path, settings.columns_of(side), label_names)
         sha256, label_sha256 = hash_scan(path)
     except (FidpipeError, OSError) as error:
-        return ScanFacts(marks, key, fault=str(error))
+        return ScanFacts(marks, key, fault=str(error)), np.empty((0, 3))
     is_sim = side == "sim"
     T = np.array(T_real_sim).reshape(3, 4) if is_sim and T_real_sim else None
     clean = clean_scan(scan.points, settings, flip_y=is_sim and settings.sim_flip_y, T_real_sim=T)
     own = scan.points[np.isfinite(scan.points).all(axis=1) & scan.points.any(axis=1)]
-    return ScanFacts(
+    facts = ScanFacts(
         marks=marks,
         settings_key=key,
         sha256=sha256,
@@ -163,9 +185,10 @@ def inspect_scan(
         warnings=[f"{path}: {text}" for text in (*implausible(own), *_not_finite(scan.points))],
         fault=None if len(clean.points) >= MIN_OBJECT_POINTS else _too_few_left(path, len(clean.points), clean.dropped),
     )
+    return facts, scan.points
 
 
-def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts]) -> list[str]:
+def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts], frames: FrameFacts | None) -> list[str]:
     """What is odd about a pair that can be evaluated all the same, one line each."""
     warnings = [text for side in facts.values() for text in side.warnings]
     if len(facts) == 2 and not any(scan.fault for scan in facts.values()):
@@ -175,6 +198,8 @@ def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts]) -> list[str]:
                 f"{pair.path(wide)}: no point in a sector of {wide_deg:.0f} degrees, {narrow_deg:.0f} on the "
                 f"{narrow} side; is it a half sweep (rotation frequency and tick rate of the simulator differ)?"
             )
+    if frames and frames.suspect:
+        warnings.append(frame_warning(frames.suspect))
     return warnings
 
 
@@ -240,6 +265,13 @@ def file_marks(path: Path) -> list[list[int]]:
     return marks
 
 
+def recall_pair_frames(
+    known: Callable[[str], Mapping[str, Any] | None], pair: ScanPair, facts: Mapping[str, ScanFacts]
+) -> FrameFacts | None:
+    """What was learnt of a pair's frames before, if it still holds for these facts of its files; else None."""
+    return recall_frames(known, pair, *_marks_and_keys(facts))
+
+
 @lru_cache(maxsize=64)
 def settings_key(side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings) -> str:
     """A hash of what `inspect_scan` depends on besides the file."""
@@ -258,3 +290,9 @@ def _too_few_left(path: Path, n_left: int, dropped: dict[str, int]) -> str:
     if not n_left:
         return f"{path}: no point is left after cleaning ({why})"
     return f"{path}: {n_left} points are left after cleaning ({why}), at least {MIN_OBJECT_POINTS} are needed"
+
+
+def _marks_and_keys(facts: Mapping[str, ScanFacts]) -> tuple[list[list[list[int]]], list[str]]:
+    """What the comparison of a pair's frames depends on: marks of both files, their settings, and the code."""
+    keys = [facts[side].settings_key for side in SIDES]
+    return [facts[side].marks for side in SIDES], [*keys, key_of(FRAMES_VERSION, can_move())]

@@ -16,9 +16,19 @@ from typing import Self
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError
+from ...schemas.results import FrameSuspect
 from ...schemas.settings import Settings
+from ..datasets.frame_checks import frames_name
 from ..datasets.pairs import ScanPair
-from ..datasets.scan_checks import ScanContent, ScanFacts, input_name, inspect_pairs, pair_warnings, recall_scan
+from ..datasets.scan_checks import (
+    PairFacts,
+    ScanContent,
+    input_name,
+    inspect_pairs,
+    pair_warnings,
+    recall_pair_frames,
+    recall_scan,
+)
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder
@@ -199,6 +209,7 @@ class RunEngine(Engine):
     Attributes
     ----------
     contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
+    frames : by pair_id, those of `contents` whose simulated scan seems to lie in another frame
     """
 
     def __init__(
@@ -207,6 +218,7 @@ class RunEngine(Engine):
         super().__init__(settings, machines, reporter, modules, folder.token_path)
         self.folder = folder
         self.contents: dict[str, dict[str, ScanContent]] = {}
+        self.frames: dict[str, FrameSuspect] = {}
         self._unusable: set[str] = set()
 
     def inspect(
@@ -237,8 +249,10 @@ class RunEngine(Engine):
         n = max(1, min(_MOST_PAIRS_PER_BATCH, len(unknown) // _LEAST_BATCHES))
         judged: dict[str, tuple[str, list[str]]] = {}
         for pair, facts in self._read_files(pool, [unknown[i : i + n] for i in range(0, len(unknown), n)], label_names):
-            for side, scan in facts.items() if is_noted else ():
+            for side, scan in facts.sides.items() if is_noted else ():
                 self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
+            if facts.frames and is_noted:
+                self.folder.ledger.put_input(frames_name(pair), facts.frames.as_dict())
             judged[pair.pair_id] = self._judge(pair, facts, sides)
         for pair in unknown:  # in their order, whichever was read first
             if pair.pair_id in judged:
@@ -361,7 +375,7 @@ class RunEngine(Engine):
 
     def _read_files(
         self, pool: Pool, parts: Sequence[Sequence[ScanPair]], label_names: dict[int, str]
-    ) -> Iterator[tuple[ScanPair, dict[str, ScanFacts]]]:
+    ) -> Iterator[tuple[ScanPair, PairFacts]]:
         """What the files of pairs hold, in any order; pairs at which a worker dies twice, last alone, are left out."""
         left, handles = iter(parts), dict[Handle, Sequence[ScanPair]]()
         suspects: list[ScanPair] = []
@@ -382,26 +396,32 @@ class RunEngine(Engine):
             if not isinstance(read, WorkerDied):
                 yield pair, read[0]
 
-    def _recall(self, pair: ScanPair, sides: Sequence[str]) -> dict[str, ScanFacts] | None:
+    def _recall(self, pair: ScanPair, sides: Sequence[str]) -> PairFacts | None:
         """What a pair's files hold, if it is known from the last time and still so."""
-        facts = {}
+        known, facts = self.folder.ledger.input, {}
         for side in sides:
             if pair.path(side) is None:
                 continue
-            scan = recall_scan(self.folder.ledger.input, pair, side, self.settings.input)
+            scan = recall_scan(known, pair, side, self.settings.input)
             if scan is None:
                 return None
             facts[side] = scan
-        return facts
+        if len(facts) < len(SIDES):
+            return PairFacts(facts, None)
+        frames = recall_pair_frames(known, pair, facts)
+        return None if frames is None else PairFacts(facts, frames)
 
-    def _judge(self, pair: ScanPair, facts: Mapping[str, ScanFacts], sides: Sequence[str]) -> tuple[str, list[str]]:
+    def _judge(self, pair: ScanPair, known: PairFacts, sides: Sequence[str]) -> tuple[str, list[str]]:
         """Keeps what is needed of a pair's files; gives why it cannot be used, or "", and what is odd about it."""
-        facts = {side: scan for side, scan in facts.items() if side in sides}
+        facts = {side: scan for side, scan in known.sides.items() if side in sides}
+        frames = known.frames if len(facts) == len(SIDES) else None
         faults = [scan.fault for scan in facts.values() if scan.fault]
         if not faults:
             self.contents[pair.pair_id] = {side: scan.content for side, scan in facts.items()}
+            if frames and frames.suspect:
+                self.frames[pair.pair_id] = frames.suspect
         lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
-        return (pair.fault if lacks_scan else None) or "; ".join(faults), pair_warnings(pair, dict(facts))
+        return (pair.fault if lacks_scan else None) or "; ".join(faults), pair_warnings(pair, facts, frames)
 
     def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool) -> None:
         """Says why a pair cannot be used, and what is odd about it."""

@@ -1,7 +1,8 @@
 """Acceptance criteria on a finished run: each has a measure, a bound and a verdict.
 
-Three criteria are there unless the user gives another max for them: no pair failed, none is still to do, and none has
-scans, labels or T_real_sim other than those that were evaluated. A criterion on something that could not be computed
+Four criteria are there unless the user gives another max for them: no pair failed, none is still to do, of none the
+simulated scan seems to lie in another frame, and none has scans, labels or T_real_sim other than those that were
+evaluated. A criterion on something that could not be computed
 fails. What can be measured is in `measures`.
 """
 
@@ -94,6 +95,9 @@ def judge_run(folder: Path, criteria: Iterable[Criterion]) -> GateResult:
     own = [
         Criterion("every pair is scored", "pairs.failed", "max", 0, "a gate is about the whole dataset"),
         Criterion("no pair is left to do", "pairs.to_do", "max", 0, "a gate is about the whole dataset"),
+        Criterion(
+            "both sides lie in one frame", "pairs.frame_suspect", "max", 0, "fidpipe check says what would mend it"
+        ),
     ]
     notes = []
     if measures.dataset_is_gone:

@@ -28,7 +28,7 @@ _COUNTS = ("total", "mean", "max", "share")
 _PAIR_SCORES = ("match_rate", *OBJECT_METRICS)
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
 
-_STATES = ("scored", "failed", "to_do", "changed")
+_STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 
 #: Every name that can be measured; words in capitals stand for many.
 KNOWN = (
@@ -142,6 +142,11 @@ class Measures:
         rows, record = self.run.rows, self.run.record
         if state in ("scored", "failed"):
             return len([row for row in rows if row["status"] == state])
+        if state == "frame_suspect":
+            if record.frames is None:
+                again = f"fidpipe run {record.dataset} --out {self.run.folder}"
+                raise _AbsentError(f"an older fidpipe wrote the run and did not compare frames; run again: {again}")
+            return len(record.frames)
         if self.dataset_is_gone:
             if state == "to_do":
                 return record.pairs.to_do

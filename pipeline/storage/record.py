@@ -16,7 +16,7 @@ from typing import Any
 
 from ...schemas.columns import Row
 from ...schemas.metrics import DATASET_SCORES, DISTRIBUTED, METRIC
-from ...schemas.results import Findings, Machine, PairCounts, RunHeader, RunRecord, ScoreSummary, Seconds
+from ...schemas.results import Findings, FrameSuspect, Machine, PairCounts, RunHeader, RunRecord, ScoreSummary, Seconds
 from ...schemas.settings import Settings
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
@@ -112,6 +112,7 @@ def run_record(
     seconds: Seconds,
     findings: Findings | None,
     n_to_do: int,
+    frames: Mapping[str, FrameSuspect],
     extras: Mapping[str, Any],
 ) -> RunRecord:
     """What `run.json` holds at the end of a run.
@@ -126,6 +127,7 @@ def run_record(
     seconds : from `StageSeconds`
     findings : what the objects of all pairs say together
     n_to_do : pairs of the dataset that are neither scored nor failed
+    frames : by pair, those whose simulated scan seems to lie in another frame
     extras : by name, what the extras say of all pairs together
     """
     n_scored = sum(row["status"] == "scored" for row in rows)
@@ -138,6 +140,7 @@ def run_record(
         findings=findings,
         seconds=seconds,
         inputs={pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
+        frames=dict(sorted(frames.items())),
         **extras,
     )
 

@@ -223,7 +223,7 @@ def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(copied, tm
     found = json.loads((tmp_path / "a.json").read_text())
     assert found["passed"] is False
     suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
-    assert (suite.get("tests"), suite.get("failures")) == ("4", "1")
+    assert (suite.get("tests"), suite.get("failures")) == ("5", "1")
     failure = suite.find("testcase[@name='r_lambda.mean <= 0']/failure")
     assert "wanted <= 0" in failure.get("message")
 

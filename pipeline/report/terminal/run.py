@@ -15,6 +15,7 @@ from ....schemas.columns import Row
 from ....schemas.metrics import DISTRIBUTED, HEADLINE_SCORES, METRIC, labels, metric_of, narrow_labels, unit_words
 from ....schemas.results import BaselineSummary, Claim, Findings, RunRecord, SeedSummary, Unmatched
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
+from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...run import RunOutcome
 from ...storage.record import unmatched_worst
@@ -32,11 +33,13 @@ _COLOURS = {HOLDS: "green", FAILS: "red", UNKNOWN: "yellow"}
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The results of a run, as a newcomer should see them first."""
     record, folder = outcome.record, outcome.folder
+    suspects = record.frames or {}
     return Group(
         summary_view(folder, outcome.rows, record),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
         Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
         *([Text(f"to look at them: fidpipe report {folder}")] if record.pairs.scored else ()),
+        *([Text(f"warning: {frames_summary(suspects, len(outcome.rows))}", style="yellow")] if suspects else []),
     )
 
 

@@ -1,0 +1,302 @@
+"""Whether two scans of one place lie in one frame: compared as a whole, as they lie and as one may be mistaken.
+
+Only what is near the sensor is compared, on a thinned grid, ground and the rest with equal weight: the ground looks the
+same however it is turned or mirrored, and is most of a scan. The limits are fidpipe's; see `benchmarks/frames.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...schemas.settings import Box, InputSettings
+from ..arrays import BoolArray, FloatArray, IndexArray
+from ..clean import clean_scan
+
+FRAMES_VERSION = 1  # raised where a result can change
+AS_IT_LIES = "as it lies"
+VOXEL_M = 0.5
+REACH_M = 40.0
+NEAR_M = 1.0
+GROUND_BAND_M = 0.4
+MOST_POINTS = 1500
+FEWEST_POINTS = 50
+
+LEAST_COVERAGE = 0.6
+LEAST_GAIN = 0.15
+MOST_LEFT_OPEN = 0.6
+LEAST_GAIN_BY_MOVING = 0.08  # a setting that a person would forget is named before one that only a machine would find
+_LEAST_SHIFT_M = 0.8
+_SCALES = {"centimetres": 0.01, "millimetres": 0.001}
+_GROUND_STEP_M = 0.1
+
+_NAMED = {
+    AS_IT_LIES: (1, 1, 1),
+    "mirrored in y": (1, -1, 1),
+    "mirrored in x": (-1, 1, 1),
+    "turned by 180 degrees": (-1, -1, 1),
+    "upside down, turned about x": (1, -1, -1),
+    "upside down, turned about y": (-1, 1, -1),
+    "mirrored in z": (1, 1, -1),
+    "mirrored in x, y and z": (-1, -1, -1),
+}
+_QUARTER_TURNS = {
+    "turned by 90 degrees": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
+    "turned by 270 degrees": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
+    "with x and y exchanged": ((0, 1, 0), (1, 0, 0), (0, 0, 1)),
+    "with x and y exchanged and negated": ((0, -1, 0), (-1, 0, 0), (0, 0, 1)),
+}
+_TURNS: dict[str, FloatArray] = {
+    **{name: np.diag(np.array(signs, dtype=np.float64)) for name, signs in _NAMED.items()},
+    **{name: np.array(rows, dtype=np.float64) for name, rows in _QUARTER_TURNS.items()},
+}
+_MIRROR_Y: FloatArray = _TURNS["mirrored in y"]
+
+
+@dataclass(frozen=True)
+class FrameCheck:
+    """How well the simulated scan covers the real one, as it lies and in the reading that fits best.
+
+    as_it_lies, coverage : 0 to 1, see `check_frames`; of the scan as it lies and in the best reading; where the first
+        is so high that nothing can be suspect, no other is looked for
+    reading : the best reading in words, "as it lies" where no other fits better
+    is_suspect : whether the other reading fits much better
+    setting : what makes the best reading the one that is evaluated; "" where that is the present one
+    """
+
+    as_it_lies: float
+    reading: str
+    coverage: float
+    is_suspect: bool
+    setting: str
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """How the simulated scan is placed at present: y negated or not, moved by (3, 4) [R | t], cut by a box."""
+
+    flip_y: bool
+    motion: FloatArray
+    include_box: Box | None
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """A way to place the simulated scan: p, in metres, becomes R p + t; R is a rotation or a mirror image.
+
+    M : (3, 4) float64, [R | t]
+    unit : that the file is read in; "" for metres
+    """
+
+    name: str
+    M: FloatArray
+    unit: str = ""
+
+
+class _Side:
+    """A thinned scan: its points, which of them are ground, and a tree of them."""
+
+    def __init__(self, points: FloatArray) -> None:
+        self.points = points
+        self.ground_m = ground_height(points)
+        self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < GROUND_BAND_M
+        self.tree = cKDTree(points)
+        self.asked = _some(len(points))
+
+
+def check_frames(
+    real: FloatArray, sim: FloatArray, settings: InputSettings, T_real_sim: FloatArray | None = None
+) -> FrameCheck | None:
+    """How well the scans fit as they lie and in the best other reading; None where too little is left to compare.
+
+    The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
+    both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
+    The simulated scan is read as it lies; mirrored, turned by quarter turns, upside down; in centimetres and
+    millimetres where it lies far beyond the real one; each of these also shifted by the difference of the ground
+    heights; and as small_gicp moves it, where that extra is installed. A reading is suspect if it covers at least
+    `LEAST_COVERAGE`, that is `LEAST_GAIN` more than the scan as it lies, and leaves at most `MOST_LEFT_OPEN` of what
+    that leaves uncovered.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, each in its own sensor's frame, as read; NaN are dropped
+    settings : how scans are cleaned, and whether the simulated one is mirrored at present
+    T_real_sim : (3, 4) float64, where the simulated scan is moved at present
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> wall = np.random.default_rng(0).uniform([5, 3, -1], [25, 9, 4], (3000, 3))
+    >>> check = check_frames(wall, wall * [1, -1, 1], InputSettings())
+    >>> check.reading, check.setting, check.is_suspect
+    ('mirrored in y', 'input.sim_flip_y=true', True)
+    """
+    placement = _Placement(
+        settings.sim_flip_y, np.eye(3, 4) if T_real_sim is None else T_real_sim, settings.include_box
+    )
+    real, sim = (points[np.isfinite(points).all(axis=1)] for points in (real, sim))
+    target_points = _thinned(real, settings)
+    target_points = target_points[_is_inside(target_points, placement.include_box)]
+    if len(target_points) < FEWEST_POINTS:
+        return None
+    target, as_it_lies = _Side(target_points), 0.0
+    best: tuple[float, _Reading] | None = None
+    for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
+        own = _thinned(sim * scale, settings)
+        if len(own) < FEWEST_POINTS:
+            continue
+        source = _Side(own)
+        for reading in _readings(target, source, placement, unit):
+            coverage = _coverage(target, source, reading, placement.include_box)
+            if reading.name == AS_IT_LIES:
+                as_it_lies = coverage
+                if 1 - as_it_lies < LEAST_GAIN:  # no other reading can be suspect
+                    return FrameCheck(as_it_lies, AS_IT_LIES, as_it_lies, False, "")
+            if best is None or coverage > best[0]:
+                best = coverage, reading
+        if best is not None and best[1].unit == unit and best[0] < 1 and can_move():
+            reading = _registered(target, source, best[1])
+            coverage = _coverage(target, source, reading, placement.include_box)
+            if coverage - best[0] >= LEAST_GAIN_BY_MOVING:
+                best = coverage, reading
+    if best is None:
+        return None
+    coverage, reading = best
+    is_suspect = (
+        coverage >= LEAST_COVERAGE
+        and coverage - as_it_lies >= LEAST_GAIN
+        and 1 - coverage <= MOST_LEFT_OPEN * (1 - as_it_lies)
+    )
+    return FrameCheck(as_it_lies, reading.name, coverage, is_suspect, _setting(reading, placement))
+
+
+def can_move() -> bool:
+    """Whether small_gicp (an extra) is installed."""
+    return find_spec("small_gicp") is not None
+
+
+def ground_height(points: FloatArray) -> float:
+    """The height at which most points of a thinned scan lie, metres: the middle of the fullest band of 0.8 m.
+
+    Of no points it is 0.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    """
+    if not len(points):
+        return 0.0
+    steps = np.floor(points[:, 2] / _GROUND_STEP_M).astype(np.int64)
+    counts = np.bincount(steps - steps.min())
+    width = round(2 * GROUND_BAND_M / _GROUND_STEP_M)
+    fullest = int(np.convolve(counts, np.ones(width), "full").argmax())  # the last step of the band
+    return float((steps.min() + fullest + 1) * _GROUND_STEP_M - GROUND_BAND_M)
+
+
+def _readings(target: _Side, source: _Side, placement: _Placement, unit: str) -> Iterator[_Reading]:
+    """Every reading but that of small_gicp; as it lies comes first, so that of equal ones it is taken."""
+    motion = placement.motion
+    flip = _MIRROR_Y if placement.flip_y else np.eye(3)
+    beside = f", in {unit}" if unit else ""
+    for name, turn in _TURNS.items():
+        M = np.column_stack([motion[:, :3] @ turn @ flip, motion[:, 3]])
+        words = f"in {unit}" if unit and name == AS_IT_LIES else name + beside
+        yield _Reading(words, M, unit)
+        shift_m = target.ground_m - ground_height(_placed(source.points, M))
+        if abs(shift_m) >= _LEAST_SHIFT_M:
+            shifted = M.copy()
+            shifted[2, 3] += shift_m
+            also = "" if name == AS_IT_LIES else f"{name} and "
+            yield _Reading(f"{also}shifted by {shift_m:+.2f} m in z{beside}", shifted, unit)
+
+
+def _registered(target: _Side, source: _Side, start: _Reading) -> _Reading:
+    """The reading after small_gicp has moved it onto the real scan (Koide, JOSS 2024), one thread."""
+    import small_gicp
+
+    result = small_gicp.align(
+        target.points,
+        _placed(source.points, start.M),
+        registration_type="GICP",
+        downsampling_resolution=VOXEL_M,
+        max_correspondence_distance=3.0,
+        num_threads=1,
+    )
+    T: FloatArray = result.T_target_source
+    M = np.column_stack([T[:3, :3] @ start.M[:, :3], T[:3, :3] @ start.M[:, 3] + T[:3, 3]])
+    turn_deg = float(np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
+    also = "" if start.name == AS_IT_LIES else f"{start.name} and "
+    shift_m = float(np.linalg.norm(T[:3, 3]))
+    return _Reading(f"{also}moved by {shift_m:.2f} m and {turn_deg:.1f} degrees", M, start.unit)
+
+
+def _coverage(target: _Side, source: _Side, reading: _Reading, box: Box | None) -> float:
+    """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
+    R, t = reading.M[:, :3], reading.M[:, 3]
+    asked = _placed(source.points[source.asked], reading.M)
+    is_wanted = _is_inside(asked, box)
+    shares = [*_shares(target.tree, asked[is_wanted], source.is_ground[source.asked][is_wanted])]
+    back = (target.points[target.asked] - t) @ R  # distances stay: the tree need not be made again
+    shares += _shares(source.tree, back, target.is_ground[target.asked])
+    return float(np.mean(shares)) if shares else 0.0
+
+
+def _shares(tree: cKDTree, points: FloatArray, is_ground: BoolArray) -> Iterator[float]:
+    apart, _ = tree.query(points, distance_upper_bound=NEAR_M)
+    is_near: BoolArray = np.isfinite(apart)
+    for chosen in (is_ground, ~is_ground):
+        if chosen.any():
+            yield float(is_near[chosen].mean())
+
+
+def _setting(reading: _Reading, placement: _Placement) -> str:
+    """What makes a reading the one that is evaluated, in words."""
+    parts = [f"simulated points in metres (they are in {reading.unit})"] if reading.unit else []
+    is_flipped = bool(np.linalg.det(reading.M[:, :3]) < 0)
+    if is_flipped != placement.flip_y:
+        parts.append(f"input.sim_flip_y={str(is_flipped).lower()}")
+    R = reading.M[:, :3] @ _MIRROR_Y if is_flipped else reading.M[:, :3]
+    motion = np.column_stack([R, reading.M[:, 3]])
+    if not np.allclose(motion, placement.motion, atol=1e-9):
+        numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(motion, 5).ravel())
+        parts.append(f'T_real_sim "{numbers}" in the manifest')
+    return " and ".join(parts)
+
+
+def _thinned(points: FloatArray, settings: InputSettings) -> FloatArray:
+    """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
+    near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
+    cells = np.floor(near / VOXEL_M).astype(np.int64) + 2**20
+    _, first = np.unique((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2], return_index=True)
+    return clean_scan(near[np.sort(first)], settings.model_copy(update={"include_box": None})).points
+
+
+def _some(n: int) -> IndexArray:
+    """Rows that are asked for, at most `MOST_POINTS`, drawn without order: scans repeat themselves ring by ring."""
+    return np.sort(np.random.default_rng(0).permutation(n)[:MOST_POINTS])
+
+
+def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
+    """Units in which a simulated scan that lies far beyond the real one would lie about as far; metres per unit."""
+    sides = [points[points.any(axis=1)] for points in (sim, real)]  # no return is often written as zeros
+    if not all(map(len, sides)):
+        return {}
+    sim_m, real_m = (float(np.quantile(np.linalg.norm(points, axis=1), 0.75)) for points in sides)
+    return {unit: scale for unit, scale in _SCALES.items() if real_m / 10 < scale * sim_m < 10 * real_m}
+
+
+def _placed(points: FloatArray, M: FloatArray) -> FloatArray:
+    placed: FloatArray = points @ M[:, :3].T + M[:, 3]
+    return placed
+
+
+def _is_inside(points: FloatArray, box: Box | None) -> BoolArray:
+    if box is None:
+        return np.ones(len(points), dtype=np.bool_)
+    low, high = np.array(box[:3]), np.array(box[3:])
+    inside: BoolArray = np.logical_and.reduce((points >= low) & (points <= high), axis=1)
+    return inside

@@ -1,0 +1,200 @@
+"""Scans in different frames, equal files and swapped sides: what check, run and gate say of them."""
+
+import json
+import shutil
+from itertools import chain, pairwise
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.datasets.scan_checks import check_dataset
+from fidpipe.pipeline.engine import engine
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.gate import judge_run, parse_word
+from fidpipe.pipeline.results.measures import Measures
+from fidpipe.schemas.settings import InputSettings, Settings, load
+from fidpipe.stages.sensing.frames import check_frames
+from runs import command, run
+from scenes import box, drifted, road, street, write_bin
+
+MENDED = "input.sim_flip_y=true"
+
+
+def scan(seed):
+    return np.vstack([street(seed, n=300), road(5000, seed=seed + 1), box([12, -5, 1], [0.3, 9, 5], 600, seed + 5)])
+
+
+@pytest.fixture(scope="module")
+def mirrored(tmp_path_factory):
+    """Two pairs, of which the simulated side of the first is mirrored."""
+    folder = tmp_path_factory.mktemp("mirrored") / "streets"
+    for i, signs in enumerate(([1, -1, 1], [1, 1, 1])):
+        write_bin(folder / "real" / f"{i}.bin", scan(10 * i))
+        write_bin(folder / "sim" / f"{i}.bin", drifted(scan(10 * i)) * signs)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(mirrored, tmp_path_factory):
+    out = tmp_path_factory.mktemp("finished") / "run"
+    return out, command("run", mirrored, "--out", out, "--workers", 1, "--set", "graph.k=10")
+
+
+def frame_warnings(dataset, *words):
+    return [text for text in check_dataset(dataset, load(None, words)).warnings if "another frame" in text]
+
+
+def test_check_names_the_mirrored_pair_with_both_figures_and_the_setting(mirrored):
+    (warning,) = frame_warnings(mirrored)
+    assert warning.startswith("pair 0: the simulated scan covers 0.")
+    assert "mirrored in y; is it in another frame? set input.sim_flip_y=true" in warning
+    (other,) = frame_warnings(mirrored, MENDED)
+    assert other.startswith("pair 1: ")
+    assert other.endswith("set input.sim_flip_y=false")
+
+
+def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
+    out, done = finished
+    assert done.returncode == 0
+    last = done.stdout.rstrip().splitlines()[-1]
+    assert last.startswith("warning: in 1 of 2 pairs the simulated scan seems to lie in another frame")
+    assert "set input.sim_flip_y=true and run again" in last
+    frames = json.loads((out / "run.json").read_text())["frames"]
+    assert frames.keys() == {"0"}
+    assert (frames["0"]["reading"], frames["0"]["setting"]) == ("mirrored in y", MENDED)
+    assert frames["0"]["coverage"] > frames["0"]["as_it_lies"] + 0.15
+
+
+def test_a_gate_fails_on_a_suspect_pair_unless_it_is_allowed(finished):
+    out, _ = finished
+    assert Measures(FinishedRun(out)).named("pairs.frame_suspect").value == 1
+    result = CliRunner().invoke(app, ["gate", str(out), "--min", "match_rate.mean=0"])
+    assert result.exit_code == 4
+    allowed = judge_run(out, [parse_word("pairs.frame_suspect=1", "max")])
+    assert allowed.passed
+    assert [own.criterion.limit for own in allowed.judged if own.criterion.measure == "pairs.frame_suspect"] == [1]
+
+
+def test_a_gate_asks_for_a_new_run_where_frames_were_not_compared(finished, tmp_path):
+    out = shutil.copytree(finished[0], tmp_path / "run")
+    record = json.loads((out / "run.json").read_text())
+    del record["frames"]
+    (out / "run.json").write_text(json.dumps(record))
+    measured = Measures(FinishedRun(out)).named("pairs.frame_suspect")
+    assert measured.value is None
+    assert "did not compare frames; run again: fidpipe run" in measured.why
+
+
+def test_frames_are_compared_again_only_where_files_or_input_settings_changed(mirrored, tmp_path, monkeypatch):
+    data, out, settings = shutil.copytree(mirrored, tmp_path / "streets"), tmp_path / "run", load(None, ["graph.k=10"])
+    read = []
+    whole = engine.inspect_pairs
+    monkeypatch.setattr(
+        engine,
+        "inspect_pairs",
+        lambda pairs, *others: read.append([pair.pair_id for pair in pairs]) or whole(pairs, *others),
+    )
+    assert run(data, out, settings).record.frames.keys() == {"0"}
+    read.clear()
+    assert run(data, out, settings).record.frames.keys() == {"0"}
+    assert read == []
+    shutil.copy(data / "sim" / "1.bin", tmp_path / "kept.bin")
+    write_bin(data / "sim" / "1.bin", drifted(scan(10)) * [1, -1, 1])
+    assert run(data, out, settings).record.frames.keys() == {"0", "1"}
+    assert [*chain(*read)] == ["1"]
+    read.clear()
+    assert run(data, out, load(None, ["graph.k=10", MENDED])).record.frames == {}
+    assert sorted(chain(*read)) == ["0", "1"]
+
+
+def test_centimetres_are_named_beside_the_fault(tmp_path):
+    write_bin(tmp_path / "real" / "a.bin", scan(0))
+    write_bin(tmp_path / "sim" / "a.bin", 100 * drifted(scan(0)))
+    check = check_dataset(tmp_path, Settings())
+    assert len(check.faults) == 1
+    assert any("set simulated points in metres (they are in centimetres)" in text for text in check.warnings)
+
+
+def test_equal_files_are_named_within_a_pair_and_between_pairs(tmp_path):
+    for name in ("real/a", "sim/a", "real/b"):
+        write_bin(tmp_path / f"{name}.bin", scan(0))
+    write_bin(tmp_path / "sim/b.bin", drifted(scan(0)))
+    warnings = check_dataset(tmp_path, Settings()).warnings
+    assert warnings == [
+        "pair a: real and simulated file are equal, byte by byte; two different scans are wanted",
+        "pairs a (real), a (sim), b (real): the files are equal, byte by byte; each scan is wanted in one pair",
+    ]
+
+
+def test_a_run_names_equal_files(tmp_path):
+    for name in ("real/a", "sim/a"):
+        write_bin(tmp_path / "streets" / f"{name}.bin", street())
+    done = command("run", tmp_path / "streets", "--out", tmp_path / "run", "--workers", 1, "--set", "graph.k=10")
+    assert "warning: pair a: real and simulated file are equal, byte by byte" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("row", "swapped"),
+    [
+        ("p,real/a.bin,sim/a.bin", None),
+        ("p,sim/a.bin,real/a.bin", "the real scan is"),
+        ("p,sim/a.bin,sim/b.bin", "the real scan is"),
+        ("p,real/a.bin,real/b.bin", "the simulated scan is"),
+        ("p,scans/a_real.bin,scans/a_sim.bin", None),
+        ("p,scans/a_simulated.bin,scans/b.bin", "the real scan is"),
+        ("p,real/similar_sim.bin,sim/a.bin", None),
+    ],
+)
+def test_sides_that_are_named_after_each_other_are_named(tmp_path, row, swapped):
+    names = row.split(",")[1:]
+    for i, name in enumerate(names):
+        write_bin(tmp_path / name, drifted(scan(0), seed=i))
+    (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\n{row}\n")
+    warnings = [text for text in check_dataset(tmp_path, Settings()).warnings if "swapped" in text]
+    assert len(warnings) == (swapped is not None)
+    assert all(swapped in text for text in warnings)
+
+
+def test_a_folder_that_is_a_link_to_the_other_side_is_named(tmp_path):
+    data = tmp_path / "data"
+    write_bin(tmp_path / "twins" / "simulation" / "a.bin", scan(0))
+    write_bin(tmp_path / "recorded" / "a.bin", drifted(scan(0)))
+    data.mkdir()
+    (data / "real").symlink_to(tmp_path / "twins" / "simulation")
+    (data / "sim").symlink_to(tmp_path / "recorded")
+    (warning,) = check_dataset(data, Settings()).warnings
+    assert "which is named simulated; are the sides swapped?" in warning
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_real_pairs_raise_no_alarm_and_their_mirror_images_do(real_data):
+    for real_path in sorted((real_data / "kitti_twin/real").iterdir()):
+        real, sim = read_scan(real_path).points, read_scan(real_data / "kitti_twin/sim" / real_path.name).points
+        assert not check_frames(real, sim, InputSettings()).is_suspect
+        found = check_frames(real, sim * [1, -1, 1], InputSettings())
+        assert (found.is_suspect, found.setting) == (True, MENDED)
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_neighbouring_frames_of_a_recording_raise_no_alarm(real_data):
+    scans = [read_scan(path).points for path in sorted((real_data / "kitti_sequence").glob("*.bin"))]
+    assert not any(check_frames(*pair, InputSettings()).is_suspect for pair in pairwise(scans))
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_two_sensors_raise_no_alarm_with_their_extrinsics_and_one_without(real_data):
+    from scipy.spatial.transform import Rotation
+
+    lines = (real_data / "rellis/vel2os1.yaml").read_text().splitlines()
+    w, x, y, z, *t = [float(line.split(":")[1]) for line in lines if line.split(":")[1].strip()]
+    T = np.column_stack([Rotation.from_quat([x, y, z, w]).as_matrix(), t])
+    ouster, velodyne = (read_scan(real_data / "rellis" / f"{name}.bin").points for name in ("000104", "vel000104"))
+    assert not check_frames(ouster, velodyne, InputSettings(), T).is_suspect
+    found = check_frames(ouster, velodyne, InputSettings())
+    assert (found.is_suspect, found.reading) == (True, "turned by 180 degrees")

@@ -1,0 +1,143 @@
+"""Frames by hand: each fault is found in a street without symmetry, and no alarm raised where there is none."""
+
+import numpy as np
+import pytest
+
+from fidpipe.schemas.settings import InputSettings
+from fidpipe.stages.sensing.frames import check_frames, ground_height
+from fidpipe.stages.sensing.perturbations import add_noise, drop_points
+from scenes import box, moved, rigid, road, street
+
+
+def scene(seed=0):
+    """The small street, with more of what has no symmetry, so densely that its voxels are all met."""
+    return np.vstack([street(seed, n=1500), road(12000, seed=seed + 1), box([12, -5, 1], [0.3, 9, 5], 3000, seed + 5)])
+
+
+def again(points, seed=3):
+    rng = np.random.default_rng(seed)
+    return add_noise(drop_points(points, 0.3, rng), 0.03, rng)
+
+
+def check(real, sim, T_real_sim=None, **settings):
+    return check_frames(real, sim, InputSettings(**settings), T_real_sim)
+
+
+def numbers(setting):
+    """The motion that a setting names."""
+    return np.array(setting.split('"')[1].split(), dtype=float).reshape(3, 4)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "reading"),
+    [
+        (np.diag([1, -1, 1]), "mirrored in y"),
+        (np.diag([-1, 1, 1]), "mirrored in x"),
+        (np.diag([-1, -1, 1]), "turned by 180 degrees"),
+        (rigid(90, [0, 0, 0])[:, :3], "turned by 270 degrees"),
+        (rigid(270, [0, 0, 0])[:, :3], "turned by 90 degrees"),
+        (np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]]), "with x and y exchanged"),
+        (np.array([[0, -1, 0], [-1, 0, 0], [0, 0, 1]]), "with x and y exchanged and negated"),
+        (np.diag([1, -1, -1]), "upside down, turned about x"),
+        (np.diag([-1, 1, -1]), "upside down, turned about y"),
+        (np.diag([1, 1, -1]), "mirrored in z"),
+        (np.diag([-1, -1, -1]), "mirrored in x, y and z"),
+        (100 * np.eye(3), "in centimetres"),
+        (1000 * np.eye(3), "in millimetres"),
+    ],
+)
+def test_each_fault_is_seen_and_its_setting_mends_it(matrix, reading):
+    real, wrong = scene(), again(scene()) @ np.asarray(matrix, dtype=float).T
+    found = check(real, wrong)
+    assert (found.reading, found.is_suspect) == (reading, True)
+    assert found.as_it_lies < 0.75 < 0.9 < found.coverage
+    if reading.startswith("in "):
+        assert found.setting == f"simulated points in metres (they are {reading})"
+        return
+    T = numbers(found.setting) if "T_real_sim" in found.setting else None
+    mended = check(real, wrong, T, sim_flip_y="input.sim_flip_y=true" in found.setting)
+    assert not mended.is_suspect
+    assert mended.as_it_lies == pytest.approx(found.coverage, abs=1e-3)
+
+
+@pytest.mark.parametrize("shift_m", [1.8, -1.8])
+def test_another_height_of_the_sensor_is_seen_by_the_ground(shift_m):
+    found = check(scene(), again(scene()) + [0, 0, shift_m])
+    assert found.is_suspect
+    assert numbers(found.setting)[2, 3] == pytest.approx(-shift_m, abs=0.25)
+
+
+def test_a_shifted_and_mirrored_scan_is_named_as_both():
+    found = check(scene(), again(scene()) * [1, -1, 1] + [0, 0, 1.8])
+    assert found.reading.startswith("mirrored in y and shifted by -")
+    assert "input.sim_flip_y=true and T_real_sim" in found.setting
+
+
+def test_a_shift_that_no_other_reading_mends_is_found_by_small_gicp():
+    pytest.importorskip("small_gicp")
+    found = check(scene(), moved(again(scene()), rigid(6, [1.6, 0.3, 0])))
+    assert found.is_suspect
+    assert found.reading.startswith("moved by ")
+
+
+def test_a_mirror_that_is_set_and_should_not_be_is_named():
+    found = check(scene(), again(scene()), sim_flip_y=True)
+    assert (found.reading, found.setting) == ("mirrored in y", "input.sim_flip_y=false")
+
+
+def test_a_motion_that_is_set_is_kept_in_the_setting_that_mends():
+    T = rigid(30, [2, 1, 0.5])
+    own = moved(again(scene()) - T[:, 3], np.column_stack([T[:, :3].T, np.zeros(3)]))
+    assert not check(scene(), own, T).is_suspect
+    found = check(scene(), own * [1, -1, 1], T)
+    assert (found.is_suspect, found.setting) == (True, "input.sim_flip_y=true")
+
+
+def test_the_same_scene_measured_again_raises_no_alarm():
+    found = check(scene(), again(scene()))
+    assert not found.is_suspect
+    assert found.as_it_lies > 0.9
+
+
+def test_the_same_scan_fits_wholly_as_it_lies():
+    found = check(scene(), scene())
+    assert (found.as_it_lies, found.coverage, found.reading, found.setting) == (1.0, 1.0, "as it lies", "")
+
+
+def test_a_symmetric_corridor_raises_no_alarm_however_it_lies():
+    def corridor(seed):
+        walls = [box([0, y, 0.3], [36, 0.2, 4], 6000, seed + i) for i, y in enumerate((-6, 6))]
+        return np.vstack([road(12000, seed=seed), *walls])
+
+    for signs in ([1, 1, 1], [1, -1, 1], [-1, 1, 1], [-1, -1, 1]):
+        assert not check(corridor(0), corridor(9) * signs).is_suspect
+
+
+def test_two_places_raise_no_alarm_because_no_reading_fits(rng):
+    other = np.vstack([road(12000, seed=7), *(box([*rng.uniform(-16, 16, 2), 0], [3, 2, 3], 800, i) for i in range(9))])
+    assert not check(scene(), other).is_suspect
+
+
+def test_half_a_field_of_view_raises_no_alarm():
+    sim = again(scene())
+    assert not check(scene(), sim[sim[:, 0] > 0]).is_suspect
+
+
+def test_what_is_not_finite_is_left_out_and_too_little_is_not_judged():
+    sim = scene()
+    sim[::3] = np.nan
+    assert not check(scene(), sim).is_suspect
+    assert check(np.empty((0, 3)), sim) is None
+    assert check(scene(), np.full((500, 3), np.nan)) is None
+    assert check(scene()[:20], sim) is None
+
+
+def test_only_what_is_inside_the_box_is_compared():
+    beyond = np.vstack([again(scene()), box([-15, 15, 5], [6, 6, 6], 4000)])
+    low = (-20, -20, -3, 20, 11, 6)
+    assert check(scene(), beyond, include_box=low).as_it_lies > check(scene(), beyond).as_it_lies
+
+
+def test_ground_is_where_most_of_a_thinned_scan_lies():
+    assert ground_height(road(z=-1.7)) == pytest.approx(-1.7, abs=0.4)
+    assert ground_height(np.empty((0, 3))) == 0.0
