@@ -60,6 +60,7 @@ def main() -> None:
         show()
         code = getattr(error, "exit_code", 2)
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Python takes our handler away before it ends
         _complain("interrupted; run the same command again to go on")
     sys.stdout.flush()
     sys.exit(code)

@@ -112,9 +112,9 @@ def test_a_job_at_which_a_worker_dies_twice_fails_its_pair_alone(dataset, finish
     reason = "stage matching: the worker process died, and again when the pair ran alone (out of memory?)"
     assert {pair_id: text.partition(": killed")[0] for pair_id, text in outcome.failures.items()} == {"001": reason}
     assert pool.n_deaths == 2
-    assert outcome.n_made == N_JOBS - 3  # matching, selection and metrics of one pair
+    assert outcome.n_made == N_JOBS - 9  # nothing of the failed pair stays
     assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # what the dead worker wrote is nobody's
-    assert run(dataset, tmp_path / "run").n_made == 3
+    assert run(dataset, tmp_path / "run").n_made == 9
     assert_same_tables(tmp_path / "run", finished)
 
 
