@@ -278,7 +278,7 @@ def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, datas
     run = ("run", dataset, "--out", again, "--workers", 1)
     assert made_again(package.fidpipe(*run)) == {"graph", "communities", "matching", "selection", "metrics"}
     assert made_again(package.fidpipe(*run)) == set()
-    result = package.fidpipe(*run, "--set", "graph.max_edge_m=0.5")
+    result = package.fidpipe(*run, "--set", "graph.max_edge_m=0.5", "--replace")
     assert made_again(result) == {"graph", "communities", "matching", "selection", "metrics"}
     assert "graph.max_edge_m was None, is 0.5" in result.stderr
     assert pd.read_parquet(again / "graph").length_m.max() <= 0.5
@@ -348,7 +348,7 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
         np.testing.assert_allclose(nearest, np.where(apart.min(axis=1) <= 20, apart.min(axis=1), np.nan))
     assert "nearest" in set(pd.read_parquet(again / "timings.parquet").query("stage == 'neighbours'").step)
     assert re.search(r"neighbours +2", package.fidpipe("status", again).stdout)
-    assert made_again(package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5")) == {"neighbours"}
+    assert made_again(package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5", "--replace")) == {"neighbours"}
     package.fidpipe("run", dataset, "--out", tmp_path / "two", "--workers", 2)
     package.fidpipe(*run, "--workers", 1)
     for path in (tmp_path / "two" / "neighbours").iterdir():
