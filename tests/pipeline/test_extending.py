@@ -348,9 +348,11 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
         np.testing.assert_allclose(nearest, np.where(apart.min(axis=1) <= 20, apart.min(axis=1), np.nan))
     assert "nearest" in set(pd.read_parquet(again / "timings.parquet").query("stage == 'neighbours'").step)
     assert re.search(r"neighbours +2", package.fidpipe("status", again).stdout)
-    assert made_again(package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5", "--replace")) == {"neighbours"}
+    assert made_again(package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5", "--replace")) == {
+        "neighbours"
+    }
     package.fidpipe("run", dataset, "--out", tmp_path / "two", "--workers", 2)
-    package.fidpipe(*run, "--workers", 1)
+    package.fidpipe(*run, "--workers", 1, "--replace")
     for path in (tmp_path / "two" / "neighbours").iterdir():
         assert pq.read_table(path).equals(pq.read_table(again / "neighbours" / path.name))
 
