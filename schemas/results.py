@@ -49,12 +49,8 @@ class ScoreSummary(Result):
     n_pairs: int
 
 
-class Distribution(Result):
-    """Some values: how many, their quantiles, mean, standard deviation (n - 1); null where there are too few.
-
-    cv : coefficient of variation, std / mean
-    peak_density : share of the values in the fullest bin of width 0.05, over that width
-    """
+class Quantiles(Result):
+    """How many values there are, and their quantiles; null where there is none."""
 
     n: int
     min: float | None
@@ -64,6 +60,15 @@ class Distribution(Result):
     q75: float | None
     q95: float | None
     max: float | None
+
+
+class Distribution(Quantiles):
+    """Some values: how many, their quantiles, mean, standard deviation (n - 1); null where there are too few.
+
+    cv : coefficient of variation, std / mean
+    peak_density : share of the values in the fullest bin of width 0.05, over that width
+    """
+
     mean: float | None
     std: float | None
     cv: float | None
@@ -86,17 +91,9 @@ class RankCorrelation(Result):
     kendall: float | None
 
 
-class DensityRatio(Result):
+class DensityRatio(Quantiles):
     """Quantiles of n_sim / n_real over the matched objects, and the shares below a quarter and above four."""
 
-    n: int
-    min: float | None
-    q05: float | None
-    q25: float | None
-    median: float | None
-    q75: float | None
-    q95: float | None
-    max: float | None
     share_below_quarter: float | None
     share_above_four: float | None
 
