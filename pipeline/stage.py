@@ -78,7 +78,8 @@ class Stage:
     version : of its code, raised by hand whenever its results change
     make : the job
     libraries : what it calls besides numpy and scipy, under given settings; their versions belong to its key
-    needs_real : whether, under given settings, the simulated side waits for the real side's result and may read it
+    needs_real : whether, under given settings, the simulated side waits for the real side's result, and may read it and
+        what it was made of
     gather : of grain OBJECT, the facts of the pair once the rows of all objects are there
     is_wanted : for an extra, whether settings ask for it; None for a stage that every run has
     summarise : for an extra, what `run.json` holds of its finished jobs

@@ -114,6 +114,10 @@ class GraphSettings(_Group):
     k: Annotated[int, Field(ge=1, le=2000, description="nearest neighbours of each point")] = 90
     tau_m: Annotated[float, Field(ge=0, le=10, description="all pairs within this distance are joined")] = 0.2
     edges: Literal["union", "intersection"] = Field("union", description="kNN or tau pairs, or kNN pairs within tau")
+    ties: Literal["point_id", "coordinates"] = Field(
+        "point_id",
+        description="of equally near points the one of smaller id, or one that the order of rows does not sway",
+    )
 
 
 class CommunitySettings(_Group):
@@ -121,6 +125,25 @@ class CommunitySettings(_Group):
 
     backend: Literal["scikit-network", "python-louvain"] = Field("scikit-network", description="Louvain implementation")
     seed: Annotated[int, Field(ge=0, lt=2**31, description="seed of the node order")] = 0
+    objects: Literal["independent", "reference"] = Field(
+        "independent", description="each side is divided by itself, or the simulated one as the real one is"
+    )
+    reference: Literal["louvain", "labels", "instances"] = Field(
+        "louvain",
+        description="objects of the real side: communities, connected pieces of one label, or the input's instances",
+    )
+    reach_m: Annotated[
+        float, Field(gt=0, description="a simulated point this near to a real one belongs to its object (reference)")
+    ] = 1.0
+    min_points: Annotated[
+        int, Field(ge=1, description="points that a simulated object has at least to count (reference)")
+    ] = 8
+
+    @model_validator(mode="after")
+    def _annotations_need_reference(self) -> CommunitySettings:
+        if self.reference != "louvain" and self.objects != "reference":
+            raise ValueError(f'reference = "{self.reference}" needs objects = "reference", not "{self.objects}"')
+        return self
 
 
 class MatchingSettings(_Group):
@@ -229,14 +252,49 @@ class Settings(_Group):
     machine: MachineSettings = MachineSettings()
 
 
-def load(path: Path | None = None, assignments: Iterable[str] = ()) -> Settings:
-    """Settings from defaults, then a TOML file, then words such as `graph.k=60`.
+#: Settings that belong together, as departures from the defaults. `paper` reproduces the paper; `reference` fixes the
+#: objects on the real side, for comparing simulators.
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "paper": {},
+    "reference": {"graph": {"ties": "coordinates"}, "communities": {"objects": "reference"}},
+}
+
+
+def preset_of(settings: Settings) -> str:
+    """The preset that settings belong to: the one whose objects they have."""
+    return next(
+        name for name, values in PRESETS.items() if parse(values).communities.objects == settings.communities.objects
+    )
+
+
+def departures(settings: Settings) -> list[str]:
+    """The settings that differ from those of their preset, as `graph.k=60`, but for those that no result depends on.
+
+    Examples
+    --------
+    >>> departures(load(None, ["graph.k=60"], preset="reference"))
+    ['graph.k=60']
+    """
+    preset = parse(PRESETS[preset_of(settings)])
+    return [
+        f"{group}.{name}={_toml_word(value)}"
+        for group, own in settings
+        if group != "machine"
+        for name, value in own
+        if value != getattr(getattr(preset, group), name)
+    ]
+
+
+def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: str = "paper") -> Settings:
+    """Settings from a preset, then a TOML file, then words such as `graph.k=60`.
 
     Raises
     ------
     SettingsError
-        The file cannot be read, a word has no `=`, a name is unknown or a value is out of bounds.
+        The preset or a name is unknown, the file cannot be read, a word has no `=`, or a value is out of bounds.
     """
+    if preset not in PRESETS:
+        raise SettingsError(f"preset {preset!r}: no such preset; known are {', '.join(PRESETS)}")
     values: dict[str, Any] = {}
     if path is not None:
         try:
@@ -245,6 +303,9 @@ def load(path: Path | None = None, assignments: Iterable[str] = ()) -> Settings:
             raise SettingsError(f"settings file {path}: cannot be read ({error})") from error
         except tomllib.TOMLDecodeError as error:
             raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
+    for group, own in PRESETS[preset].items():
+        given = values.get(group, {})
+        values[group] = own | given if isinstance(given, dict) else given
     for word in assignments:
         name, equals, text = word.partition("=")
         parts = name.strip().split(".")
@@ -315,6 +376,13 @@ def _toml_value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
+
+
+def _toml_word(value: Any) -> str:
+    """A value as `--set` takes it."""
+    if isinstance(value, tuple):
+        return ",".join(str(own) for own in value)
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _first_fault(error: ValidationError) -> str:

@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from ..schemas.settings import CommunitySettings
-from .arrays import FloatArray, IntArray
+from .arrays import IntArray
 from .linalg.subgraph import Edges, upper_half
 
 #: Smallest gain of modularity for which a level is gone through once more, and for which another level is begun.
@@ -32,7 +33,12 @@ class Partition:
 
 
 def find_communities(
-    n_nodes: int, edges: Edges, settings: CommunitySettings, *, tolerance: float = TOLERANCE_OPTIMISATION
+    n_nodes: int,
+    edges: Edges,
+    settings: CommunitySettings,
+    *,
+    order: IntArray | None = None,
+    tolerance: float = TOLERANCE_OPTIMISATION,
 ) -> Partition:
     """A partition of the nodes that maximises modularity, found by Louvain's method.
 
@@ -45,6 +51,7 @@ def find_communities(
     n_nodes : number of nodes
     edges : undirected, by node index
     settings : backend and seed
+    order : (n,) int32, the nodes as they are visited, instead of the order that the seed gives
     tolerance : of scikit-network: least gain of modularity for which a level is gone through once more
 
     Examples
@@ -56,12 +63,12 @@ def find_communities(
     ([0, 0, 1, 1], 0.5)
     """
     if not len(edges.src):
-        return Partition(np.arange(n_nodes, dtype=np.int32), 0.0)
+        return Partition(canonical_ids(np.arange(n_nodes, dtype=np.int32), order), 0.0)
     if settings.backend == "scikit-network":
-        labels = _scikit_network(n_nodes, edges, settings.seed, tolerance)
+        labels = _scikit_network(n_nodes, edges, settings.seed, order, tolerance)
     else:
-        labels = _python_louvain(n_nodes, edges, settings.seed)
-    labels = _canonical(labels)
+        labels = _python_louvain(n_nodes, edges, settings.seed, order)
+    labels = canonical_ids(labels, order)
     return Partition(labels, modularity(labels, edges))
 
 
@@ -84,11 +91,29 @@ def modularity(labels: IntArray, edges: Edges) -> float:
     return float(inside / total - ((degree / (2 * total)) ** 2).sum())
 
 
-def _scikit_network(n_nodes: int, edges: Edges, seed: int, tolerance: float) -> IntArray:
+def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) -> IntArray:
+    """The same partition, (n,) int32, with ids by size descending, of equal sizes by smallest node.
+
+    Parameters
+    ----------
+    labels : (n,), any numbers
+    order : (n,) int32, the nodes in the order that tells which is the smallest; by default their own
+    """
+    order = np.arange(len(labels), dtype=np.int32) if order is None else order
+    _, first, dense, size = np.unique(labels[order], return_index=True, return_inverse=True, return_counts=True)
+    new_id = np.empty(len(size), dtype=np.int32)
+    new_id[np.lexsort((first, -size))] = np.arange(len(size), dtype=np.int32)
+    canonical = np.empty(len(labels), dtype=np.int32)
+    canonical[order] = new_id[dense]
+    return canonical
+
+
+def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | None, tolerance: float) -> IntArray:
     """As with `shuffle_nodes=True`, whose order of nodes it takes; but sorting the shuffled matrix costs a quarter."""
     from sknetwork.clustering import Louvain
 
-    order = np.random.RandomState(seed).permutation(n_nodes).astype(np.int32)
+    if order is None:
+        order = np.random.RandomState(seed).permutation(n_nodes).astype(np.int32)
     place = np.empty(n_nodes, dtype=np.int32)
     place[order] = np.arange(n_nodes, dtype=np.int32)
     louvain = Louvain(
@@ -112,22 +137,18 @@ def _shuffled_adjacency(n_nodes: int, edges: Edges, order: IntArray, place: IntA
     return backward + backward.T.tocsr()
 
 
-def _python_louvain(n_nodes: int, edges: Edges, seed: int) -> IntArray:
+def _python_louvain(n_nodes: int, edges: Edges, seed: int, order: IntArray | None) -> IntArray:
+    """By default nodes and edges in ascending order; the library draws the order of its visits by the seed."""
     import community
     import networkx
 
+    place = np.arange(n_nodes) if order is None else np.argsort(order)
+    ends = np.sort([place[edges.src], place[edges.dst]], axis=0)
+    first = np.lexsort(ends[::-1])
+    src, dst = ends[:, first]
     graph = networkx.Graph()
     graph.add_nodes_from(range(n_nodes))
-    weight: FloatArray = edges.length_m.astype(np.float64)
-    graph.add_weighted_edges_from(zip(edges.src.tolist(), edges.dst.tolist(), weight.tolist(), strict=True))
+    weight = edges.length_m[first].astype(np.float64)
+    graph.add_weighted_edges_from(zip(src.tolist(), dst.tolist(), weight.tolist(), strict=True))
     community_by_node = community.best_partition(graph, random_state=seed)
-    return np.array([community_by_node[node] for node in range(n_nodes)], dtype=np.int32)
-
-
-def _canonical(labels: IntArray) -> IntArray:
-    """The same partition with ids by size descending, then by smallest node."""
-    _, first, dense, size = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
-    new_id = np.empty(len(size), dtype=np.int32)
-    new_id[np.lexsort((first, -size))] = np.arange(len(size), dtype=np.int32)
-    canonical: IntArray = new_id[dense]
-    return canonical
+    return np.array([community_by_node[node] for node in place.tolist()], dtype=np.int32)

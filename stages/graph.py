@@ -20,13 +20,14 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     """Edges between near points, weighted by distance.
 
     (i, j) is an edge if j is among the k nearest neighbours of i or i among those of j (ties at the k-th distance go
-    to the smaller index), or if |x_i - x_j| <= tau; with `edges = "intersection"` both must hold.
+    to the smaller index, or with `ties = "coordinates"` to the point that is first by x, y, z, whatever the order of
+    rows), or if |x_i - x_j| <= tau; with `edges = "intersection"` both must hold.
     A_ij = |x_i - x_j|_2, rounded to float32 (paper, equation "main_graph": a distance, not a similarity).
 
     Parameters
     ----------
     points : (n, 3) float64, metres, finite; fewer than two have no edges
-    settings : k (at most n - 1 are taken), tau_m, edges
+    settings : k (at most n - 1 are taken), tau_m, edges, ties
 
     Examples
     --------
@@ -42,7 +43,8 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
         return Edges(empty, empty, np.empty(0, dtype=np.float32))
     tree = cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
-    neighbours, reach_m = _nearest(tree, points, k)
+    precedence = np.arange(n) if settings.ties == "point_id" else np.argsort(np.lexsort(points.T[::-1]))
+    neighbours, reach_m = _nearest(tree, points, k, precedence)
     arcs: list[Arcs] = [(np.repeat(np.arange(n), k), neighbours.ravel())]
     if settings.edges == "union":
         # Where the k-th neighbour is farther than tau, all that lie within tau are neighbours already.
@@ -57,8 +59,8 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     return Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
 
 
-def _nearest(tree: cKDTree, points: FloatArray, k: int) -> tuple[IntArray, FloatArray]:
-    """The k nearest neighbours of each point, (n, k), ties by smaller index; and the distance of the k-th, (n,)."""
+def _nearest(tree: cKDTree, points: FloatArray, k: int, precedence: IndexArray) -> tuple[IntArray, FloatArray]:
+    """The k nearest neighbours of each point, (n, k), ties by smaller precedence; the distance of the k-th, (n,)."""
     n = len(points)
     width = min(k + 2, n)
     distance, nearest = tree.query(points, k=width)
@@ -67,16 +69,18 @@ def _nearest(tree: cKDTree, points: FloatArray, k: int) -> tuple[IntArray, Float
     if width > k + 1:
         is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
     for i in np.flatnonzero(is_open):
-        neighbours[i] = _nearest_of_one(tree, points, int(i), float(distance[i, k]), k)
+        neighbours[i] = _nearest_of_one(tree, points, int(i), float(distance[i, k]), k, precedence)
     return neighbours, distance[:, k]
 
 
-def _nearest_of_one(tree: cKDTree, points: FloatArray, i: int, radius: float, k: int) -> IndexArray:
-    """The k nearest neighbours of point i, (k,), ties by smaller index, from all that lie within the radius."""
+def _nearest_of_one(
+    tree: cKDTree, points: FloatArray, i: int, radius: float, k: int, precedence: IndexArray
+) -> IndexArray:
+    """The k nearest neighbours of point i, (k,), ties by smaller precedence, from all that lie within the radius."""
     ball = np.array(tree.query_ball_point(points[i], radius * (1 + _SLACK)), dtype=np.intp)
     ball = ball[ball != i]
     distance = _distance(points, np.full(len(ball), i), ball)
-    nearest: IndexArray = ball[np.lexsort((ball, distance))[:k]]
+    nearest: IndexArray = ball[np.lexsort((precedence[ball], distance))[:k]]
     return nearest
 
 

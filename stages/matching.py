@@ -1,4 +1,4 @@
-"""Decides which real object is which simulated one (paper, Algorithm 1)."""
+"""Decides which real object is which simulated one: by centroids (paper, Algorithm 1), or because it was divided so."""
 
 from __future__ import annotations
 
@@ -69,6 +69,39 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
         distance_m=distance[real_ids, sim_ids],
         missing=np.setdiff1d(np.arange(len(real), dtype=np.int32), real_ids),
         hallucinated=np.setdiff1d(np.arange(len(sim), dtype=np.int32), sim_ids),
+    )
+
+
+def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: IntArray, min_points: int) -> Matching:
+    """The real objects of which enough is simulated, where the simulated side has the real side's ids.
+
+    A real object is matched with the simulated one of its id, wherever that lies, if that has at least
+    min(min_points, n_real) points; else it is missing. Simulated objects with higher ids are hallucinated.
+
+    Parameters
+    ----------
+    real, sim : (a, 3), (b, 3) float64, metres, centroids by id, b >= a; NaN where nothing is simulated
+    n_real, n_sim : (a,), (b,) int32, points of each
+    min_points : of a simulated object to count
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> places, sizes = np.arange(9.0).reshape(3, 3), np.array([20, 8, 30], dtype=np.int32)
+    >>> matching = match_reference(places[:2], places, sizes[:2], sizes, 10)
+    >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist()
+    ([0, 1], [], [2])
+    """
+    is_there = n_sim[: len(n_real)] >= np.minimum(min_points, n_real)
+    ids = np.arange(len(n_sim), dtype=np.int32)
+    shared = ids[: len(n_real)]
+    matched = shared[is_there]
+    return Matching(
+        real_ids=matched,
+        sim_ids=matched,
+        distance_m=np.linalg.norm(real[matched] - sim[matched], axis=1),
+        missing=shared[~is_there],
+        hallucinated=ids[len(n_real) :],
     )
 
 

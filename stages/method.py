@@ -15,15 +15,22 @@ import numpy as np
 from ..schemas.metrics import OBJECT_METRICS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
-from .arrays import FloatArray, IntArray
+from .arrays import FloatArray, IntArray, Watch, unwatched
 from .clean import CleanResult, clean_scan
 from .communities import find_communities
 from .graph import build_graph
 from .ground import GroundResult, remove_ground
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
-from .matching import Matching, match_communities
+from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
+from .reference import (
+    Annotation,
+    ReferenceObjects,
+    assign_to_reference,
+    find_reference_objects,
+    visiting_order,
+)
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
 
@@ -58,27 +65,51 @@ def evaluate(
 
     # "Graphs as Metrics": each side becomes a graph, and its communities are its objects
     objects_real = partition(clean_real.points[~cut_real.is_ground], settings)
-    objects_sim = partition(clean_sim.points[~cut_sim.is_ground], settings)
+    objects_sim = partition(clean_sim.points[~cut_sim.is_ground], settings, reference=objects_real.reference)
 
     # "Graph-Based Validation Metrics": the objects that both sides have are scored
     scores = compare(objects_real, objects_sim, settings)
     return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores)
 
 
-def partition(points: FloatArray, settings: Settings, *, edges: Edges | None = None) -> PartitionedScan:
-    """The graph of a side's object points, its communities, and what these look like.
+def partition(
+    points: FloatArray,
+    settings: Settings,
+    *,
+    edges: Edges | None = None,
+    reference: ReferenceObjects | None = None,
+    annotation: Annotation | None = None,
+    watch: Watch = unwatched,
+) -> PartitionedScan:
+    """The graph of a side's object points, its objects, and what these look like.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
     settings : of the graph and the communities
     edges : the graph of these points, where it is known already; such as for another seed of the communities
+    reference : of the simulated side, the real side's objects; unused where `communities.objects` is "independent"
+    annotation : of the real side, labels and instances of these points, where `communities.reference` asks for them
+    watch : entered around the steps louvain and describe
     """
+    own = settings.communities
     # "From Point Clouds to Graphs"
     edges = build_graph(points, settings.graph) if edges is None else edges
     # "Object-Level Decomposition via Communities"
-    labels = find_communities(len(points), edges, settings.communities).labels
-    return PartitionedScan(points, edges, labels, describe_objects(points, labels))
+    with watch("louvain"):
+        if own.objects == "independent":
+            labels = find_communities(len(points), edges, own).labels
+        elif reference is None:
+            labels = find_reference_objects(points, edges, own, annotation).labels
+        else:
+            labels = assign_to_reference(points, edges, reference, own).labels
+    with watch("describe"):
+        if own.objects == "independent":
+            objects = describe_objects(points, labels)
+        else:  # in an order of its own, so that no sum depends on the order of rows
+            order = visiting_order(points, own.seed)
+            objects = describe_objects(points[order], labels[order], 0 if reference is None else reference.n_objects)
+    return PartitionedScan(points, edges, labels, objects)
 
 
 def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, memo: Memo | None = None) -> PairScores:
@@ -87,12 +118,14 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
     Parameters
     ----------
     real, sim : both sides
-    settings : of matching and selection
+    settings : of communities, matching and selection
     memo : scores of objects of these two sides, to be taken instead of computing them, and to be added to; give the
         same dictionary to several calls with the same two sides and other settings
     """
     # "Community Matching", Algorithm 1
-    matching = match_communities(real.objects.centroid, sim.objects.centroid, settings.matching)
+    matching = match_objects(
+        real.objects.centroid, sim.objects.centroid, real.objects.n_points, sim.objects.n_points, settings
+    )
 
     # "Heat-Kernel Node Selection", Algorithm 2, then CDC, r_gap and r_lambda of each object
     memo = {} if memo is None else memo
@@ -105,6 +138,20 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
     objects = tuple(memo[*pair, settings.selection] for pair in matching.pairs)
 
     return PairScores(matching, objects, _summarise(real, sim, matching, objects))
+
+
+def match_objects(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: IntArray, settings: Settings) -> Matching:
+    """Which objects both sides have: by their centroids, or by their ids where the real side fixes the objects.
+
+    Parameters
+    ----------
+    real, sim : (a, 3), (b, 3) float64, metres, centroids by id
+    n_real, n_sim : (a,), (b,) int32, points of each
+    settings : of communities and matching
+    """
+    if settings.communities.objects == "reference":
+        return match_reference(real, sim, n_real, n_sim, settings.communities.min_points)
+    return match_communities(real, sim, settings.matching)
 
 
 def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
@@ -145,6 +192,11 @@ class PartitionedScan:
     edges: Edges
     labels: IntArray
     objects: Objects
+
+    @property
+    def reference(self) -> ReferenceObjects:
+        """Its objects as those that the other side is divided by."""
+        return ReferenceObjects(self.points, self.labels)
 
     def subgraphs(self, wanted: Iterable[int]) -> dict[int, Subgraph]:
         """The induced subgraphs of some communities, by id; their `point_ids` are indices into the points."""

@@ -11,7 +11,7 @@ from .arrays import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Objects:
-    """One row per community, by id.
+    """One row per community, by id; one without points has NaN.
 
     n_points : (c,) int32
     centroid : (c, 3) float64, metres, mean of the member points
@@ -25,13 +25,18 @@ class Objects:
     shape: FloatArray
 
     @property
+    def n_objects(self) -> int:
+        """How many communities have points."""
+        return int(np.count_nonzero(self.n_points))
+
+    @property
     def range_m(self) -> FloatArray:
         """Distance of the centroid from the sensor, (c,) float64, metres."""
         range_m: FloatArray = np.linalg.norm(self.centroid, axis=1)
         return range_m
 
 
-def describe_objects(points: FloatArray, labels: IntArray) -> Objects:
+def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Objects:
     """Size, place and shape of each community.
 
     With l1 >= l2 >= l3 the eigenvalues of the covariance of the member points, linearity is (l1 - l2) / l1,
@@ -40,7 +45,8 @@ def describe_objects(points: FloatArray, labels: IntArray) -> Objects:
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
-    labels : (n,) int32, ids from 0 without gaps
+    labels : (n,) int32, ids from 0
+    n_ids : how many ids there are at least; those that no point has have no points
 
     Examples
     --------
@@ -50,23 +56,25 @@ def describe_objects(points: FloatArray, labels: IntArray) -> Objects:
     ([2, 1], [4.0, 9.0], [1.0, 0.0, 0.0])
     """
     order = np.argsort(labels, kind="stable")
-    n_points = np.bincount(labels).astype(np.int32)
+    n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
     members = np.split(points[order], np.cumsum(n_points)[:-1])
-    centroid = np.array([own.mean(axis=0) for own in members])
-    extent = np.array([np.ptp(own, axis=0) for own in members])
-    shape = np.array([_shape(own) for own in members])
+    nothing = np.full(3, np.nan)
+    centroid = np.array([own.mean(axis=0) if len(own) else nothing for own in members])
+    extent = np.array([np.ptp(own, axis=0) if len(own) else nothing for own in members])
+    shape = np.array([_shape(own) if len(own) else nothing for own in members])
     return Objects(n_points, centroid, extent, shape)
 
 
-def majority_labels(labels: IntArray, names: list[str | None]) -> list[str | None]:
+def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -> list[str | None]:
     """The most frequent name in each community, of equals the first in the alphabet; None without names.
 
     Parameters
     ----------
-    labels : (n,) int32, community of each point, ids from 0 without gaps
+    labels : (n,) int32, community of each point, ids from 0
+    n_ids : how many ids there are at least
     names : (n,) class of each point, None where it has none
     """
-    counts: list[dict[str, int]] = [{} for _ in range(int(labels.max()) + 1)]
+    counts: list[dict[str, int]] = [{} for _ in range(max(n_ids, int(labels.max()) + 1))]
     for community, name in zip(labels.tolist(), names, strict=True):
         if name is not None:
             counts[community][name] = counts[community].get(name, 0) + 1

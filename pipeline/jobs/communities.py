@@ -2,47 +2,67 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
-import pyarrow.compute as pc
 
 from ...schemas.settings import Settings
 from ...schemas.tables import COMMUNITIES, OBJECTS
-from ...stages.communities import find_communities
-from ...stages.objects import describe_objects, majority_labels
+from ...stages.arrays import FloatArray
+from ...stages.method import partition
+from ...stages.objects import majority_labels
+from ...stages.reference import ReferenceObjects
 from ..stage import Context, Grain, Made, Stage
-from .points import EDGE_COLUMNS, POINT_COLUMNS, graph_edges, object_points
+from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, column, graph_edges, object_points
 
 _LIBRARIES = {"scikit-network": ("scikit-network",), "python-louvain": ("python-louvain", "networkx")}
+_MEASURES = (
+    *("cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
+    *("linearity", "planarity", "scattering", "range_m"),
+)
 
 
 def make_communities(context: Context) -> Made:
-    """Finds the communities of a side's graph and describes each as an object."""
+    """Finds the objects of a side and describes each.
+
+    The real side's come from its graph or its annotation; the simulated side's from its own graph, or from the real
+    side's objects where the settings say so.
+    """
     point_ids, points = object_points(context, context.side)
-    edges = graph_edges(context, context.side)
-    with context.step("louvain"):
-        partition = find_communities(len(points), edges, context.settings.communities)
-    with context.step("describe"):
-        objects = describe_objects(points, partition.labels)
-        ground = context.table("ground", columns=("is_ground", "label"))
-        names = ground.filter(pc.invert(ground.column("is_ground"))).column("label").to_pylist()
-        labels = majority_labels(partition.labels, names)
-    both = {"pair_id": context.pair_id, "side": context.side}
-    communities = COMMUNITIES.build(both | {"point_id": point_ids, "community_id": partition.labels})
-    columns = dict(zip(("cx", "cy", "cz"), objects.centroid.T, strict=True))
-    columns |= dict(zip(("extent_x", "extent_y", "extent_z"), objects.extent.T, strict=True))
-    columns |= dict(zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True))
-    described = OBJECTS.build(
-        both
-        | columns
-        | {
-            "community_id": np.arange(len(objects.n_points), dtype=np.int32),
-            "n_points": objects.n_points,
-            "range_m": np.linalg.norm(objects.centroid, axis=1),
-            "label": labels,
-        }
+    noted = annotation(context, context.side)
+    scan = partition(
+        points,
+        context.settings,
+        edges=graph_edges(context, context.side),
+        reference=_real_objects(context) if context.needs_real else None,
+        annotation=noted,
+        watch=context.step,
     )
-    facts = {"n_communities": len(objects.n_points), "modularity": partition.modularity}
-    return Made({"communities": communities, "objects": described}, facts)
+    objects = scan.objects
+    names = [None] * len(points) if noted.labels is None else noted.labels.tolist()
+    labels = majority_labels(scan.labels, names, len(objects.n_points))
+    both = {"pair_id": context.pair_id, "side": context.side}
+    communities = COMMUNITIES.build(both | {"point_id": point_ids, "community_id": scan.labels})
+    measures = np.column_stack([objects.centroid, objects.extent, objects.shape, objects.range_m])
+    columns: dict[str, Any] = {name: _nulls_for_nan(values) for name, values in zip(_MEASURES, measures.T, strict=True)}
+    columns |= {"community_id": np.arange(len(objects.n_points), dtype=np.int32), "n_points": objects.n_points}
+    described = OBJECTS.build(both | columns | {"label": labels})
+    return Made({"communities": communities, "objects": described}, {"n_communities": objects.n_objects})
+
+
+def _real_objects(context: Context) -> ReferenceObjects:
+    """The points of the real side and the object of each."""
+    _, points = object_points(context, "real")
+    return ReferenceObjects(points, column(context.table("communities", "real", ("community_id",)), "community_id"))
+
+
+def _nulls_for_nan(values: FloatArray) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values.tolist()]
+
+
+def _is_reference(settings: Settings) -> bool:
+    return settings.communities.objects == "reference"
 
 
 def louvain_libraries(settings: Settings) -> tuple[str, ...]:
@@ -52,11 +72,12 @@ def louvain_libraries(settings: Settings) -> tuple[str, ...]:
 
 STAGE = Stage(
     name="communities",
-    takes={"ground": (*POINT_COLUMNS, "label"), "graph": EDGE_COLUMNS},
+    takes={"ground": ANNOTATED_COLUMNS, "graph": EDGE_COLUMNS},
     gives=("communities", "objects"),
     settings=("communities",),
     grain=Grain.SIDE,
     version=2,
     make=make_communities,
     libraries=louvain_libraries,
+    needs_real=_is_reference,
 )

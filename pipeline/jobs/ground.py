@@ -39,6 +39,7 @@ def make_ground(context: Context) -> Made:
             "is_ground": cut.is_ground,
             "intensity": None if scan.intensity is None else scan.intensity[clean.point_ids],
             "label": None if scan.labels is None else scan.labels[clean.point_ids].tolist(),
+            "instance": None if scan.instances is None else scan.instances[clean.point_ids],
         },
         len(x),
     )

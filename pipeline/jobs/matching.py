@@ -6,25 +6,25 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.tables import MATCHING
-from ...stages.matching import match_communities
+from ...stages.method import match_objects
 from ..stage import OBJECTS, Context, Facts, Grain, Made, Stage
 from .points import column
 
 
 def make_matching(context: Context) -> Made:
-    """Matches centroids; lists the matched objects with the number of nodes that both sides will keep."""
+    """Matches objects; lists the matched ones with the number of nodes that both sides will keep."""
     objects = {side: context.table("objects", side) for side in SIDES}
     real, sim = (np.column_stack([column(objects[side], axis) for axis in ("cx", "cy", "cz")]) for side in SIDES)
+    n_real, n_sim = (column(objects[side], "n_points") for side in SIDES)
     with context.step("match"):
-        matching = match_communities(real, sim, context.settings.matching)
+        matching = match_objects(real, sim, n_real, n_sim, context.settings)
     pairs = zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True)
     rows: list[Facts] = [
         {"real_id": a, "sim_id": b, "centroid_distance_m": d, "status": "matched"} for a, b, d in pairs
     ]
     rows += [{"real_id": a, "status": "missing"} for a in matching.missing.tolist()]
     rows += [{"sim_id": b, "status": "hallucinated"} for b in matching.hallucinated.tolist()]
-    sizes = {side: column(objects[side], "n_points") for side in SIDES}
-    n_keep = np.minimum(sizes["real"][matching.real_ids], sizes["sim"][matching.sim_ids])
+    n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])
     table = MATCHING.from_rows({"pair_id": context.pair_id} | row for row in rows)
     return Made({"matching": table}, {OBJECTS: list(zip(matching.real_ids.tolist(), n_keep.tolist(), strict=True))})
 
@@ -33,7 +33,7 @@ STAGE = Stage(
     name="matching",
     takes={"objects": ("cx", "cy", "cz", "n_points")},
     gives=("matching",),
-    settings=("matching",),
+    settings=("communities", "matching"),
     grain=Grain.PAIR,
     version=1,
     make=make_matching,

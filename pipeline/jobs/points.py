@@ -11,11 +11,13 @@ import pyarrow.compute as pc
 from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
+from ...stages.reference import Annotation
 from ...stages.selection import Selection
 from ..stage import Context
 
 #: The columns that these functions read, for the declarations of stages that call them.
 POINT_COLUMNS = ("point_id", "x", "y", "z", "is_ground")
+ANNOTATED_COLUMNS = (*POINT_COLUMNS, "label", "instance")
 EDGE_COLUMNS = ("src", "dst", "length_m")
 MATCH_COLUMNS = ("real_id", "sim_id", "centroid_distance_m", "status")
 NODE_COLUMNS = ("real_id", "real_point_id", "sim_point_id", "real_influence", "sim_influence")
@@ -41,6 +43,17 @@ def object_points(context: Context, side: str) -> tuple[IntArray, FloatArray]:
         return column(ground, "point_id"), np.column_stack([column(ground, axis) for axis in "xyz"])
 
     return context.once(f"object points {side}", read)
+
+
+def annotation(context: Context, side: str) -> Annotation:
+    """Labels and instances of the object points of a side, where the input has them."""
+    ground = context.table("ground", side, ("is_ground", "label", "instance"))
+    ground = ground.filter(pc.invert(ground.column("is_ground")))
+    labels, instances = ground.column("label"), ground.column("instance")
+    return Annotation(
+        None if labels.null_count == len(labels) else labels.to_numpy(zero_copy_only=False),
+        None if instances.null_count else instances.to_numpy(),
+    )
 
 
 def graph_edges(context: Context, side: str) -> Edges:

@@ -15,13 +15,13 @@ from ...schemas.columns import SIDES
 from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.settings import Settings
 from ...schemas.tables import SEEDS
-from ...stages.method import compare, partition
+from ...stages.method import PartitionedScan, compare, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
 from ..stage import ROW, Context, Facts, Grain, Made, Stage
 from ..storage.tables import JobRecord
 from .communities import louvain_libraries
-from .points import EDGE_COLUMNS, POINT_COLUMNS, graph_edges, object_points
+from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
 
 
 def make_seeds(context: Context) -> Made:
@@ -56,15 +56,16 @@ def _repeat(context: Context, seed: int) -> Facts:
     settings = Settings(
         communities=own.communities.model_copy(update={"seed": seed}), matching=own.matching, selection=own.selection
     )
-    scans = {}
+    scans: dict[str, PartitionedScan] = {}
     for side in SIDES:
         _, points = object_points(context, side)
         edges = graph_edges(context, side)
+        real = scans["real"].reference if side == "sim" else None
         with context.step("communities"):
-            scans[side] = partition(points, settings, edges=edges)
+            scans[side] = partition(points, settings, edges=edges, reference=real, annotation=annotation(context, side))
     with context.step("scores"):
         summary = compare(scans["real"], scans["sim"], settings).summary
-    return {f"n_communities_{side}": len(scans[side].objects.n_points) for side in SIDES} | summary
+    return {f"n_communities_{side}": scans[side].objects.n_objects for side in SIDES} | summary
 
 
 def _as_floats(scores: dict[str, list[Any]]) -> dict[str, Any]:
@@ -84,7 +85,7 @@ def _is_wanted(settings: Settings) -> bool:
 
 STAGE = Stage(
     name="seeds",
-    takes={"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "metrics": ()},
+    takes={"ground": ANNOTATED_COLUMNS, "graph": EDGE_COLUMNS, "metrics": ()},
     gives=("seeds",),
     settings=("communities", "matching", "selection", "stability"),
     grain=Grain.PAIR,

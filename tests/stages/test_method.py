@@ -88,7 +88,7 @@ def assert_same(evaluation, tables, row, n_raw):
     own = frames(evaluation)
     assert own.keys() == tables.keys()
     for name, wanted in tables.items():
-        columns = [c for c in wanted.columns if c not in ("pair_id", "side", "intensity", "label")]
+        columns = [c for c in wanted.columns if c not in ("pair_id", "side", "intensity", "label", "instance")]
         assert set(own[name].columns) == set(columns), name
         frame = own[name][columns].reset_index(drop=True)
         pd.testing.assert_frame_equal(

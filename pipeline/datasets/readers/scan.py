@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from ....stages.arrays import FloatArray
+from ....stages.arrays import FloatArray, IntArray
 
 _INTENSITY = ("intensity", "scalar_intensity")
 _LABEL = ("label", "scalar_label")
+_INSTANCE = ("instance", "scalar_instance", "objidx")  # the last is CARLA's
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,13 @@ class Scan:
     points : (n, 3) float64, metres, the scan's own frame
     intensity : (n,) float64, or None
     labels : (n,) str, or None
+    instances : (n,) int32, number of the thing that a point belongs to, 0 for none; or None
     """
 
     points: FloatArray
     intensity: FloatArray | None = None
     labels: NDArray[np.str_] | None = None
+    instances: IntArray | None = None
 
 
 def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
@@ -38,12 +41,14 @@ def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
     Parameters
     ----------
     path : the file, for errors
-    columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label as text or numbers
+    columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label as text or numbers;
+        instance as whole numbers
 
     Raises
     ------
     ScanError
-        x, y or z is missing, or a value is no number (named by row and column). NaN and infinity are let through.
+        x, y or z is missing, or a value is no number (named by row and column). NaN and infinity are let through in
+        coordinates and intensity.
     """
     by_name = {name.lower(): np.asarray(column) for name, column in columns.items()}
     missing = [name for name in ("x", "y", "z") if name not in by_name]
@@ -51,10 +56,12 @@ def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
         raise ScanError(f"{path}: columns {', '.join(columns)} found; {', '.join(missing)} wanted as well")
     intensity = next((by_name[name] for name in _INTENSITY if name in by_name), None)
     labels = next((by_name[name] for name in _LABEL if name in by_name), None)
+    instances = next((by_name[name] for name in _INSTANCE if name in by_name), None)
     return Scan(
         points=np.column_stack([_numbers(path, name, by_name[name]) for name in ("x", "y", "z")]),
         intensity=None if intensity is None else _numbers(path, "intensity", intensity),
         labels=None if labels is None else _label_text(labels),
+        instances=None if instances is None else _instance_numbers(path, instances),
     )
 
 
@@ -81,7 +88,9 @@ def refused_unless(path: Path, wanted: str, *errors: type[Exception]) -> Iterato
 
 
 def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str]) -> Scan:
-    """The scan with the labels of the `.label` file beside it, if there is one: uint32, low 16 bits the class.
+    """The scan with the labels of the `.label` file beside it, if there is one: uint32 per point.
+
+    The low 16 bits are the class, the high 16 bits the instance, 0 for none (SemanticKITTI).
 
     Parameters
     ----------
@@ -101,8 +110,13 @@ def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str])
             f"{label_path}: {n_bytes} bytes found, {4 * len(scan.points)} wanted (one uint32 for each of the "
             f"{len(scan.points)} points of {path.name})"
         )
-    classes, class_ids = np.unique(np.fromfile(label_path, dtype="<u4") & 0xFFFF, return_inverse=True)
-    return replace(scan, labels=np.array([names.get(int(number), str(number)) for number in classes])[class_ids])
+    numbers = np.fromfile(label_path, dtype="<u4")
+    classes, class_ids = np.unique(numbers & 0xFFFF, return_inverse=True)
+    return replace(
+        scan,
+        labels=np.array([names.get(int(number), str(number)) for number in classes])[class_ids],
+        instances=(numbers >> 16).astype(np.int32),
+    )
 
 
 def label_path_of(path: Path, stem: str) -> Path:
@@ -120,6 +134,16 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
             except (TypeError, ValueError):
                 raise ScanError(f"{path}: row {row + 1}, column {name}: {value!r} found, a number wanted") from None
         raise
+
+
+def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
+    numbers = _numbers(path, "instance", column)
+    if len(wrong := np.flatnonzero(~((numbers >= 0) & (numbers < 2**31) & (numbers == np.round(numbers))))):
+        raise ScanError(
+            f"{path}: row {wrong[0] + 1}, column instance: {numbers[wrong[0]]:g} found, a whole number from 0 to "
+            f"{2**31 - 1} wanted"
+        )
+    return numbers.astype(np.int32)
 
 
 def _label_text(column: NDArray[Any]) -> NDArray[np.str_]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from ....schemas.columns import SIDES
 from ....schemas.experiment_tables import ABLATE
 from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
 from ....stages.method import Memo, compare, partition
 from ...jobs import seeds
-from ...jobs.points import POINT_COLUMNS, object_points
+from ...jobs.points import ANNOTATED_COLUMNS, annotation, object_points
 from ...stage import Context, Grain, Made, Stage
 
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
@@ -22,18 +21,20 @@ def make_rows(context: Context) -> Made:
     """
     own = context.settings
     (points,) = context.arguments
-    real, sim = (partition(object_points(context, side)[1], own) for side in SIDES)
+    real = partition(object_points(context, "real")[1], own, annotation=annotation(context, "real"))
+    sim = partition(object_points(context, "sim")[1], own, reference=real.reference)
     memo: Memo = {}
     rows = []
     for k, tau_m, delta_m, t in points:
         settings = Settings(
+            communities=own.communities,
             matching=own.matching.model_copy(update={"delta_m": delta_m}),
             selection=own.selection.model_copy(update={"t": t}),
         )
         summary = compare(real, sim, settings, memo=memo).summary
         rows.append(
             {"pair_id": context.pair_id, "k": k, "tau_m": tau_m, "delta_m": delta_m, "t": t}
-            | {"n_communities_real": len(real.objects.n_points), "n_communities_sim": len(sim.objects.n_points)}
+            | {"n_communities_real": real.objects.n_objects, "n_communities_sim": sim.objects.n_objects}
             | {name: summary[name] for name in _SUMMARY}
         )
     return Made({"ablate": ABLATE.from_rows(rows)})
@@ -42,7 +43,7 @@ def make_rows(context: Context) -> Made:
 #: Its version is to be raised when the same request gives other numbers.
 STAGE = Stage(
     name="ablate",
-    takes={"ground": POINT_COLUMNS},
+    takes={"ground": ANNOTATED_COLUMNS},
     gives=("ablate",),
     settings=("graph", "communities", "matching", "selection"),
     grain=Grain.PAIR,

@@ -38,15 +38,16 @@ def make_global(context: Context) -> Made:
         row |= {
             "n_points": len(scan.points),
             "n_points_altered": len(altered),
-            "n_communities": len(scan.objects.n_points),
+            "n_communities": scan.objects.n_objects,
         }
         if len(altered) < MIN_OBJECT_POINTS:
             row["reason"] = f"{len(altered)} points are left, at least {MIN_OBJECT_POINTS} are needed"
         else:
-            altered_scan = partition(altered, _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings)
+            own = _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings
+            altered_scan = partition(altered, own, reference=scan.reference)
             summary = compare(scan, altered_scan, settings).summary  # the unaltered scan taken as the real side
             row |= {name: summary[name] for name in _SUMMARY}
-            row["n_communities_altered"] = len(altered_scan.objects.n_points)
+            row["n_communities_altered"] = altered_scan.objects.n_objects
         rows.append(row)
     return Made({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
 

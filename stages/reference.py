@@ -1,0 +1,177 @@
+"""Decides what one object is on both sides, where the real side fixes the objects: `communities.objects = "reference"`.
+
+The real side is divided as if there were no simulation, and each simulated point belongs to the real object at which it
+lies. So two simulators are judged by the same objects, and what a simulation lacks cannot divide a real object anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
+from sklearn.utils import murmurhash3_32
+
+from ..schemas.errors import StageError
+from ..schemas.settings import CommunitySettings
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .communities import Partition, canonical_ids, find_communities, modularity
+from .linalg.subgraph import Edges
+
+_SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """What the input says of the object points of a side.
+
+    labels : (n,) class of each point, None where it has none; or None
+    instances : (n,) int32, thing of each point, 0 for none; or None
+    """
+
+    labels: NDArray[np.object_] | None = None
+    instances: IntArray | None = None
+
+
+@dataclass(frozen=True)
+class ReferenceObjects:
+    """What the real side says about which objects there are.
+
+    points : (m, 3) float64, metres, its object points, at least one
+    labels : (m,) int32, object of each, ids from 0 without gaps
+    """
+
+    points: FloatArray
+    labels: IntArray
+
+    @property
+    def n_objects(self) -> int:
+        """How many there are."""
+        return int(self.labels.max()) + 1
+
+
+def find_reference_objects(
+    points: FloatArray, edges: Edges, settings: CommunitySettings, annotation: Annotation | None = None
+) -> Partition:
+    """The objects of the real side; which they are does not depend on the order of rows.
+
+    louvain : communities, nodes visited in the order of `visiting_order`
+    labels : connected pieces of one label; points are connected by edges of the graph that are at most reach_m long.
+        Points without a label are pieces too
+    instances : points of one label and one instance; those without an instance fall into pieces as above
+
+    Ids are by size descending, of equal sizes by first point in visiting order.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, at least one
+    edges : of their graph
+    settings : reference, seed, backend, reach_m
+    annotation : of the same points; needed for labels and instances
+
+    Raises
+    ------
+    StageError
+        The input has no labels or instances, and the settings ask for them.
+    """
+    order = visiting_order(points, settings.seed)
+    if settings.reference == "louvain":
+        return find_communities(len(points), edges, settings, order=order)
+    labels = None if annotation is None else annotation.labels
+    instances = None if annotation is None else annotation.instances
+    if labels is None:
+        raise StageError(
+            f'the real scan has no labels; communities.reference = "{settings.reference}" needs them: '
+            'a column label, or a .label file beside it, or reference = "louvain"'
+        )
+    _, classes = np.unique([str(label) for label in labels], return_inverse=True)
+    thing = np.zeros(len(points), dtype=np.int64)
+    if settings.reference == "instances":
+        if instances is None or not instances.any():
+            raise StageError(
+                'the real scan has no instances; communities.reference = "instances" needs them: a column instance, '
+                'or the upper 16 bits of a .label file, or reference = "labels"'
+            )
+        thing = instances.astype(np.int64)
+    codes = np.unique(np.column_stack([classes.ravel(), thing]), axis=0, return_inverse=True)[1].ravel()
+    pieces = _pieces(len(points), edges, codes, settings.reach_m)
+    found = canonical_ids(np.where(thing > 0, len(points) + codes, pieces), order)
+    return Partition(found, modularity(found, edges) if len(edges.src) else 0.0)
+
+
+def assign_to_reference(
+    points: FloatArray, edges: Edges, reference: ReferenceObjects, settings: CommunitySettings
+) -> Partition:
+    """The objects of the simulated side: real objects by their ids, and after them those that no real point is near.
+
+    A point belongs to the object of its nearest real point (of equally near ones the first) if that is at most reach_m
+    away. Those out of reach are divided by Louvain's method on the edges among them; groups of at least min_points
+    become objects of their own, the points of smaller ones go to the object of their nearest real point after all.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, simulated, at least one
+    edges : of their graph
+    reference : points and objects of the real side
+    settings : reach_m, min_points, seed, backend
+    """
+    nearest, distance_m = _nearest(reference.points, points)
+    labels = reference.labels[nearest].astype(np.int32)
+    outside = np.flatnonzero(distance_m > settings.reach_m)
+    if len(outside):
+        order = visiting_order(points[outside], settings.seed)
+        groups = find_communities(len(outside), _edges_among(outside, len(points), edges), settings, order=order).labels
+        is_object = (np.bincount(groups) >= settings.min_points)[groups]  # the largest groups have the first ids
+        labels[outside[is_object]] = reference.n_objects + groups[is_object]
+    return Partition(labels, modularity(labels, edges) if len(edges.src) else 0.0)
+
+
+def visiting_order(points: FloatArray, seed: int) -> IntArray:
+    """The points in the order of a hash of their coordinates and the seed, (n,) int32.
+
+    Moving, adding or losing points leaves the order of the others as it is, and so does the order of rows.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, all different
+    seed : another one gives another order
+    """
+    words = np.ascontiguousarray(points + 0.0).view(np.int32)  # -0.0 becomes 0.0
+    hashed = np.zeros(len(points), dtype=np.int32)
+    for column in words.T:
+        hashed = murmurhash3_32(column ^ hashed, seed=seed)
+    order: IntArray = np.lexsort((*points.T, hashed)).astype(np.int32)
+    return order
+
+
+def _pieces(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -> IndexArray:
+    """The connected pieces of points of one code, (n,), joined by edges that are no longer than the reach."""
+    joins = (codes[edges.src] == codes[edges.dst]) & (edges.length_m <= np.float32(reach_m))
+    ends = edges.src[joins], edges.dst[joins]
+    graph = sparse.coo_matrix((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(n_nodes, n_nodes))
+    pieces: IndexArray = csgraph.connected_components(graph, directed=False)[1]
+    return pieces
+
+
+def _nearest(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """Index and distance of the nearest reference point of each point, (n,), of equally near ones the smaller index."""
+    tree = cKDTree(reference)
+    distance_m, nearest = tree.query(points, k=min(2, len(reference)))
+    if len(reference) == 1:
+        return nearest, distance_m
+    for i in np.flatnonzero(distance_m[:, 1] <= distance_m[:, 0] * (1 + _SLACK)):
+        ball = np.sort(tree.query_ball_point(points[i], distance_m[i, 0] * (1 + _SLACK)))
+        nearest[i, 0] = ball[np.argmin(((reference[ball] - points[i]) ** 2).sum(axis=1))]
+    return nearest[:, 0], distance_m[:, 0]
+
+
+def _edges_among(nodes: IndexArray, n_nodes: int, edges: Edges) -> Edges:
+    """The edges among some nodes, ascending, by index into these."""
+    index_of = np.full(n_nodes, -1, dtype=np.int32)
+    index_of[nodes] = np.arange(len(nodes), dtype=np.int32)
+    src, dst = index_of[edges.src], index_of[edges.dst]
+    inside: BoolArray = (src >= 0) & (dst >= 0)
+    return Edges(src[inside], dst[inside], edges.length_m[inside])
