@@ -66,10 +66,11 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
     with watch("laplacian"):
         laplacian_real = induced_laplacian(real, selection.real_nodes)
         laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
-    with watch("spectra"):
-        spectrum_real, spectrum_sim = eigenvalues(laplacian_real), eigenvalues(laplacian_sim)
     with watch("norm"):
         change = spectral_norm(laplacian_sim - laplacian_real)
+    with watch("spectra"):
+        spectrum_real = eigenvalues(laplacian_real)
+        spectrum_sim = eigenvalues(laplacian_sim) if change > 0 else spectrum_real  # of equal matrices, exactly equal
     shift = float(np.max(np.abs(spectrum_sim - spectrum_real)))
     gap_real, gap_sim = (float(spectrum[1] - spectrum[0]) for spectrum in (spectrum_real, spectrum_sim))
     is_identical = change <= IDENTICAL_CHANGE

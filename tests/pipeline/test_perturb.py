@@ -104,9 +104,9 @@ def test_a_row_can_be_made_again_from_its_recorded_seed(done):
 def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(scan, tmp_path, monkeypatch):
     seeds = []
 
-    def watched(points, settings):
+    def watched(points, settings, **options):
         seeds.append(settings.communities.seed)
-        return partition(points, settings)
+        return partition(points, settings, **options)
 
     monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.jobs.partition", watched)
     assert DEFAULT_LEVELS[0] == NULL
