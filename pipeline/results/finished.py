@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.results import JsonObject, RunRecord
+from ...schemas.settings import parse, preset_of
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, read_run
 from ..storage.tables import table_name
@@ -70,6 +71,11 @@ class FinishedRun:
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     @property
+    def preset(self) -> str:
+        """The preset whose objects the run has; see `schemas.settings.PRESETS`."""
+        return preset_of(parse(self.record.settings))
+
+    @property
     def scored(self) -> list[Row]:
         """The rows of the scored pairs, by name."""
         return [row for row in self.rows if row["status"] == "scored"]
@@ -97,10 +103,9 @@ class FinishedRun:
             raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
         sides = {side: self.side_objects(pair_id, side) for side in SIDES}
         matched = self.read_table("metrics", pair_id).to_pylist()
-        missing, hallucinated = (
-            sorted({own["community_id"] for own in sides[side]} - {scores[f"{side}_id"] for scores in matched})
-            for side in SIDES
-        )
+        matching = self.read_table("matching", pair_id).to_pylist()
+        missing = [own["real_id"] for own in matching if own["status"] == "missing"]
+        hallucinated = [own["sim_id"] for own in matching if own["status"] == "hallucinated"]
         return PairObjects(row, sides, matched, missing, hallucinated)
 
     def side_objects(self, pair_id: str, side: str) -> list[Row]:
