@@ -25,7 +25,15 @@ from .columns import (
     score_column,
 )
 from .experiment_tables import EXPERIMENT_TABLES
-from .metrics import COVERAGE_REACHES, COVERAGE_SCORES, METRIC, OBJECT_METRICS, OBJECT_SCORES, PAIR_SCORES
+from .metrics import (
+    COVERAGE_REACHES,
+    COVERAGE_SCORES,
+    METRIC,
+    OBJECT_METRICS,
+    OBJECT_SCORES,
+    PAIR_SCORES,
+    reach_words,
+)
 
 GROUND = Table(
     "ground",
@@ -157,7 +165,7 @@ COVERAGE = Table(
                 column(
                     f"covered_{reach}",
                     FLOAT64,
-                    f"share of them with an object point of the other side at most {reach.replace('p', '.')} away",
+                    f"share of them with an object point of the other side at most {reach_words(reach)} away",
                     optional=True,
                 )
                 for reach in COVERAGE_REACHES

@@ -12,6 +12,7 @@ from .aggregates import band_of, quadrants
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
 from .results import RunResults
 from .terminal.layout import number
+from .terminal.run import coverage_rows, unmatched_lines
 
 _FEWEST_TO_JUDGE = 20
 _NUMBERS = ["match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "n_missing", "n_hallucinated"]
@@ -22,17 +23,23 @@ class Verdict:
     """What a run says of the simulation.
 
     weakest : where it is weakest; "" where too few objects tell
+    unmatched : what is behind the objects that only one side has, a sentence for each side that has some
+    coverage : headings, then a row for each side: which share of its surface the other side has
     numbers : six scores with name, mean and std over pairs (NaN where null), digits to show, and how to read them
     """
 
     sentence: str
     weakest: str
+    unmatched: list[str]
+    coverage: list[list[str]]
     numbers: list[dict[str, Any]]
 
 
 def verdict_of(results: RunResults) -> Verdict:
     """What the run says of the simulation."""
-    return Verdict(_sentence(results), _weakest(results), _numbers(results))
+    record = results.run.record
+    unmatched = [f"{line[0].upper()}{line[1:]}." for line in unmatched_lines(record)]
+    return Verdict(_sentence(results), _weakest(results), unmatched, coverage_rows(record), _numbers(results))
 
 
 def limits_in_words() -> str:

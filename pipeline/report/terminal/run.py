@@ -20,6 +20,7 @@ from ....schemas.metrics import (
     labels,
     metric_of,
     narrow_labels,
+    reach_words,
     unit_words,
 )
 from ....schemas.results import (
@@ -32,6 +33,7 @@ from ....schemas.results import (
     Unmatched,
 )
 from ....schemas.settings import Settings, departures, parse, preset_of
+from ....stages.coverage import ABSENT, THERE
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
 from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
@@ -67,7 +69,9 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
     parts: list[RenderableType] = []
     if record.findings:
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
-        parts += [_coverage_table(record), *(Text(line) for line in unmatched_lines(record)), Text()]
+        headings, *rows = coverage_rows(record)
+        title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
+        parts += [plain_table(title, headings, rows), *map(Text, unmatched_lines(record)), Text()]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
         verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
@@ -167,35 +171,29 @@ def _dataset_table(record: RunRecord) -> Table:
     return plain_table(title, headings, rows, words=(0, 5))
 
 
-def _coverage_table(record: RunRecord) -> Table:
-    """Which share of each side's surface the other side has."""
-    rows = []
+def coverage_rows(record: RunRecord) -> list[list[str]]:
+    """Headings, then one row per side: which share of its surface the other side has, mean and deviation over pairs."""
+    rows = [["share of points", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES)]]
     for side, words in (("real", "real, simulated as well"), ("sim", "simulated, real as well")):
         scores = (record.summary[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)
-        rows.append((words, *(mean_and_spread(score.mean, score.std) for score in scores)))
-    headings = (
-        "share of points",
-        *(f"within {reach.replace('p', '.').removesuffix('m')} m" for reach in COVERAGE_REACHES),
-    )
-    return plain_table(
-        "Surface (mean and standard deviation over pairs; the rest is missing or invented)", headings, rows
-    )
+        rows.append([words, *(mean_and_spread(score.mean, score.std) for score in scores)])
+    return rows
 
 
 def unmatched_lines(record: RunRecord) -> list[str]:
-    """What is behind the unmatched objects, a line for each side."""
-    if record.coverage is None or not record.pairs.scored:
-        return []
+    """What is behind the unmatched objects, a line for each side that has some."""
     lines = []
     for status, other in (("missing", "simulated"), ("hallucinated", "real")):
         states: SurfaceStates = getattr(record.coverage, status)
-        there, partly, absent = (count / record.pairs.scored for count in vars(states).values())
-        total = there + partly + absent
-        if total:
+        there, partly, absent = (count / max(1, record.pairs.scored) for count in vars(states).values())
+        total, near = there + partly + absent, f"of their points have a {other} one within 0.3 m"
+        if there or partly:
             lines.append(
                 f"of {total:.1f} {status} objects a pair, {there:.1f} are there and only divided differently (over "
-                f"80 % of the points have a {other} one within 0.3 m), {partly:.1f} partly, {absent:.1f} absent"
+                f"{100 * THERE:.0f} % {near}), {partly:.1f} partly, {absent:.1f} absent"
             )
+        elif absent:
+            lines.append(f"all of {total:.1f} {status} objects a pair are absent (at most {100 * ABSENT:.0f} % {near})")
     return lines
 
 
