@@ -23,14 +23,14 @@ class Verdict:
     """What a run says of the simulation.
 
     weakest : where it is weakest; "" where too few objects tell
-    unmatched : what is behind the objects that only one side has, a sentence for each side that has some
+    unmatched : what is behind the objects that only one side has, a sentence for each side that has any
     coverage : headings, then a row for each side: which share of its surface the other side has
     numbers : six scores with name, mean and std over pairs (NaN where null), digits to show, and how to read them
     """
 
     sentence: str
     weakest: str
-    unmatched: list[str]
+    unmatched: str
     coverage: list[list[str]]
     numbers: list[dict[str, Any]]
 
@@ -38,7 +38,7 @@ class Verdict:
 def verdict_of(results: RunResults) -> Verdict:
     """What the run says of the simulation."""
     record = results.run.record
-    unmatched = [f"{line[0].upper()}{line[1:]}." for line in unmatched_lines(record)]
+    unmatched = " ".join(f"{line[0].upper()}{line[1:]}." for line in unmatched_lines(record))
     return Verdict(_sentence(results), _weakest(results), unmatched, coverage_rows(record), _numbers(results))
 
 

@@ -21,7 +21,10 @@ from . import style
 NAMES = ("overview", "surface", "unmatched", "distributions", "box_plots", "objects")
 _MOST_CLASSES = 8
 _MOST_LETTERS = 70  # that fit side by side under the boxes
-_SURFACES = (("(A) missing surface", "simulated"), ("(B) invented surface", "real"))
+_SURFACES = (
+    "(A) missing surface: {:.0f} % of the real points\nhave no simulated one within 0.3 m",
+    "(B) invented surface: {:.0f} % of the simulated points\nhave no real one within 0.3 m",
+)
 _CLASSES = ("car", "vegetation", "tree", "wall")
 
 
@@ -93,16 +96,18 @@ def draw_surface(results: RunResults, pair_id: str, folder: Any) -> Any:
     tables = PairTables(results, pair_id)
     pair = results.pairs.set_index("pair_id").loc[pair_id]
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
-    with style.new_figure(9.6, _height(frame, 3.9), f"pair {style.shown_name(pair_id)}, the worst") as figure:
+    is_worst = len(results.pairs) > 1 and pair_id == results.pairs.pair_id[0]
+    title = f"pair {style.shown_name(pair_id)}{', the worst' if is_worst else ''}"
+    with style.new_figure(9.6, _height(frame, 3.9), title) as figure:
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
-        for axis, (side, cloud), (what, other) in zip(axes, tables.clouds.items(), _SURFACES, strict=True):
+        for axis, (side, cloud), words in zip(axes, tables.clouds.items(), _SURFACES, strict=True):
             order = np.argsort(tables.distances_m[side], kind="stable")
             look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
             coloured = style.dots(axis, cloud.points[order], 1.2, tables.distances_m[side][order], **look)
             share = 100 * (1 - pair[f"covered_{side}_0p3m"])
-            axis.set_title(f"{what}: {share:.0f} % of the {side} points\nhave no {other} one within 0.3 m")
+            axis.set_title(words.format(share))
             style.from_above(axis, frame)
-        label = "distance to the nearest point of the other side (m)"
+        label = "distance to the other side (m)"
         figure.colorbar(coloured, cax=axes[-1].inset_axes((1.03, 0, 0.04, 1)), label=label, extend="max")
         return style.save(figure, folder, "surface")
 

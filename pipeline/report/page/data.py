@@ -7,6 +7,7 @@ file.
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -151,7 +152,8 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
 def _headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
     """By column of a table of pairs or objects, its heading: of scores that of the catalogue, class or shape by run."""
     known = {**_HEADINGS, "group": results.class_is}
-    return {column: known.get(column) or metric_of(column).label for column in columns}
+    headings = {column: known.get(column) or metric_of(column).label for column in columns}
+    return {column: re.sub(r"(?<=\d) (?=m\b)", "\N{NO-BREAK SPACE}", heading) for column, heading in headings.items()}
 
 
 def _table(results: RunResults, rows: pd.DataFrame, columns: Sequence[str], note: str) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from ....schemas.results import (
     SurfaceStates,
     Unmatched,
 )
-from ....schemas.settings import Settings, departures, parse, preset_of
+from ....schemas.settings import PRESET_OBJECTS, Settings, departures, parse, preset_of
 from ....stages.coverage import ABSENT, THERE
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
 from ...datasets.frame_checks import frames_summary
@@ -69,9 +69,9 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
     parts: list[RenderableType] = []
     if record.findings:
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
-        headings, *rows = coverage_rows(record)
+        headings, *sides = coverage_rows(record)
         title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
-        parts += [plain_table(title, headings, rows), *map(Text, unmatched_lines(record)), Text()]
+        parts += [plain_table(title, headings, sides), *map(Text, unmatched_lines(record)), Text()]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
         verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
@@ -173,8 +173,8 @@ def _dataset_table(record: RunRecord) -> Table:
 
 def coverage_rows(record: RunRecord) -> list[list[str]]:
     """Headings, then one row per side: which share of its surface the other side has, mean and deviation over pairs."""
-    rows = [["share of points", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES)]]
-    for side, words in (("real", "real, simulated as well"), ("sim", "simulated, real as well")):
+    rows = [["share of", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES)]]
+    for side, words in (("real", "real points with a simulated one"), ("sim", "simulated points with a real one")):
         scores = (record.summary[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)
         rows.append([words, *(mean_and_spread(score.mean, score.std) for score in scores)])
     return rows
@@ -193,14 +193,17 @@ def unmatched_lines(record: RunRecord) -> list[str]:
                 f"{100 * THERE:.0f} % {near}), {partly:.1f} partly, {absent:.1f} absent"
             )
         elif absent:
-            lines.append(f"all of {total:.1f} {status} objects a pair are absent (at most {100 * ABSENT:.0f} % {near})")
+            lines.append(
+                f"the {total:.1f} {status} objects a pair are all absent from the {other} side (at most "
+                f"{100 * ABSENT:.0f} % {near})"
+            )
     return lines
 
 
 def preset_line(settings: Settings) -> str:
-    """The preset of a run, and the settings in which it departs from it."""
-    differing = departures(settings)
-    return f"preset {preset_of(settings)}" + (f", but {' '.join(differing)}" if differing else "")
+    """The preset of a run, what its objects are, and the settings in which it departs from it."""
+    preset, differing = preset_of(settings), departures(settings)
+    return f"preset {preset} ({PRESET_OBJECTS[preset]})" + (f", but {' '.join(differing)}" if differing else "")
 
 
 def _findings_parts(findings: Findings) -> list[RenderableType]:

@@ -129,7 +129,8 @@ def _alone_lines(facts: ObjectFacts) -> list[str]:
     side, other = {"real": ("real", "simulated"), "sim": ("simulated", "real")}[side]
     why = f"only the {side} side has this object, so that it has no scores"
     if facts.real and facts.sim:
-        why = f"{facts.sim['n_points']} points of this object are simulated, too few to match it: it has no scores"
+        n_sim = facts.sim["n_points"] or "no"
+        why = f"{n_sim} points of this object are simulated, too few to match it, so that it has no scores"
     covered, state = own["covered_0p3m"], surface_state(own["covered_0p3m"])
     place = {"there": "there, only divided differently", "partly": "there in part"}.get(state, state)
     return [why, f"its surface is {place}: {percent(covered)} of its points have a {other} one within 0.3 m"]
