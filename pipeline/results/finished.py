@@ -48,7 +48,8 @@ class PairObjects:
     def remnant(self, real_id: int) -> Row | None:
         """The few simulated points of a missing object, where the real side fixes the objects: they bear its number."""
         own = {*self.hallucinated, *(row["sim_id"] for row in self.matched)}
-        return self.sides["sim"][real_id] if real_id in self.missing and real_id not in own else None
+        is_left = real_id in self.missing and real_id not in own and real_id < len(self.sides["sim"])
+        return self.sides["sim"][real_id] if is_left else None
 
 
 class FinishedRun:
