@@ -140,37 +140,6 @@ def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
     assert near(alone, BLUE).sum() > 200
 
 
-def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_reference, tmp_path):
-    results = read_results(by_reference)
-    pair_id = results.pairs.pair_id[0]
-    resize(browser, WIDTHS[0])
-    open_page(browser, write_report(by_reference, out=tmp_path).page)
-    choose(browser, "colour", "distance")
-    tables = PairTables(results, pair_id)
-    sims = tables.clouds["sim"]
-    traces = browser.execute_script(
-        "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"
-    )
-    for (side, distance_m), (texts, colours) in zip(tables.distances_m.items(), traces, strict=True):
-        assert len(texts) == len(colours) == len(distance_m), "few points, of which none is left out"
-        for text, colour, value_m in zip(texts, colours, distance_m, strict=True):
-            shown = text.rpartition("<br>")[2]
-            assert shown.endswith("to the other side"), side
-            is_far = value_m >= 1 - 0.5 / 255
-            assert ("1 m or more" in shown) == is_far
-            assert is_far or float(shown.split()[0]) == pytest.approx(value_m, abs=0.008)
-            assert (colour == FARTHEST) == is_far
-    assert near(pixels(browser, "scene"), (252, 166, 54)).sum() > 200
-    assert "1 m or more to the nearest point of the other side" in by_id(browser, "legend").text
-    # The few simulated points of a missing object belong to it, not to any other.
-    lone = {f"real {own.community_id}:" for own in tables.unmatched.itertuples() if own.side == "real"}
-    few = [text for text, i in zip(traces[1][0], sims.community, strict=True) if f"real {i}:" in lone]
-    assert len(few) == 3 or pair_id == "1"
-    assert few
-    assert all(any(text.startswith(name) for name in lone) for text in few)
-    assert complaints(browser) == []
-
-
 def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(page, run_folder):
     from selenium.webdriver import ActionChains
 
@@ -318,3 +287,34 @@ def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, 
     assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == 10
     assert complaints(browser) == []
     assert requests(browser) == [path.as_uri()]
+
+
+def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_reference, tmp_path):
+    results = read_results(by_reference)
+    pair_id = results.pairs.pair_id[0]
+    resize(browser, WIDTHS[0])
+    open_page(browser, write_report(by_reference, out=tmp_path).page)
+    choose(browser, "colour", "distance")
+    tables = PairTables(results, pair_id)
+    sims = tables.clouds["sim"]
+    traces = browser.execute_script(
+        "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"
+    )
+    for (side, distance_m), (texts, colours) in zip(tables.distances_m.items(), traces, strict=True):
+        assert len(texts) == len(colours) == len(distance_m), "few points, of which none is left out"
+        for text, colour, value_m in zip(texts, colours, distance_m, strict=True):
+            shown = text.rpartition("<br>")[2]
+            assert shown.endswith("to the other side"), side
+            is_far = value_m >= 1 - 0.5 / 255
+            assert ("1 m or more" in shown) == is_far
+            assert is_far or float(shown.split()[0]) == pytest.approx(value_m, abs=0.008)
+            assert (colour == FARTHEST) == is_far
+    assert near(pixels(browser, "scene"), (252, 166, 54)).sum() > 200
+    assert "1 m or more to the nearest point of the other side" in by_id(browser, "legend").text
+    # The few simulated points of a missing object belong to it, not to any other.
+    lone = {f"real {own.community_id}:" for own in tables.unmatched.itertuples() if own.side == "real"}
+    few = [text for text, i in zip(traces[1][0], sims.community, strict=True) if f"real {i}:" in lone]
+    assert len(few) == 3 or pair_id == "1"
+    assert few
+    assert all(any(text.startswith(name) for name in lone) for text in few)
+    assert complaints(browser) == []
