@@ -28,7 +28,7 @@ from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.metrics import metric_of
 from fidpipe.schemas.settings import load
 from fidpipe.stages.sensing.flaws import FLAWS
-from fidpipe.stages.statistics.validation import effect_size, pairs_needed, paired_t
+from fidpipe.stages.statistics.validation import effect_size, paired_t, pairs_needed
 
 AMOUNTS = {
     "dropout": (0.1, 0.3, 0.5),
