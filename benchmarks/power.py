@@ -2,8 +2,8 @@
 
     python benchmarks/power.py ../shared/data/kitti_twin TWINS --every 4 --out power
 
-Each pair is scored as it is and again with a known flaw on its simulated side, in three amounts and under both presets.
-t is the mean change of a score over the pairs in standard errors; *pairs* how many are needed to see that change in 80 %
+Each pair is scored as it is and again with a known flaw on its simulated side, in three amounts, under both presets. t
+is the mean change of a score over the pairs in standard errors; *pairs* how many are needed to see that change in 80 %
 of the cases at 5 % (`stages/statistics/validation.py`). Rows are kept in POWER.csv beside the table and the figure, and
 a run that was stopped goes on. Two standard errors are nothing: among twenty scores one is expected by chance.
 """
@@ -180,7 +180,7 @@ def draw(found, path):
 
     strongest = found[found.amount == found.groupby("flaw").amount.transform("max")]
     flaws = [name for name in AMOUNTS if name in set(strongest.flaw)]
-    scores = [name for name in dict.fromkeys(found.score)]
+    scores = list(dict.fromkeys(found.score))
     figure, axes = plt.subplots(len(PRESETS), 1, figsize=(11, 7.5), sharex=True, layout="constrained")
     for axis, preset in zip(axes, PRESETS, strict=True):
         own = strongest[strongest.preset == preset].pivot(index="flaw", columns="score", values="t")
