@@ -14,7 +14,7 @@ from PIL import Image
 
 from fidpipe.pipeline.report.aggregates import histograms, quadrants
 from fidpipe.pipeline.report.charts import run_charts
-from fidpipe.pipeline.report.figures.run import draw_surface
+from fidpipe.pipeline.report.figures.run import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data, page_words, pair_view, thinned
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
@@ -28,7 +28,7 @@ from reports import HOSTILE_CLASS, HOSTILE_PAIRS, embedded
 from runs import assert_same_tables, command, run
 from scenes import street, write_bin, write_dataset
 
-FIGURES = {"overview", "surface", "unmatched", "distributions", "box_plots", "objects"}
+FIGURES = {"overview", "coverage", "unmatched", "distributions", "box_plots", "objects"}
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def test_the_figure_of_objects_shows_points_of_both_sides(written):
 @pytest.mark.slow
 def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right(by_reference, tmp_path):
     results = read_results(by_reference)
-    path, _ = draw_surface(results, results.pairs.pair_id[0], tmp_path)
+    path, _ = draw_coverage(results, results.pairs.pair_id[0], tmp_path)
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
     near, far = (close_to(picture, RAMPS["light"][end]) for end in (0, -1))
     left, right = np.split(np.arange(int(0.85 * picture.shape[1])), [int(0.47 * picture.shape[1])])
