@@ -284,7 +284,7 @@ def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, 
     drawn = pixels(browser, "changes_0").mean(axis=2)
     assert (drawn.mean() < 100) == dark
     assert drawn.std() > 2, "an empty chart"
-    assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == 10
+    assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == 12
     assert complaints(browser) == []
     assert requests(browser) == [path.as_uri()]
 
