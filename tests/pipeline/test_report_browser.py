@@ -311,6 +311,11 @@ def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_ref
             assert (colour == FARTHEST) == is_far
     assert near(pixels(browser, "scene"), (252, 166, 54)).sum() > 200
     assert "1 m or more to the nearest point of the other side" in by_id(browser, "legend").text
+    browser.find_element("css selector", "#objects_table input").send_keys("missing covered_real_0p3m > 0.2")
+    covered = pd.read_parquet(by_reference / "coverage").merge(
+        results.unmatched[["pair_id", "side", "community_id"]], on=["pair_id", "side", "community_id"]
+    )
+    assert len(table(browser, "objects_table")) == (covered.covered_0p3m > 0.2).sum() == 2
     # The few simulated points of a missing object belong to it, not to any other.
     lone = {f"real {own.community_id}:" for own in tables.unmatched.itertuples() if own.side == "real"}
     few = [text for text, i in zip(traces[1][0], sims.community, strict=True) if f"real {i}:" in lone]

@@ -71,7 +71,8 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
         headings, *sides = coverage_rows(record)
         title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
-        parts += [plain_table(title, headings, sides), *map(Text, unmatched_lines(record)), Text()]
+        lines = (surface_line(record), *unmatched_lines(record))
+        parts += [plain_table(title, headings, sides), *map(Text, lines), Text()]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
         verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
@@ -178,6 +179,16 @@ def coverage_rows(record: RunRecord) -> list[list[str]]:
         scores = (record.summary[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)
         rows.append([words, *(mean_and_spread(score.mean, score.std) for score in scores)])
     return rows
+
+
+def surface_line(record: RunRecord) -> str:
+    """How far the simulated surface is displaced, and how rough both are: means over pairs."""
+    scores = ("shift_m", "shift_x_m", "shift_y_m", "shift_z_m", "roughness_real_m", "roughness_sim_m")
+    length, x, y, z, real, sim = (number(record.summary[score].mean) for score in scores)
+    return (
+        f"the simulated surface is displaced by {length} m a pair (with its sign: x {x}, y {y}, z {z} m); "
+        f"its roughness is {sim} m, that of the real one {real} m"
+    )
 
 
 def unmatched_lines(record: RunRecord) -> list[str]:
