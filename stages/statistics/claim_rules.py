@@ -7,7 +7,7 @@ its flaws. So the question is always: how far would this number move if other pa
 - a value (near the paper's): the interval lies within the paper's bounds: it holds; beyond them: it does not; else: not
   decided;
 - how often (in most pairs): the same of the share of pairs, by the binomial distribution;
-- whether at all (a value below 0.4): one object is enough to show it, and six pairs without one to doubt it.
+- whether at all (a value below 0.4): the same, against one pair in ten: one stray object shows nothing.
 
 Fewer than six independent pairs decide no order and no value. The bounds were written before any of our results was
 seen; the intervals came later, and make it harder to hold. How often each claim holds by chance was found by
@@ -37,6 +37,8 @@ UNDECIDED = "not decided"
 
 #: More pairs than this are left out in so many groups, not one by one.
 MOST_GROUPS = 50
+#: "Some" and "none": in more, or fewer, than this share of the pairs.
+SOME_PAIRS = 0.1
 #: |Spearman's rho| below this is a weak rank correlation (Evans, Straightforward Statistics, 1996).
 WEAK_CORRELATION = 0.4
 
@@ -194,24 +196,24 @@ def in_most_pairs(claim: str, paper: str, rule: str, pairs: Sample, least_share:
     return _claim(claim, paper, rule, _count(pairs), interval, verdict)
 
 
-def seen(claim: str, paper: str, rule: str, pairs: Sample, is_wanted: bool, extreme: str) -> Claim:
-    """That some object is such (`is_wanted`), or that none is.
+def in_some_pairs(claim: str, paper: str, rule: str, pairs: Sample, is_wanted: bool, extreme: str) -> Claim:
+    """That some objects are such (`is_wanted`), or that none are: in more, or in fewer, than a tenth of the pairs.
 
-    One object shows that there are such; that there are none is believed after six independent pairs without one.
+    One stray object is not enough for either, and none in a few pairs may be luck: the interval of the share of pairs
+    with such an object lies above a tenth, or below it; else the claim is not decided.
 
     Parameters
     ----------
     pairs : bool, one value an independent pair: whether any of its objects is such
-    extreme : the value that is nearest to it, in words
+    extreme : the most extreme value of an object, in words
     """
     interval = share_of_pairs(pairs)
     verdict = UNDECIDED
-    if np.any(pairs.values):
-        verdict = HOLDS if is_wanted else FAILS
-    elif interval.n_pairs >= LEAST_PAIRS:
-        verdict = FAILS if is_wanted else HOLDS
-    elif interval.n_pairs:
-        interval = replace(interval, why=f"{interval.n_pairs} of {LEAST_PAIRS} pairs that are wanted")
+    if interval.low is not None and interval.high is not None:
+        if interval.low > SOME_PAIRS:
+            verdict = HOLDS if is_wanted else FAILS
+        elif interval.high < SOME_PAIRS:
+            verdict = FAILS if is_wanted else HOLDS
     return _claim(claim, paper, rule, f"{extreme}; in {_count(pairs)}", interval, verdict)
 
 

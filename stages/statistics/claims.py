@@ -20,16 +20,17 @@ from ...schemas.paper import MEDIAN_UNMATCHED_RANGE_M, N_MATCHED, N_PAIRS
 from ...schemas.results import Claim
 from ..arrays import BoolArray, FloatArray, IntArray
 from .claim_rules import (
+    SOME_PAIRS,
     WEAK_CORRELATION,
     Interval,
     Sample,
     above_zero,
     complementary,
     in_most_pairs,
+    in_some_pairs,
     near,
     order,
     over_pairs,
-    seen,
     share_order,
 )
 from .comparison import blocks_of
@@ -177,18 +178,18 @@ def _spreads(data: _Dataset) -> Iterator[Claim]:
         ("below a quarter", "< 1/4", ratio < SPARSE_RATIO, np.min),
         ("above four", "> 4", ratio > DENSE_RATIO, np.max),
     ):
-        yield seen(
+        yield in_some_pairs(
             f"n_sim / n_real goes {words}",
             paper,
-            f"some object has a ratio {words}",
+            f"in over {SOME_PAIRS:.0%} of the pairs an object has a ratio {words}",
             data.any_in_pair(is_so),
             is_wanted=True,
             extreme=_extreme(extreme, data.matches(ratio), "{:.2f}"),
         )
-    yield seen(
+    yield in_some_pairs(
         "CDC takes no value below 0.4",
         "0.40",
-        "no object has a CDC below 0.4",
+        f"in under {SOME_PAIRS:.0%} of the pairs an object has a CDC below {LEAST_CDC}",
         data.any_in_pair(matched.cdc < LEAST_CDC),
         is_wanted=False,
         extreme=_extreme(np.min, data.matches(matched.cdc), "{:.3f}"),

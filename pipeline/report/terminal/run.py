@@ -73,11 +73,13 @@ def claims_view(findings: Findings | None) -> RenderableType:
         (i, one.claim, one.paper, one.here, *_interval_cells(one), Text(one.verdict, style=_COLOURS[one.verdict]))
         for i, one in enumerate(claims, 1)
     ]
-    headings = ("", "claim", "paper", "here", "95 % interval", "pairs", "verdict")
+    headings = ("", "claim", "paper", "here", "estimate and\n95 % interval", "pairs", "verdict")
     table = plain_table("The paper's claims", headings, rows, words=range(7))
+    table.columns[1].min_width = 14
+    table.columns[4].no_wrap = True
     lines = [
-        "The interval is of what the rule names, over independent pairs: how far it would move if others were recorded.",
-        "A claim is not decided where the interval leaves both open; by chance alone under one in twenty holds.",
+        "Estimate and interval are of what the rule names, over independent pairs: how far it would move if others had",
+        "been recorded. Where that leaves both open a claim is not decided; by chance under one in twenty holds.",
         *_on_independence(findings),
         *(f"{i:>3}  not decided: {one.why}" for i, one in enumerate(claims, 1) if one.why),
     ]
@@ -89,7 +91,8 @@ def _interval_cells(claim: Claim) -> tuple[str, int]:
     if claim.low is None or claim.high is None:
         return "-", claim.n_pairs
     digits = 3 if max(abs(claim.low), abs(claim.high)) < 10 else 1
-    return f"{number(claim.low, digits)} to {number(claim.high, digits)}", claim.n_pairs
+    cells = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
+    return "{}\n{} to {}".format(*cells), claim.n_pairs
 
 
 def _on_independence(findings: Findings | None) -> list[str]:
