@@ -77,11 +77,15 @@ def claims_view(findings: Findings | None) -> RenderableType:
     table = plain_table("The paper's claims", headings, rows, words=range(7))
     table.columns[1].min_width = 14
     table.columns[4].no_wrap = True
+    undecided: dict[str, list[str]] = {}
+    for i, one in enumerate(claims, 1):
+        if one.why:
+            undecided.setdefault(one.why, []).append(str(i))
     lines = [
         "Estimate and interval are of what the rule names, over independent pairs: how far it would move if others had",
         "been recorded. Where that leaves both open a claim is not decided; by chance under one in twenty holds.",
         *_on_independence(findings),
-        *(f"{i:>3}  not decided: {one.why}" for i, one in enumerate(claims, 1) if one.why),
+        *(f"not decided: {', '.join(numbers)}: {why}" for why, numbers in undecided.items()),
     ]
     rules = (Text(f"{i:>3}  {one.rule}") for i, one in enumerate(claims, 1))
     return Group(table, *map(Text, lines), Text("By which rule:"), *rules)
