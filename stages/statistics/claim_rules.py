@@ -35,8 +35,9 @@ HOLDS = "holds"
 FAILS = "does not hold"
 UNDECIDED = "not decided"
 
-#: More pairs than this are left out in so many groups, not one by one.
-MOST_GROUPS = 50
+#: More pairs than this are left out in so many groups, not one by one. Single pairs of many would hardly move a median,
+#: and its interval would be too narrow (Shao and Wu, A general theory for jackknife variance estimation, 1989).
+MOST_GROUPS = 25
 #: "Some" and "none": in more, or fewer, than this share of the pairs.
 SOME_PAIRS = 0.1
 #: |Spearman's rho| below this is a weak rank correlation (Evans, Straightforward Statistics, 1996).
@@ -72,7 +73,7 @@ def over_pairs(statistic: Statistic, *samples: Sample) -> Interval:
     """A number made from some samples, and how far it would move if other pairs had been recorded.
 
     Each pair is left out in turn (the jackknife: Tukey, Bias and confidence in not quite large samples, Ann. Math.
-    Stat. 1958; with whole pairs left out, and many pairs in 50 groups: Kott, The delete-a-group jackknife, J. Off.
+    Stat. 1958; with whole pairs left out, and many pairs in 25 groups: Kott, The delete-a-group jackknife, J. Off.
     Stat. 2001). With T the number, T_g what it is without pair g, and G pairs, the pair's own share in it is
 
         v_g = T + (G - 1) (mean of all T_g - T_g)
