@@ -91,7 +91,7 @@ def over_pairs(statistic: Statistic, *samples: Sample) -> Interval:
     >>> six = Sample(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), np.arange(6, dtype=np.int32))
     >>> found = over_pairs(np.mean, six)
     >>> found.value, round(found.low, 2), round(found.high, 2), found.n_pairs
-    (3.5, 0.78, 6.22, 6)
+    (3.5, 0.77, 6.23, 6)
     """
     inside = _in_shared_pairs(samples)
     n_pairs = len(np.unique(inside[0].pair))
@@ -104,6 +104,8 @@ def over_pairs(statistic: Statistic, *samples: Sample) -> Interval:
     if n_pairs < LEAST_PAIRS:
         return replace(found, why=f"{n_pairs} of {LEAST_PAIRS} pairs that are wanted")
     shares = value_by_pair(statistic, inside)
+    if not np.isfinite(shares).all():
+        return replace(found, why="too few values")
     if np.ptp(shares) <= ALIKE * np.abs(shares).max():
         return replace(found, why="all pairs alike, so that nothing says what chance is")
     _, low, high = mean_test(shares)
