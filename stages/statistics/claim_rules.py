@@ -287,7 +287,8 @@ def _in_shared_pairs(samples: tuple[Sample, ...]) -> list[Sample]:
 
 def _both(statistic: Statistic, larger: Sample, smaller: Sample, pattern: str) -> str:
     inside = _in_shared_pairs((larger, smaller))
-    return pattern.format(*(statistic(sample.values) for sample in inside)) if len(inside[0].values) else "-"
+    values = [float(statistic(sample.values)) for sample in inside if len(sample.values)]
+    return pattern.format(*values) if values and all(map(math.isfinite, values)) else "-"
 
 
 def _count(pairs: Sample) -> str:

@@ -216,7 +216,7 @@ def _spreads(data: _Dataset) -> Iterator[Claim]:
         (
             "r_lambda varies more than CDC relative to its mean",
             "std / mean over objects, r_lambda less CDC, above 0",
-            lambda values: _std(values) / np.mean(values),
+            _variation,
             of_r_lambda,
             of_cdc,
         ),
@@ -330,6 +330,12 @@ def _extreme(which: Callable[[FloatArray], Any], sample: Sample, pattern: str) -
 def _std(values: FloatArray) -> float:
     """Standard deviation (n - 1); NaN of fewer than two values."""
     return float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
+
+
+def _variation(values: FloatArray) -> float:
+    """Standard deviation over mean; NaN where the mean is 0."""
+    mean = float(np.mean(values))
+    return _std(values) / mean if mean else np.nan
 
 
 def _median(values: FloatArray) -> float:

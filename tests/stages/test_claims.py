@@ -142,6 +142,16 @@ def test_a_dataset_without_objects_decides_nothing():
     assert {claim.verdict for claim in check_claims(*nothing, ["a"], ["a"], [None])} == {UNDECIDED}
 
 
+def test_sides_that_are_identical_have_no_variation_and_raise_no_error(as_the_paper):
+    real, sim, matched, *names = as_the_paper
+    zeros = np.zeros(len(matched.pair))
+    found = {one.claim: one for one in check_claims(real, sim, replace(matched, cdc=zeros, r_lambda=zeros), *names)}
+    claim = found["r_lambda varies more than CDC relative to its mean"]
+    assert (claim.verdict, claim.here, claim.why) == (UNDECIDED, "-", "too few values")
+    assert found["CDC takes no value below 0.4"].verdict == FAILS
+    assert found["CDC and r_lambda are complementary, not redundant"].verdict == UNDECIDED
+
+
 def _one_pair():
     return false_alarms.noise(np.random.default_rng(0), 1)[:3]
 
