@@ -9,9 +9,9 @@ its flaws. So the question is always: how far would this number move if other pa
 - how often (in most pairs): the same of the share of pairs, by the binomial distribution;
 - whether at all (a value below 0.4): the same, against one pair in ten: one stray object shows nothing.
 
-Fewer than six independent pairs decide no order and no value. The bounds on the paper's values, on "consistently" and on
-a weak correlation were written before any of our results was seen. The intervals, the tenth of the pairs and the groups of
-`over_pairs` came later, chosen by the rates on random data: `benchmarks/false_alarms.py`, and the table in
+Fewer than six independent pairs decide no order and no value. The bounds on the paper's values, on "consistently" and
+on a weak correlation were written before any of our results was seen. The intervals, the tenth of the pairs and the
+groups of `over_pairs` came later, chosen by the rates on random data: `benchmarks/false_alarms.py`, and the table in
 `docs/faults.md`. They make it harder to hold, but for "no value below 0.4", which a stray object no longer denies.
 """
 
