@@ -41,7 +41,6 @@ from .storage.record import (
     read_run,
     run_header,
     run_record,
-    summarise_pairs,
     timing_rows,
     what_changed,
     write_record,
@@ -262,14 +261,13 @@ class _Run:
         }
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
         rows = pairs.select(["pair_id", *SUMMARISED]).to_pylist()
-        scored = [row for row in rows if row["status"] == "scored"]
         times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
-        scored_ids = [row["pair_id"] for row in scored]
+        scored_ids = [row["pair_id"] for row in rows if row["status"] == "scored"]
         findings = run_findings(
             self._folder,
             scored_ids,
             times,
-            summarise_pairs(scored),
+            hashes,
             key,
             self._findings_before,
             by_reference=preset_of(self._request.settings) == "reference",

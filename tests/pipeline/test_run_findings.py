@@ -1,6 +1,7 @@
 """What a run says of all its pairs together, against the tables that it wrote."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -104,3 +105,19 @@ def test_a_run_shows_findings_and_the_claims(finished):
     claims = command("show", folder, "--paper")
     assert claims.returncode == 0
     assert "0.37 ± 0.03" in claims.stdout
+    assert "3 of 6 pairs that are wanted" in claims.stdout
+    for claim in recorded(folder)["findings"]["claims"]:
+        if "above 0" in claim["rule"]:
+            assert claim["verdict"] == "not decided"
+            assert claim["n_pairs"] <= 3
+
+
+def test_copies_of_a_pair_count_once_in_the_claims(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    once = run(data, tmp_path / "once")
+    for side in ("real", "sim"):
+        for name in ("copy", "another"):
+            shutil.copy(data / side / "000.bin", data / side / f"{name}.bin")
+    copied = run(data, tmp_path / "copied")
+    assert copied.record.claims == once.record.claims
+    assert "3 pairs count as 1" in command("show", tmp_path / "copied", "--paper").stdout

@@ -32,7 +32,8 @@ from ....schemas.results import (
     Unmatched,
 )
 from ....schemas.settings import Settings, departures, parse, preset_of
-from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
+from ....stages.statistics.claim_rules import FAILS, HOLDS, UNDECIDED
+from ....stages.statistics.comparison import BLOCK_S
 from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...run import RunOutcome
@@ -45,7 +46,7 @@ _MOST_CLASSES = 8
 _BOXES = ("cdc", "r_lambda")
 #: The scores whose spread over seeds is shown of each pair; all headline scores would not fit.
 _SEED_SCORES = HEADLINE_SCORES[:4]
-_COLOURS = {HOLDS: "green", FAILS: "red", UNKNOWN: "yellow"}
+_COLOURS = {HOLDS: "green", FAILS: "red", UNDECIDED: "yellow"}
 
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
@@ -70,7 +71,7 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
         parts += [_coverage_table(record), *(Text(line) for line in unmatched_lines(record)), Text()]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
-        verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
+        verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNDECIDED]} are not decided"
         parts.append(Text(f"the paper's claims: {verdicts}; see: fidpipe show {folder} --paper"))
     if record.baselines:
         parts.append(baselines_view(record.baselines))
@@ -85,15 +86,49 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
     return Group(*parts)
 
 
-def claims_view(claims: Sequence[Claim]) -> RenderableType:
-    """The paper's claims, one per line, then the rule by which each is judged."""
+def claims_view(findings: Findings | None) -> RenderableType:
+    """The paper's claims, one per line with the 95 % interval, then the rule by which each is judged."""
+    claims = findings.claims if findings else ()
     rows = [
-        (i, claim.claim, claim.paper, claim.here, Text(claim.verdict, style=_COLOURS.get(claim.verdict, "")))
-        for i, claim in enumerate(claims, 1)
+        (i, one.claim, one.paper, one.here, *_interval_cells(one), Text(one.verdict, style=_COLOURS[one.verdict]))
+        for i, one in enumerate(claims, 1)
     ]
-    table = plain_table("The paper's claims", ("", "claim", "paper", "here", "verdict"), rows, words=range(5))
-    rules = (Text(f"{i:>3}  {claim.rule}") for i, claim in enumerate(claims, 1))
-    return Group(table, Text("By which rule:"), *rules)
+    headings = ("", "claim", "paper", "here", "estimate and\n95 % interval", "pairs", "verdict")
+    table = plain_table("The paper's claims", headings, rows, words=range(7))
+    table.columns[1].min_width = 14
+    table.columns[4].no_wrap = True
+    undecided: dict[str, list[str]] = {}
+    for i, one in enumerate(claims, 1):
+        if one.why:
+            undecided.setdefault(one.why, []).append(str(i))
+    lines = [
+        "Estimate and interval are of what the rule names, over independent pairs: how far it would move if others had",
+        "been recorded. Where that leaves both open a claim is not decided; by chance under one in twenty holds.",
+        *_on_independence(findings),
+        *(f"not decided: {', '.join(numbers)}: {why}" for why, numbers in undecided.items()),
+    ]
+    rules = (Text(f"{i:>3}  {one.rule}") for i, one in enumerate(claims, 1))
+    return Group(table, *map(Text, lines), Text("By which rule:"), *rules)
+
+
+def _interval_cells(claim: Claim) -> tuple[str, int]:
+    if claim.low is None or claim.high is None:
+        return "-", claim.n_pairs
+    digits = 3 if max(abs(claim.low), abs(claim.high)) < 10 else 1
+    cells = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
+    return "{}\n{} to {}".format(*cells), claim.n_pairs
+
+
+def _on_independence(findings: Findings | None) -> list[str]:
+    """Which pairs count as one, or that this is not known."""
+    if findings is None or not findings.claims:
+        return []
+    n_pairs, n_independent = findings.n_pairs, max(claim.n_pairs for claim in findings.claims)
+    if n_independent < n_pairs:
+        return [f"{n_pairs} pairs count as {n_independent}: copies, and scans within {BLOCK_S:g} s, count once"]
+    if n_pairs > 1 and all(scan.timestamp_s is None for scan in findings.scans.scans):
+        return ["no timestamps: each pair counts as independent, which neighbouring frames of a drive are not"]
+    return []
 
 
 def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
