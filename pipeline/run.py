@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError, RunError
 from ..schemas.results import Findings, RunHeader, RunRecord
-from ..schemas.settings import Settings, to_toml
+from ..schemas.settings import Settings, preset_of, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset
@@ -265,7 +265,15 @@ class _Run:
         scored = [row for row in rows if row["status"] == "scored"]
         times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
         scored_ids = [row["pair_id"] for row in scored]
-        findings = run_findings(self._folder, scored_ids, times, summarise_pairs(scored), key, self._findings_before)
+        findings = run_findings(
+            self._folder,
+            scored_ids,
+            times,
+            summarise_pairs(scored),
+            key,
+            self._findings_before,
+            by_reference=preset_of(self._request.settings) == "reference",
+        )
         extras = {
             stage.name: stage.summarise(list(self._records(pair_ids, [stage.name])), self._request.settings)
             for stage in self._stages

@@ -364,6 +364,28 @@ class RunHeader(Result):
     machine: Machine
 
 
+class SurfaceStates(Result):
+    """Unmatched objects of all pairs, by whether their surface is on the other side: see `stages.coverage`.
+
+    there : it is, and only divided differently
+    """
+
+    there: int
+    partly: int
+    absent: int
+
+
+#: The names of the states.
+SURFACE_STATES = tuple(SurfaceStates.model_fields)
+
+
+class UnmatchedSurface(Result):
+    """What is behind the objects that only one side has."""
+
+    missing: SurfaceStates
+    hallucinated: SurfaceStates
+
+
 class RunRecord(RunHeader):
     """What `run.json` holds at the end of a run.
 
@@ -373,6 +395,7 @@ class RunRecord(RunHeader):
     findings : None ({} in JSON) where no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
+    coverage : of the unmatched objects, whose surface is on the other side
     baselines, seeds : only where they were asked for
     """
 
@@ -390,6 +413,7 @@ class RunRecord(RunHeader):
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
     frames: dict[str, FrameSuspect] | None = None
+    coverage: UnmatchedSurface | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
 

@@ -25,7 +25,15 @@ from .columns import (
     score_column,
 )
 from .experiment_tables import EXPERIMENT_TABLES
-from .metrics import METRIC, OBJECT_METRICS, OBJECT_SCORES, PAIR_SCORES
+from .metrics import (
+    COVERAGE_REACHES,
+    COVERAGE_SCORES,
+    METRIC,
+    OBJECT_METRICS,
+    OBJECT_SCORES,
+    PAIR_SCORES,
+    SURFACE_SCORES,
+)
 
 GROUND = Table(
     "ground",
@@ -145,6 +153,42 @@ METRICS = Table(
     ("real_id", "sim_id"),
 )
 
+COVERAGE = Table(
+    "coverage",
+    pa.schema(
+        [
+            PAIR,
+            column("side", STRING, "real or sim"),
+            column("community_id", INT32, "object of this side; null for the whole side", optional=True),
+            column("n_points", INT32, "its object points"),
+            *(
+                column(
+                    f"covered_{reach}",
+                    FLOAT64,
+                    f"share of them with an object point of the other side at most {reach.replace('p', '.')} away",
+                    optional=True,
+                )
+                for reach in COVERAGE_REACHES
+            ),
+            column("median_distance_m", FLOAT64, "of their distances to the other side", "m", optional=True),
+        ]
+    ),
+    ("side", "community_id"),
+)
+
+SURFACE = Table(
+    "surface",
+    pa.schema(
+        [
+            PAIR,
+            column("real_id", INT32, "object of the real side; null for the whole side", optional=True),
+            column("n_points", INT32, "sampled real points on planes that the simulated side covers"),
+            column("n_directions", INT32, "in how many directions, 0 to 3, their normals tell a displacement"),
+            *(score_column(METRIC[name]) for name in ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")),
+        ]
+    ),
+    ("real_id",),
+)
 
 BASELINES = Table(
     "baselines",
@@ -221,6 +265,7 @@ def _pairs_schema() -> pa.Schema:
             number(f"{metric}_mean", f"mean of {metric} over the objects"),
             number(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
         ]
+    fields += [score_column(metric) for metric in (*COVERAGE_SCORES, *SURFACE_SCORES)]
     return pa.schema(fields)
 
 
@@ -232,7 +277,11 @@ TIMINGS = Table(
         [
             PAIR.with_type(STRING),
             column("side", STRING, "real, sim, or null for a step of the pair", optional=True),
-            column("stage", STRING, "ground, graph, communities, matching, selection, metrics, baselines or seeds"),
+            column(
+                "stage",
+                STRING,
+                "ground, graph, communities, matching, coverage, surface, selection, metrics, baselines or seeds",
+            ),
             column("step", STRING, "read, write, or a step of the method"),
             column("seconds", FLOAT64, "wall time of the step", "s"),
             column("reused", BOOL, "the result was reused: the seconds are of the run that made it"),
@@ -245,7 +294,8 @@ TIMINGS = Table(
 TABLES = {
     table.name: table
     for table in (
-        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, SELECTION, METRICS, BASELINES, SEEDS, PAIRS, TIMINGS),
+        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, SELECTION, METRICS),
+        *(BASELINES, SEEDS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )
 }

@@ -227,3 +227,25 @@ def area_between(real, sim):
         abs(np.mean([x <= low for x in real]) - np.mean([x <= low for x in sim])) * (high - low)
         for low, high in itertools.pairwise(steps)
     )
+
+
+def assigned(real, real_labels, sim, reach_m, min_points, groups_of):
+    """Object of each simulated point; `groups_of(indices)` partitions those that no real point reaches."""
+    labels, outside = [], []
+    for i, p in enumerate(sim):
+        distances = [math.dist(p, q) for q in real]
+        nearest = min(range(len(real)), key=lambda j: (distances[j], j))
+        labels.append(int(real_labels[nearest]))
+        if distances[nearest] > reach_m:
+            outside.append(i)
+    groups = groups_of(outside)
+    large = [g for g in sorted(set(groups)) if groups.count(g) >= min_points]
+    for i, group in zip(outside, groups, strict=True):
+        if group in large:
+            labels[i] = max(real_labels) + 1 + large.index(group)
+    return labels
+
+
+def covered(points, others, reach_m):
+    """Share of the points with another one within reach."""
+    return sum(min(math.dist(p, q) for q in others) <= reach_m for p in points) / len(points)

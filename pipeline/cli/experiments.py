@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Assignments, DatasetFolder, Scheduler, SettingsFile, Workers, check_machines
+from .options import Assignments, DatasetFolder, Preset, Scheduler, SettingsFile, Workers, check_machines
 from .output import print_outcome
 
 
@@ -44,6 +44,7 @@ def perturb(
         int, typer.Option("--global-repeats", min=0, help="The same for the whole scan; 0 leaves it out.")
     ] = 5,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other random numbers.")] = 0,
+    preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
@@ -83,7 +84,7 @@ def perturb(
     request = PerturbRequest(
         source=source,
         out=out or _experiment_folder(source, "perturb"),
-        settings=load(settings, [*(assignments or []), *baselines]),
+        settings=load(settings, [*(assignments or []), *baselines], preset=preset),
         levels=tuple(dict.fromkeys((NULL, *parse_levels(sweep)))) if sweep else LEVELS,
         repeats=repeats,
         global_repeats=global_repeats,
@@ -113,6 +114,7 @@ def ablate(
         str | None, typer.Option("--t", metavar="0.5,1,2", help="Of selection.t. Default: 0.1,0.5,1,2,5.")
     ] = None,
     grid: Annotated[bool, typer.Option("--grid", help="All combinations instead of one setting at a time.")] = False,
+    preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
@@ -147,7 +149,7 @@ def ablate(
     request = AblateRequest(
         source=dataset,
         out=out or _experiment_folder(dataset, "ablate"),
-        settings=load(settings, assignments or []),
+        settings=load(settings, assignments or [], preset=preset),
         values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
         grid=grid,
         pattern=pairs,

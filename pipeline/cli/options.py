@@ -14,6 +14,15 @@ Assignments = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="GROUP.NAME=VALUE", help="One setting, such as graph.k=60; repeatable."),
 ]
+Preset = Annotated[
+    str,
+    typer.Option(
+        "--preset",
+        metavar="paper|reference",
+        help="Settings that belong together: paper divides each side by itself; reference fixes the objects on the "
+        "real side, for comparing simulators.",
+    ),
+]
 DatasetFolder = Annotated[
     Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
 ]

@@ -11,6 +11,7 @@ from .options import (
     EXIT_WRONG_INPUT,
     Assignments,
     DatasetFolder,
+    Preset,
     RunFolder,
     Scheduler,
     SettingsFile,
@@ -22,6 +23,7 @@ from .output import print_outcome, print_view
 
 def check(
     dataset: DatasetFolder,
+    preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
 ) -> None:
@@ -35,7 +37,7 @@ def check(
     from ..datasets.scan_checks import check_dataset
     from ..report.terminal.status import check_view
 
-    dataset_check = check_dataset(dataset, load(settings, assignments or []))
+    dataset_check = check_dataset(dataset, load(settings, assignments or [], preset=preset))
     print_view(check_view(dataset_check))
     raise typer.Exit(EXIT_WRONG_INPUT if dataset_check.faults else 0)
 
@@ -45,6 +47,7 @@ def run(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder of the run.", show_default="runs/NAME_OF_DATASET")
     ] = None,
+    preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
@@ -81,6 +84,8 @@ def run(
 
     fidpipe run dataset/ --from metrics --pairs '0001*' --workers 8
 
+    fidpipe run dataset/ --preset reference --out runs/dataset-reference    for comparing simulators
+
     fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
     """
     from ...schemas.settings import load
@@ -89,7 +94,7 @@ def run(
 
     check_machines(workers, scheduler)
     repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
-    in_force = load(settings, [*(assignments or []), *repeats])
+    in_force = load(settings, [*(assignments or []), *repeats], preset=preset)
     out = out or Path("runs") / (dataset.resolve().name or "dataset")
     if scheduler is None and (workers or cpu_count()) > 1 and dataset.is_dir() and not out.exists():
         prefork.start(["fidpipe.pipeline.jobs"])  # a new run: workers will be wanted when all else is imported

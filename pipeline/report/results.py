@@ -97,7 +97,7 @@ def read_results(folder: Path) -> RunResults:
     for name in names:
         run.check_tables(name)
     objects = _with_class(_read(run, "objects", names, SIDES), names)
-    matched, unmatched = _matched_and_not(_read(run, "metrics", names), objects)
+    matched, unmatched = _matched_and_not(_read(run, "metrics", names), _read(run, "matching", names), objects)
     return RunResults(
         run=run,
         pairs=pairs,
@@ -201,7 +201,7 @@ def _read(run: FinishedRun, table: str, names: Iterable[str], sides: Iterable[st
 
 def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     """Objects with bearing (degrees, 0 ahead, 90 left), the class that the report goes by, their pair and name."""
-    shape = np.array(SHAPES)[objects[_SHAPE_COLUMNS].to_numpy().argmax(axis=1)]
+    shape = np.array(SHAPES)[objects[_SHAPE_COLUMNS].fillna(0.0).to_numpy().argmax(axis=1)]
     return objects.assign(
         bearing_deg=np.degrees(np.arctan2(objects.cy, objects.cx)),
         group=objects.label.fillna("(no label)") if objects.label.notna().any() else shape,
@@ -210,18 +210,23 @@ def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     )
 
 
-def _matched_and_not(metrics: pd.DataFrame, objects: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+def _matched_and_not(
+    metrics: pd.DataFrame, matching: pd.DataFrame, objects: pd.DataFrame
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Scores with what is known of the real objects, worst first; the objects without a partner, largest first."""
     real = objects[objects.side == "real"].rename(columns={"community_id": "real_id"}).drop(columns="n_points")
     matched = metrics.merge(real, on=["pair_id", "real_id"], validate="1:1")
     matched["quadrant"] = quadrant_of(matched.cdc.to_numpy(), matched.r_lambda.to_numpy(dtype=float))
-    alone = []
-    for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True):
-        own = objects[objects.side == side]
-        partnered = pd.MultiIndex.from_frame(metrics[["pair_id", f"{side}_id"]])
-        is_alone = ~pd.MultiIndex.from_frame(own[["pair_id", "community_id"]]).isin(partnered)
-        alone.append(own[is_alone].assign(status=status))
-    unmatched = pd.concat(alone).sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
+    alone = [
+        objects[objects.side == side].merge(
+            matching.loc[matching.status == status, ["pair_id", f"{side}_id", "status"]],
+            left_on=["pair_id", "community_id"],
+            right_on=["pair_id", f"{side}_id"],
+        )
+        for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True)
+    ]
+    unmatched = pd.concat(alone).drop(columns=[f"{side}_id" for side in SIDES])
+    unmatched = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
     return _worst_first(matched, ("cdc", "r_lambda")), unmatched
 
 

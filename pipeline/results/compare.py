@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...schemas.errors import DatasetError, RunError
-from ...schemas.metrics import METRIC, metric_of
+from ...schemas.metrics import METRIC, SEEDED_SCORES, metric_of
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import (
@@ -33,7 +33,7 @@ from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..jobs import STAGES
 from ..storage.tables import table_name
-from .finished import FinishedRun, PairObjects
+from .finished import FinishedRun, PairObjects, partition_note
 
 #: What is compared: columns of `pairs`.
 SCORES = (
@@ -45,6 +45,8 @@ SCORES = (
     "r_gap_mean",
     "centroid_distance_m_mean",
     "alignment_rms_m_mean",
+    "covered_real_0p3m",
+    "covered_sim_0p3m",
 )
 #: Columns of `metrics` that are also compared over those objects alone that both runs have matched.
 SHARED_SCORES = ("cdc", "r_lambda")
@@ -123,6 +125,7 @@ class Comparison:
     notes : what else differs
     n_blocks : independent pairs: copies of a scan, and scans within 10 s, count once
     has_times : whether the dataset says when its scans were taken
+    on_partition : what chance does to scores of the paper's partition; "" of reference objects
     """
 
     base: Path
@@ -136,6 +139,7 @@ class Comparison:
     objects: tuple[ObjectChange, ...]
     n_blocks: int
     has_times: bool
+    on_partition: str
 
     @property
     def kinds(self) -> dict[str, int]:
@@ -198,6 +202,7 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
         objects=tuple(change for own in changes.values() for change in own),
         n_blocks=len(np.unique(blocks)),
         has_times=bool(times_s),
+        on_partition=partition_note((base, other)),
     )
 
 
@@ -337,6 +342,8 @@ def _change(
 
 def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
     """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
+    if column not in SEEDED_SCORES:
+        return None
     records = [run.store.ledger.job_of_file(table_name("seeds", name)) for name in names]
     repeats = [record.facts["scores"][column] for record in records if record is not None]
     n_seeds = {len(scores) for scores in repeats}

@@ -34,6 +34,8 @@ def run_findings(
     summary: Mapping[str, ScoreSummary],
     tables_key: str,
     before: Findings | None,
+    *,
+    by_reference: bool = False,
 ) -> Findings | None:
     """What the scored pairs say together, None where there are none.
 
@@ -47,6 +49,7 @@ def run_findings(
     summary : mean and std over pairs by score
     tables_key : hash of all that the tables were made of
     before : the findings of the last record
+    by_reference : whether the real side fixed the objects
     """
     if not pair_ids:
         return None
@@ -54,12 +57,17 @@ def run_findings(
     key = key_of(_VERSION, tables_key, pair_ids, times)
     if before is not None and before.key == key:
         return before
-    findings = summarise_objects(*read_objects(folder, pair_ids), pair_ids, times)
+    findings = summarise_objects(*read_objects(folder, pair_ids, by_reference=by_reference), pair_ids, times)
     return Findings(key=key, **vars(findings), claims=tuple(check_claims(summary, findings)))
 
 
-def read_objects(folder: TableFolder, pair_ids: list[str]) -> tuple[SideObjects, SideObjects, MatchedObjects]:
-    """All objects of either side, and the matched ones, of the pairs; indices of pairs are places in `pair_ids`."""
+def read_objects(
+    folder: TableFolder, pair_ids: list[str], *, by_reference: bool = False
+) -> tuple[SideObjects, SideObjects, MatchedObjects]:
+    """All objects of either side, and the matched ones, of the pairs; indices of pairs are places in `pair_ids`.
+
+    Where the real side fixed the objects, what little is simulated of a missing object is no simulated object.
+    """
     paths = [folder.path("metrics", pair_id) for pair_id in pair_ids]
     metrics, pair = _read(paths, ["real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap"])
     sides, matched_rows = [], []
@@ -75,6 +83,11 @@ def read_objects(folder: TableFolder, pair_ids: list[str]) -> tuple[SideObjects,
         sides.append(SideObjects(pair_of_object, objects["range_m"], label, is_matched))
         matched_rows.append(rows)
     real, sim = sides
+    if by_reference:
+        n_real, n_sim = (np.bincount(side.pair, minlength=len(pair_ids)) for side in sides)
+        ids = np.arange(len(sim.pair)) - np.repeat(np.cumsum(n_sim) - n_sim, n_sim)
+        own = sim.is_matched | (ids >= n_real[sim.pair])
+        sim = SideObjects(sim.pair[own], sim.range_m[own], sim.label[own], sim.is_matched[own])
     scores = {name: metrics[name] for name in ("n_real", "n_sim", "cdc", "r_lambda", "r_gap")}
     return real, sim, MatchedObjects(pair, real.range_m[matched_rows[0]], real.label[matched_rows[0]], **scores)
 

@@ -6,7 +6,9 @@ tells of a run, a pair or an object stands below: the same values for the termin
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,10 +18,15 @@ import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
+from ...schemas.metrics import metric_of
 from ...schemas.results import JsonObject, RunRecord
+from ...schemas.settings import parse, preset_of
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, read_run
 from ..storage.tables import table_name
+
+#: The scores of which it is said what another partition does to them.
+_BY_CHANCE = ("match_rate", "cdc_mean", "r_lambda_mean")
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,11 @@ class FinishedRun:
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     @property
+    def preset(self) -> str:
+        """The preset whose objects the run has; see `schemas.settings.PRESETS`."""
+        return preset_of(parse(self.record.settings))
+
+    @property
     def scored(self) -> list[Row]:
         """The rows of the scored pairs, by name."""
         return [row for row in self.rows if row["status"] == "scored"]
@@ -97,10 +109,9 @@ class FinishedRun:
             raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
         sides = {side: self.side_objects(pair_id, side) for side in SIDES}
         matched = self.read_table("metrics", pair_id).to_pylist()
-        missing, hallucinated = (
-            sorted({own["community_id"] for own in sides[side]} - {scores[f"{side}_id"] for scores in matched})
-            for side in SIDES
-        )
+        matching = self.read_table("matching", pair_id).to_pylist()
+        missing = [own["real_id"] for own in matching if own["status"] == "missing"]
+        hallucinated = [own["sim_id"] for own in matching if own["status"] == "hallucinated"]
         return PairObjects(row, sides, matched, missing, hallucinated)
 
     def side_objects(self, pair_id: str, side: str) -> list[Row]:
@@ -141,6 +152,29 @@ class FinishedRun:
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "
                 f"{command_again(self.folder, self.record.dataset)}"
             )
+
+
+def partition_note(runs: Sequence[FinishedRun]) -> str:
+    """What chance does to scores of the paper's partition, in one line; "" where the real side fixes the objects."""
+    if all(run.preset == "reference" for run in runs):
+        return ""
+    if all(run.record.seeds for run in runs):
+        moved = ", ".join(
+            f"{metric_of(name).label} by {max(_repeatability(run, name) for run in runs):.3g}" for name in _BY_CHANCE
+        )
+        chance = f"another Louvain seed alone moves {moved} (95 %)"
+    else:
+        chance = "how much of a difference that makes by chance is not known here (fidpipe run --seeds 5 tells)"
+    return (
+        f"objects are those of the paper's partition, each side divided by itself: {chance}; "
+        "for comparing simulators: fidpipe run --preset reference"
+    )
+
+
+def _repeatability(run: FinishedRun, name: str) -> float:
+    """By how much two means over the pairs differ at most (95 %) through Louvain seeds; infinite where unknown."""
+    spread = run.record.seeds.dataset[name] if run.record.seeds else None
+    return math.inf if spread is None or spread.least_dataset is None else spread.least_dataset
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
-from .finished import FinishedRun
+from .finished import FinishedRun, partition_note
 from .measures import Measures
 
 Bound = Literal["max", "min"]
@@ -52,7 +52,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class GateResult:
-    """All criteria of a run, judged; `notes` says what could not be looked at."""
+    """All criteria of a run, judged; `notes` says what could not be looked at, and what else is to be known."""
 
     run: Path
     dataset: str
@@ -99,7 +99,7 @@ def judge_run(folder: Path, criteria: Iterable[Criterion]) -> GateResult:
             "both sides lie in one frame", "pairs.frame_suspect", "max", 0, "fidpipe check says what would mend it"
         ),
     ]
-    notes = []
+    notes = [note] if (note := partition_note([run])) else []
     if measures.dataset_is_gone:
         notes.append(f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run")
     else:

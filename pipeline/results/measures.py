@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import DatasetError, SettingsError
-from ...schemas.metrics import DISTRIBUTED, METRIC, OBJECT_METRICS
+from ...schemas.metrics import COVERAGE_SCORES, DISTRIBUTED, METRIC, OBJECT_METRICS, SURFACE_SCORES
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
@@ -25,7 +25,9 @@ from .finished import FinishedRun
 _OF_PAIRS = ("mean", "std", "min", "median", "max")
 _OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
 _COUNTS = ("total", "mean", "max", "share")
-_PAIR_SCORES = ("match_rate", *OBJECT_METRICS)
+_PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in SURFACE_SCORES))
+#: `covered.real.0.3m`, by which a gate knows the column `covered_real_0p3m`.
+_COVERAGE = {metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES}
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
 
 _STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
@@ -33,6 +35,7 @@ _STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 #: Every name that can be measured; words in capitals stand for many.
 KNOWN = (
     f"SCORE.{'|'.join(_OF_PAIRS)} over pairs ({', '.join(_PAIR_SCORES)})",
+    f"covered.real|sim.0.1m|0.3m|1m.{'|'.join(_OF_PAIRS)}",
     f"objects.SCORE.{'|'.join(_OF_OBJECTS)} and class.LABEL.SCORE.... over objects ({', '.join(DISTRIBUTED)})",
     f"missing.{'|'.join(_COUNTS)}, hallucinated...., class.LABEL.missing....",
     "missing.within_20m and missing.within_20m.share (any distance)",
@@ -43,7 +46,7 @@ KNOWN = (
 
 #: The names that stand for themselves, to guess what a wrong one means.
 _PLAIN_NAMES = (
-    *(f"{score}.{stat}" for score in _PAIR_SCORES for stat in _OF_PAIRS),
+    *(f"{score}.{stat}" for score in (*_PAIR_SCORES, *_COVERAGE) for stat in _OF_PAIRS),
     *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in _OF_OBJECTS),
     *(f"{what}.{count}" for what in _UNMATCHED for count in (*_COUNTS, "within_20m")),
     *(f"matched.{count}" for count in ("total", "mean", "min")),
@@ -100,7 +103,7 @@ class Measures:
         return False
 
     def _of_pairs(self, score: str, stat: str) -> float:
-        column = METRIC[score].mean_column if score in OBJECT_METRICS else score
+        column = METRIC[score].mean_column if score in OBJECT_METRICS else _COVERAGE.get(score, score)
         values = np.array([row[column] for row in self.run.scored], dtype=np.float64)  # None becomes NaN
         return _statistic(values, stat, "pair", score)
 
@@ -191,7 +194,7 @@ class Measures:
         names = [row["pair_id"] for row in self._scored]
         for name in names:
             self.run.check(name)
-        return read_objects(self.run.store, names)
+        return read_objects(self.run.store, names, by_reference=self.run.preset == "reference")
 
 
 def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
@@ -217,7 +220,10 @@ _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
 _MEASURES: tuple[tuple[re.Pattern[str], Callable[..., float]], ...] = tuple(
     (re.compile(pattern, re.DOTALL), measure)
     for pattern, measure in (
-        (rf"{_either('score', _PAIR_SCORES)}\.{_either('stat', _OF_PAIRS)}", Measures._of_pairs),
+        (
+            rf"{_either('score', (*_PAIR_SCORES, *map(re.escape, _COVERAGE)))}\.{_either('stat', _OF_PAIRS)}",
+            Measures._of_pairs,
+        ),
         (
             rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', _OF_OBJECTS)}",
             Measures._of_objects,

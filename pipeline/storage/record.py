@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ...schemas.columns import Row
-from ...schemas.metrics import DATASET_SCORES, DISTRIBUTED, METRIC
+from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.results import Findings, FrameSuspect, Machine, PairCounts, RunHeader, RunRecord, ScoreSummary, Seconds
 from ...schemas.settings import Settings
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
@@ -23,7 +23,7 @@ from .files import write_whole
 from .tables import JobRecord
 
 #: Columns of `pairs` that the summary of a run is made from.
-SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *DATASET_SCORES)
+SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *RUN_SCORES)
 
 RUN_JSON = "run.json"
 SETTINGS_TOML = "settings.toml"
@@ -148,7 +148,7 @@ def run_record(
 def summarise_pairs(rows: Iterable[Row]) -> dict[str, ScoreSummary]:
     """Mean and standard deviation over the scored pairs of each score; of bounded ones also with unmatched as worst."""
     scored = [row for row in rows if row["status"] == "scored"]
-    scores = {name: [row[name] for row in scored] for name in DATASET_SCORES}
+    scores = {name: [row[name] for row in scored] for name in RUN_SCORES}
     return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
 
 

@@ -6,7 +6,7 @@ from fidpipe.schemas.settings import Settings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
 from fidpipe.stages.statistics.validation import double_validation_metric, paired_t
-from fidpipe.stages.surface import describe_surface, measure_offsets
+from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
 from scenes import box, moved, rigid, street
 
 
@@ -157,6 +157,19 @@ def test_the_roughness_of_a_noisy_plane_is_its_noise(rng):
         for noise in (0.0, 0.02, 0.05, 0.1)
     ]
     assert np.sqrt(squares) == pytest.approx([0, 0.02, 0.05, 0.1], rel=0.05, abs=1e-7)
+
+
+def test_noise_is_a_bias_of_roughness_with_its_sign_and_a_side_without_planes_has_none(rng):
+    floor = np.column_stack([rng.uniform(0, 20, (1500, 2)), np.zeros(1500)])
+    real, sim = (describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))) for noise in (0.02, 0.1))
+    found, back = compare_roughness(real, sim), compare_roughness(sim, real)
+    assert found["roughness_bias_m"] == pytest.approx(0.08, rel=0.05)
+    assert found["roughness_real_m"] == pytest.approx(0.02, rel=0.05)
+    assert (back["roughness_bias_m"], back["roughness_area_m"]) == pytest.approx(
+        (-found["roughness_bias_m"], found["roughness_area_m"])
+    )
+    few = describe_surface(floor[:19])
+    assert set(compare_roughness(real, few).values()) == set(compare_roughness(few, real).values()) == {None}
 
 
 @pytest.mark.slow

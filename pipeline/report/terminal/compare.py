@@ -86,7 +86,7 @@ def remarks(comparison: Comparison) -> list[str]:
 def _on_chance(comparison: Comparison) -> list[str]:
     """What the verdicts stand on: independent pairs, and seeds."""
     n, n_blocks = len(comparison.pairs), comparison.n_blocks
-    lines = []
+    lines = [comparison.on_partition] if comparison.on_partition else []
     if n_blocks < n:
         lines.append(
             f"{n} pairs count as {n_blocks}: copies of a real scan, and scans within {BLOCK_S:g} s, count once"

@@ -12,8 +12,26 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.columns import Row
-from ....schemas.metrics import DISTRIBUTED, HEADLINE_SCORES, METRIC, labels, metric_of, narrow_labels, unit_words
-from ....schemas.results import BaselineSummary, Claim, Findings, RunRecord, SeedSummary, Unmatched
+from ....schemas.metrics import (
+    COVERAGE_REACHES,
+    DISTRIBUTED,
+    HEADLINE_SCORES,
+    METRIC,
+    labels,
+    metric_of,
+    narrow_labels,
+    unit_words,
+)
+from ....schemas.results import (
+    BaselineSummary,
+    Claim,
+    Findings,
+    RunRecord,
+    SeedSummary,
+    SurfaceStates,
+    Unmatched,
+)
+from ....schemas.settings import Settings, departures, parse, preset_of
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
 from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
@@ -36,6 +54,7 @@ def outcome_view(outcome: RunOutcome) -> RenderableType:
     suspects = record.frames or {}
     return Group(
         summary_view(folder, outcome.rows, record),
+        Text(preset_line(parse(record.settings))),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
         Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
         *([Text(f"to look at them: fidpipe report {folder}")] if record.pairs.scored else ()),
@@ -48,6 +67,7 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
     parts: list[RenderableType] = []
     if record.findings:
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
+        parts += [_coverage_table(record), *(Text(line) for line in unmatched_lines(record)), Text()]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
         verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
@@ -145,6 +165,44 @@ def _dataset_table(record: RunRecord) -> Table:
     title = "Dataset (mean and standard deviation over pairs; pairs without a match have no object scores)"
     headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it")
     return plain_table(title, headings, rows, words=(0, 5))
+
+
+def _coverage_table(record: RunRecord) -> Table:
+    """Which share of each side's surface the other side has."""
+    rows = []
+    for side, words in (("real", "real, simulated as well"), ("sim", "simulated, real as well")):
+        scores = (record.summary[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)
+        rows.append((words, *(mean_and_spread(score.mean, score.std) for score in scores)))
+    headings = (
+        "share of points",
+        *(f"within {reach.replace('p', '.').removesuffix('m')} m" for reach in COVERAGE_REACHES),
+    )
+    return plain_table(
+        "Surface (mean and standard deviation over pairs; the rest is missing or invented)", headings, rows
+    )
+
+
+def unmatched_lines(record: RunRecord) -> list[str]:
+    """What is behind the unmatched objects, a line for each side."""
+    if record.coverage is None or not record.pairs.scored:
+        return []
+    lines = []
+    for status, other in (("missing", "simulated"), ("hallucinated", "real")):
+        states: SurfaceStates = getattr(record.coverage, status)
+        there, partly, absent = (count / record.pairs.scored for count in vars(states).values())
+        total = there + partly + absent
+        if total:
+            lines.append(
+                f"of {total:.1f} {status} objects a pair, {there:.1f} are there and only divided differently (over "
+                f"80 % of the points have a {other} one within 0.3 m), {partly:.1f} partly, {absent:.1f} absent"
+            )
+    return lines
+
+
+def preset_line(settings: Settings) -> str:
+    """The preset of a run, and the settings in which it departs from it."""
+    differing = departures(settings)
+    return f"preset {preset_of(settings)}" + (f", but {' '.join(differing)}" if differing else "")
 
 
 def _findings_parts(findings: Findings) -> list[RenderableType]:

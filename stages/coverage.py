@@ -1,0 +1,82 @@
+"""How much of each side's surface the other side has, whatever the objects are: missing and invented surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..schemas.results import SURFACE_STATES
+from .arrays import FloatArray, IntArray
+
+#: A point is covered if the other side has a point at most so far away.
+COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
+THERE, ABSENT = 0.8, 0.2
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of some sets of points is covered; NaN of a set without points.
+
+    n_points : (c,) int32
+    covered : (c, 3) float64, share of the points at most 0.1, 0.3 and 1.0 m from the other side
+    median_distance_m : (c,) float64, of the distances to the other side
+    """
+
+    n_points: IntArray
+    covered: FloatArray
+    median_distance_m: FloatArray
+
+
+def surface_state(covered: float) -> str:
+    """What an unmatched object is, by the share of its points that the other side has within 0.3 m.
+
+    Above 0.8 its surface is there and only divided differently, up to 0.2 it is absent, between them partly there. The
+    limits are fidpipe's.
+
+    Examples
+    --------
+    >>> surface_state(0.9), surface_state(0.5), surface_state(0.2)
+    ('there', 'partly', 'absent')
+    """
+    there, partly, absent = SURFACE_STATES
+    return there if covered > THERE else absent if covered <= ABSENT else partly
+
+
+def nearest_distances(points: FloatArray, others: FloatArray) -> FloatArray:
+    """The distance of each point to the nearest one of the other side, (n,) float64, metres.
+
+    Parameters
+    ----------
+    points, others : (n, 3), (m, 3) float64, metres, m at least 1
+    """
+    distance_m, _ = cKDTree(others).query(points)
+    return np.asarray(distance_m)
+
+
+def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0) -> Coverage:
+    """The coverage of each object of a side, by id.
+
+    covered_r = |{p : min_q |p - q| <= r}| / n, p of the object, q any object point of the other side (fidpipe).
+
+    Parameters
+    ----------
+    distance_m : (n,) float64, of each point to the other side
+    labels : (n,) int32, object of each point, ids from 0
+    n_ids : how many ids there are at least
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> cover(np.array([0.05, 0.5]), np.zeros(2, dtype=np.int32)).covered.tolist()
+    [[0.5, 0.5, 1.0]]
+    """
+    n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
+    with np.errstate(invalid="ignore"):
+        covered = np.column_stack(
+            [np.bincount(labels, distance_m <= reach_m, len(n_points)) / n_points for reach_m in COVERAGE_DISTANCES_M]
+        )
+    by_object = np.split(distance_m[np.argsort(labels, kind="stable")], np.cumsum(n_points)[:-1])
+    median_m = np.array([np.median(own) if len(own) else np.nan for own in by_object])
+    return Coverage(n_points, covered, median_m)

@@ -1,0 +1,176 @@
+import numpy as np
+import pytest
+
+import textbook
+from fidpipe.schemas.errors import StageError
+from fidpipe.schemas.settings import CommunitySettings, GraphSettings, load
+from fidpipe.stages.communities import find_communities
+from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, cover, nearest_distances
+from fidpipe.stages.graph import build_graph
+from fidpipe.stages.matching import match_reference
+from fidpipe.stages.method import compare, partition
+from fidpipe.stages.reference import (
+    Annotation,
+    ReferenceObjects,
+    assign_to_reference,
+    find_reference_objects,
+    visiting_order,
+)
+from scenes import box, moved, rigid
+
+SETTINGS = load(None, ["graph.k=8"], preset="reference")
+
+
+@pytest.fixture(scope="module")
+def boxes():
+    """Three objects far apart."""
+    return np.vstack(
+        [box([0, 0, 0], [2, 2, 2], 80, 1), box([9, 0, 0], [1, 2, 1], 50, 2), box([0, 9, 0], [1, 1, 1], 30, 3)]
+    )
+
+
+def scores(real, sim, settings=SETTINGS):
+    real = partition(real, settings)
+    return compare(real, partition(sim, settings, reference=real.reference), settings)
+
+
+def test_simulated_points_go_to_the_object_of_the_nearest_real_point(boxes, rng):
+    real = partition(boxes, SETTINGS)
+    sim = rng.permutation(np.vstack([boxes + 0.2, box([30, 0, 0], [1, 1, 1], 12, 4), [[40.0, 0, 0]], [[-9.0, 0, 0]]]))
+    edges = build_graph(sim, SETTINGS.graph)
+    found = assign_to_reference(sim, edges, real.reference, SETTINGS.communities).labels
+
+    def groups_of(outside):
+        own = np.array(outside)
+        among = build_graph(sim, SETTINGS.graph)
+        inside = np.isin(among.src, own) & np.isin(among.dst, own)
+        place = {node: i for i, node in enumerate(outside)}
+        ends = [np.array([place[node] for node in end[inside]], np.int32) for end in (among.src, among.dst)]
+        order = visiting_order(sim[own], 0)
+        edges = type(among)(*ends, among.length_m[inside])
+        return find_communities(len(own), edges, SETTINGS.communities, order=order).labels.tolist()
+
+    wanted = textbook.assigned(boxes, real.labels.tolist(), sim, 1.0, 8, groups_of)
+    assert found.tolist() == wanted
+    new, stray = found > real.labels.max(), sim[:, 0] == -9
+    assert set(sim[new][:, 0].round()) <= {29, 30, 31, 40}
+    assert new.sum() >= 8
+    assert not new[stray].any()  # alone, so that it goes to the nearest real object after all
+
+
+def test_a_point_between_two_real_points_goes_to_the_first():
+    reference = ReferenceObjects(np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3, 0]]), np.array([1, 0, 0], dtype=np.int32))
+    sim = np.array([[0.5, 0, 0]])
+    assert assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities).labels[0] == 1
+
+
+def test_the_reach_is_inclusive():
+    reference = ReferenceObjects(np.zeros((1, 3)), np.zeros(1, dtype=np.int32))
+    sim = np.vstack([np.full((8, 3), [1.0, 0, 0]) * np.linspace(1, 1, 8)[:, None], box([50, 0, 0], [1, 1, 1], 8)])
+    labels = assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities).labels
+    assert labels.tolist() == [0] * 8 + [1] * 8
+
+
+def test_real_objects_with_too_few_simulated_points_are_missing():
+    n_real, n_sim = np.array([50, 20, 3, 9], dtype=np.int32), np.array([8, 7, 3, 0, 40], dtype=np.int32)
+    places = np.zeros((5, 3))
+    matching = match_reference(places[:4], places, n_real, n_sim, 8)
+    assert (matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist()) == (
+        [0, 2],
+        [1, 3],
+        [4],
+    )
+
+
+@pytest.mark.parametrize("backend", ["scikit-network", "python-louvain"])
+def test_the_order_of_rows_does_not_change_an_object(boxes, rng, backend):
+    settings = load(None, ["graph.k=8", f"communities.backend={backend}"], preset="reference")
+    grid = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3) + [20, 0, 0]  # full of ties
+    points = np.vstack([boxes, grid])
+    order = rng.permutation(len(points))
+    first, shuffled = partition(points, settings), partition(points[order], settings)
+    assert first.labels[order].tolist() == shuffled.labels.tolist()
+    for measure in ("n_points", "centroid", "extent", "shape"):
+        np.testing.assert_array_equal(getattr(first.objects, measure), getattr(shuffled.objects, measure))
+
+
+def test_losing_a_point_leaves_the_order_of_the_others(boxes):
+    order = visiting_order(boxes, 3)
+    without = visiting_order(np.delete(boxes, 17, axis=0), 3)
+    rest = order[order != 17]
+    assert without.tolist() == np.where(rest > 17, rest - 1, rest).tolist()
+    assert order.tolist() != visiting_order(boxes, 4).tolist()
+    assert sorted(order.tolist()) == list(range(len(boxes)))
+
+
+@pytest.mark.parametrize("turn", [0, 33])
+def test_a_scan_in_another_order_scores_exactly_perfectly(boxes, rng, turn):
+    points = moved(boxes, rigid(turn, [3.0, -2.0, 0.5]))
+    result = scores(points, rng.permutation(points))
+    summary = result.summary
+    assert summary["match_rate"] == 1.0
+    for name in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "centroid_distance_m"):
+        assert summary[f"{name}_mean"] == 0.0, name
+    assert {own.scores.status for own in result.objects} == {"identical"}
+
+
+def test_a_scan_less_one_point_has_all_its_objects(boxes):
+    assert scores(boxes, boxes[1:]).summary["match_rate"] == 1.0
+
+
+def test_the_real_side_does_not_depend_on_the_simulation(boxes, rng):
+    real = partition(boxes, SETTINGS)
+    for sim in (boxes[::3], boxes + rng.normal(0, 0.3, boxes.shape)):
+        own = partition(sim, SETTINGS, reference=real.reference)
+        assert set(own.labels) <= set(range(len(own.objects.n_points)))
+        assert len(own.objects.n_points) >= len(real.objects.n_points)
+
+
+def test_a_real_object_that_is_not_simulated_is_missing_and_has_no_place(boxes):
+    real = partition(boxes, SETTINGS)
+    sim = partition(boxes[:80], SETTINGS, reference=real.reference)
+    result = compare(real, sim, SETTINGS)
+    assert result.matching.missing.tolist() == np.flatnonzero(sim.objects.n_points == 0).tolist() != []
+    assert np.isnan(sim.objects.centroid[result.matching.missing]).all()
+    assert sim.objects.n_objects == len(result.matching.real_ids)
+
+
+def test_labels_and_instances_of_the_input_are_the_objects():
+    cars = np.vstack(
+        [box([0, 0, 0], [2, 2, 1], 60, 1), box([2.2, 0, 0], [2, 2, 1], 40, 2), box([30, 0, 0], [2, 2, 1], 50, 3)]
+    )
+    ground = box([0, -20, 0], [2, 2, 1], 30, 4)
+    points = np.vstack([cars, ground])
+    labels = np.array(["car"] * 150 + [None] * 30, dtype=object)
+    instances = np.array([1] * 60 + [2] * 40 + [3] * 50 + [0] * 30, dtype=np.int32)
+    edges = build_graph(points, GraphSettings())
+    by_label, by_instance = (
+        find_reference_objects(
+            points, edges, CommunitySettings(objects="reference", reference=kind), Annotation(labels, instances)
+        ).labels
+        for kind in ("labels", "instances")
+    )
+    assert by_label.tolist() == [0] * 100 + [1] * 50 + [2] * 30  # the two cars that touch are one piece
+    assert by_instance.tolist() == [0] * 60 + [2] * 40 + [1] * 50 + [3] * 30
+
+
+@pytest.mark.parametrize(("kind", "wanted"), [("labels", "no labels"), ("instances", "no instances")])
+def test_annotation_that_is_not_there_is_named(boxes, kind, wanted):
+    settings = CommunitySettings(objects="reference", reference=kind)
+    annotation = Annotation(np.array(["car"] * len(boxes), dtype=object)) if kind == "instances" else None
+    with pytest.raises(StageError, match=wanted):
+        find_reference_objects(boxes, build_graph(boxes, GraphSettings()), settings, annotation)
+
+
+def test_coverage_is_what_the_loops_say(boxes, rng):
+    others = rng.permutation(boxes)[:60] + rng.normal(0, 0.3, (60, 3))
+    labels = np.repeat([0, 1, 3], [80, 50, 30]).astype(np.int32)
+    distance_m = nearest_distances(boxes, others)
+    found = cover(distance_m, labels, 5)
+    assert found.n_points.tolist() == [80, 50, 0, 30, 0]
+    for i in (0, 1, 3):
+        own = boxes[labels == i]
+        assert found.covered[i].tolist() == [textbook.covered(own, others, m) for m in COVERAGE_DISTANCES_M]
+        assert found.median_distance_m[i] == np.median(distance_m[labels == i])
+    assert np.isnan(found.covered[[2, 4]]).all()
+    assert np.isnan(found.median_distance_m[[2, 4]]).all()
