@@ -11,6 +11,7 @@ from .options import (
     EXIT_WRONG_INPUT,
     Assignments,
     DatasetFolder,
+    Replace,
     RunFolder,
     Scheduler,
     SettingsFile,
@@ -62,9 +63,7 @@ def run(
             "--seeds", min=1, help="Repeat communities to metrics with so many seeds; tells how stable scores are."
         ),
     ] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Replace results of a finished run that was made with other settings.")
-    ] = False,
+    replace: Replace = False,
 ) -> None:
     """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
 

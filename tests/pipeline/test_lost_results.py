@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import time
@@ -16,27 +15,8 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from runs import FIDPIPE, command, marks, run
-from scenes import write_dataset
 
 NO_CLUSTER = "tcp://127.0.0.1:9"
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
-
-
-@pytest.fixture
-def again(finished, tmp_path):
-    """A copy of the finished run that a test may spoil."""
-    return shutil.copytree(finished, tmp_path / "run")
 
 
 def contents(folder):
