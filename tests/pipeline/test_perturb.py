@@ -145,10 +145,38 @@ def test_another_run_reuses_everything_and_another_seed_gives_other_numbers(done
     assert not other.summary.equals(done.summary)
 
 
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])}, r"graph\.tau_m was 0\.2, is 0\.3"),
+        ({"levels": LEVELS[1:]}, r"levels noise 0\.01 not asked for"),
+        ({"seed": 1}, "seed was 0, is 1"),
+        ({"repeats": 2}, r"repeats\.object was 3, is 2"),
+    ],
+)
+def test_a_finished_experiment_is_not_replaced_unasked(done, scan, tmp_path, options, why):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    before = {path: path.read_bytes() for path in out.rglob("*.parquet")}
+    with pytest.raises(RunError, match=rf"is finished, and .* of 1 scan would be replaced \({why}.*\); add --replace"):
+        perturbed(scan, out, **options)
+    assert {path: path.read_bytes() for path in out.rglob("*.parquet")} == before
+    perturbed(scan, out, replace=True, **options)
+    fresh = perturbed(scan, tmp_path / "fresh", **options)
+    assert rows(out).equals(rows(fresh.folder))
+
+
+def test_a_finished_experiment_takes_further_levels_and_repeats_unasked(done, scan, tmp_path):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    perturbed(scan, out, levels=(*LEVELS, Perturbation("noise", 0.1)), repeats=4)
+    both = rows(done.folder).merge(rows(out), how="left", indicator=True)
+    assert (both["_merge"] == "both").all()
+    assert len(rows(out)) > len(both)
+
+
 def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
     (out / "perturb_global" / "street.noise-0.01.parquet").write_bytes(b"PAR1")
-    again = perturbed(scan, out, levels=LEVELS[:2])
+    again = perturbed(scan, out, levels=LEVELS[:2], replace=True)
     assert again.n_made == 1
     assert sorted(path.name for path in (out / "perturb_global").iterdir()) == [
         "street.dropout-0.1.parquet",

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from ....schemas.columns import Row
 from ....schemas.metrics import DISTRIBUTED, HEADLINE_SCORES, METRIC, labels, metric_of, narrow_labels, unit_words
-from ....schemas.results import BaselineSummary, Claim, Findings, RunRecord, SeedSummary, Unmatched
+from ....schemas.results import BaselineSummary, Claim, ClassFindings, Findings, RunRecord, SeedSummary, Unmatched
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
 from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
@@ -217,10 +217,16 @@ def _classes(findings: Findings) -> Table:
     if len(classes) > _MOST_CLASSES:
         title = f"The {_MOST_CLASSES} most frequent of {len(classes)} classes (of the real object where both have it)"
     rows = (
-        (own.label, *_unmatched(own), own.n_matched, *(own.of_score(score).mean for score in DISTRIBUTED))
+        (own.label, *_unmatched(own), own.n_matched, *(_mean_of(own, score) for score in DISTRIBUTED))
         for own in classes[:_MOST_CLASSES]
     )
     return plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+
+
+def _mean_of(own: ClassFindings, score: str) -> str:
+    """A mean of a class; with its number of objects where that is not all which both sides have."""
+    mean = own.of_score(score)
+    return number(mean.mean) + f" (of {mean.n})" * (mean.n != own.n_matched)
 
 
 def _scans(findings: Findings) -> Table:
