@@ -18,8 +18,8 @@ from typing import Any
 
 import orjson
 
-from ...schemas.errors import DiskFullError, RunError
-from .files import space_words
+from ...schemas.errors import RunError
+from .files import disk_full
 from .tables import JobName, JobRecord, StoredFile
 
 LEDGER = "ledger.sqlite"
@@ -195,6 +195,8 @@ class Ledger:
             _check(db)
         except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
             db.close()
+            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
+                raise disk_full(path, error) from error
             raise RunError(f"{path}: cannot be written ({error}); give another --out") from error
         except sqlite3.DatabaseError:
             db.close()
@@ -208,7 +210,7 @@ class Ledger:
         except sqlite3.OperationalError as error:
             self._begun = None
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
-                raise DiskFullError(f"{self._path}: {error}, {space_words(self._path)}") from error
+                raise disk_full(self._path, error) from error
             raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
 
 

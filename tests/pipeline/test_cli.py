@@ -73,7 +73,7 @@ def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):
 
 def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dataset, tmp_path):
     data, out, reason = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run", "object points after ground"
-    write_bin(data / "sim" / "000.bin", road(400))
+    write_bin(data / "sim" / "000.bin", road(400) * [1, 1, 0] - [0, 0, 1.7])
     assert command("run", data, "--workers", 1, "--out", out).returncode == 3
     (data / "sim" / "001.bin").write_bytes(b"")
     result = command("run", data, "--workers", 1, "--out", out, "--pairs", "001")

@@ -131,7 +131,7 @@ def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkey
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
     chosen, options = done.objects[0], {"levels": parse_levels(["rigid=0:7"]), "repeats": 1, "global_repeats": 0}
-    perturbed(scan, out, objects=(str(chosen.community_id),), **options)
+    perturbed(scan, out, objects=(str(chosen.community_id),), replace=True, **options)
     assert sizes == [chosen.n_points, chosen.n_points]
 
 
@@ -140,7 +140,7 @@ def test_another_run_reuses_everything_and_another_seed_gives_other_numbers(done
     again = perturbed(scan, out)
     assert (again.n_made, again.n_reused) == (0, done.n_made)
     assert again.summary.equals(done.summary)
-    other = perturbed(scan, out, seed=1)
+    other = perturbed(scan, out, seed=1, replace=True)
     assert other.n_reused == 3  # ground, graph, communities
     assert not other.summary.equals(done.summary)
 
