@@ -188,7 +188,7 @@ class Ledger:
     def _open(path: Path, is_writable: bool) -> sqlite3.Connection:
         if not is_writable:
             return _read_only(path) if path.exists() else _in_memory()
-        db = sqlite3.connect(path, timeout=_SECONDS_FOR_READERS, isolation_level=None)
+        db = _connect(path, timeout=_SECONDS_FOR_READERS)
         try:
             if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
                 db.executescript(_TABLES)
@@ -214,8 +214,13 @@ class Ledger:
             raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
 
 
+def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:
+    """A connection that begins no transaction by itself, and that whichever thread collects the ledger may close."""
+    return sqlite3.connect(path, isolation_level=None, check_same_thread=False, **options)
+
+
 def _in_memory() -> sqlite3.Connection:
-    db = sqlite3.connect(":memory:", isolation_level=None)
+    db = _connect(":memory:")
     db.executescript(_TABLES)
     return db
 
@@ -226,7 +231,7 @@ def _read_only(path: Path) -> sqlite3.Connection:
     One that does not know every finished job is copied into memory, where the others can be added.
     """
     for mode in ("mode=ro", "mode=ro&immutable=1"):
-        db = sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True, isolation_level=None)
+        db = _connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
         try:
             _check(db)
         except sqlite3.OperationalError:
@@ -237,7 +242,7 @@ def _read_only(path: Path) -> sqlite3.Connection:
             raise
         if _is_complete(db):
             return db
-        copy = sqlite3.connect(":memory:", isolation_level=None)
+        copy = _connect(":memory:")
         db.backup(copy)
         db.close()
         return copy
