@@ -216,7 +216,8 @@ class Ledger:
 
 def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:
     """A connection that begins no transaction by itself, and that whichever thread collects the ledger may close."""
-    return sqlite3.connect(path, isolation_level=None, check_same_thread=False, **options)
+    db: sqlite3.Connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, **options)
+    return db
 
 
 def _in_memory() -> sqlite3.Connection:
