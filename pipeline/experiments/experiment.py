@@ -273,15 +273,18 @@ class Experiment:
         RunError
             They would be replaced; says which, and by what.
         """
-        changed = changed_settings(self._finished, self.engine.settings) if self._finished else {}
+        if not self._finished:
+            return
+        changed = changed_settings(self._finished, self.engine.settings)
         groups = {group for stage in (*self._base, *self._own) for group in stage.settings}
         why = [text for group, texts in changed.items() if group in groups for text in texts]
         why += _dropped(self._finished, self._facts)
-        gone = sorted({pair_id for (_, pair_id, _), reason in survey.unwanted.items() if reason == _NOT_ASKED_FOR})
-        left_out = [pair_id for pair_id in gone if pair_id not in {pair.pair_id for pair in self._source.pairs}]
+        left_out = sorted(
+            {pair_id for _, pair_id, _ in survey.unwanted} - {pair.pair_id for pair in self._source.pairs}
+        )
         why += [f"pair{'s' * (len(left_out) > 1)} {', '.join(left_out[:5])} not asked for"] if left_out else []
         lost = [name for name, reason in survey.unwanted.items() if reason in (OUT_OF_DATE, _NOT_ASKED_FOR)]
-        if not self._finished or not lost or not why:
+        if not lost or not why:
             return
         stages, pairs = dict.fromkeys(stage for stage, _, _ in lost), {pair_id for _, pair_id, _ in lost}
         raise RunError(

@@ -28,7 +28,7 @@ from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from fidpipe.stages import method
 from fidpipe.stages.statistics.parameter_choice import ParameterSet
-from runs import command
+from runs import command, contents
 from scenes import write_dataset
 
 SETTINGS = load(None, ["graph.k=12"])
@@ -49,10 +49,6 @@ def dataset(tmp_path_factory):
 @pytest.fixture(scope="module")
 def done(dataset, tmp_path_factory):
     return ablated(dataset, tmp_path_factory.mktemp("ablate") / "run")
-
-
-def contents(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in (".parquet", ".json", ".toml")}
 
 
 @pytest.mark.parametrize(

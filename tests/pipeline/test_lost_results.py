@@ -14,13 +14,9 @@ from fidpipe.pipeline.engine import prefork
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
-from runs import FIDPIPE, command, marks, run
+from runs import FIDPIPE, command, contents, marks, run
 
 NO_CLUSTER = "tcp://127.0.0.1:9"
-
-
-def contents(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in (".parquet", ".json", ".toml")}
 
 
 @pytest.mark.slow

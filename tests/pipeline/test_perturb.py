@@ -35,7 +35,7 @@ from fidpipe.stages.method import partition
 from fidpipe.stages.sensing.perturbations import Perturbation, perturb
 from fidpipe.stages.sensing.typical_objects import ScanObjects
 from fidpipe.stages.statistics.sweeps import react
-from runs import command
+from runs import command, contents
 from scenes import street, write_bin, write_dataset
 
 SETTINGS = load(None, ["graph.k=12"])
@@ -135,11 +135,13 @@ def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkey
     assert sizes == [chosen.n_points, chosen.n_points]
 
 
-def test_another_run_reuses_everything_and_another_seed_gives_other_numbers(done, scan, tmp_path):
+def test_another_run_reuses_everything_takes_more_and_another_seed_gives_other_numbers(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
     again = perturbed(scan, out)
     assert (again.n_made, again.n_reused) == (0, done.n_made)
     assert again.summary.equals(done.summary)
+    perturbed(scan, out, levels=(*LEVELS, Perturbation("noise", 0.1)), repeats=4)  # more is no replacement
+    assert len(rows(out).merge(rows(done.folder))) == len(rows(done.folder)) < len(rows(out))
     other = perturbed(scan, out, seed=1, replace=True)
     assert other.n_reused == 3  # ground, graph, communities
     assert not other.summary.equals(done.summary)
@@ -156,21 +158,13 @@ def test_another_run_reuses_everything_and_another_seed_gives_other_numbers(done
 )
 def test_a_finished_experiment_is_not_replaced_unasked(done, scan, tmp_path, options, why):
     out = shutil.copytree(done.folder, tmp_path / "run")
-    before = {path: path.read_bytes() for path in out.rglob("*.parquet")}
+    before = contents(out)
     with pytest.raises(RunError, match=rf"is finished, and .* of 1 scan would be replaced \({why}.*\); add --replace"):
         perturbed(scan, out, **options)
-    assert {path: path.read_bytes() for path in out.rglob("*.parquet")} == before
+    assert contents(out) == before
     perturbed(scan, out, replace=True, **options)
     fresh = perturbed(scan, tmp_path / "fresh", **options)
     assert rows(out).equals(rows(fresh.folder))
-
-
-def test_a_finished_experiment_takes_further_levels_and_repeats_unasked(done, scan, tmp_path):
-    out = shutil.copytree(done.folder, tmp_path / "run")
-    perturbed(scan, out, levels=(*LEVELS, Perturbation("noise", 0.1)), repeats=4)
-    both = rows(done.folder).merge(rows(out), how="left", indicator=True)
-    assert (both["_merge"] == "both").all()
-    assert len(rows(out)) > len(both)
 
 
 def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done, scan, tmp_path):

@@ -1,17 +1,14 @@
 import json
 import os
 import shutil
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from rich.console import Console
 
 import fidpipe
-from fidpipe.pipeline.report.terminal.run import summary_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
@@ -373,25 +370,6 @@ def test_labels_travel_to_the_objects(tmp_path):
     (data / "labels.toml").write_text('7 = "tree"\n')
     run(data, tmp_path / "run")
     assert set(pd.read_parquet(tmp_path / "run" / "objects").label) == {"tree"}
-
-
-def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(dataset, tmp_path):
-    data = shutil.copytree(dataset, tmp_path / "streets")
-    write_bin(data / "sim" / "001.bin", street() + [60, 0, 0])
-    outcome = run(data, tmp_path / "run")
-    first = next(row for row in outcome.rows if row["pair_id"] == "000")
-    n_unmatched = first["n_missing"] + first["n_hallucinated"]
-    worst = (first["cdc_mean"] * first["n_matched"] + 2 * n_unmatched) / (first["n_matched"] + n_unmatched)
-    summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
-    assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
-    assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
-    console = Console(file=StringIO(), width=300)
-    console.print(summary_view(outcome.folder, [first], outcome.record))
-    (line,) = (line for line in console.file.getvalue().splitlines() if "geometry: 0 the same points" in line)
-    assert f"{n_scored - 1} of {n_scored} " in line
-    assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line
-    alone = run(data, tmp_path / "alone", pattern="000").record.summary["cdc_unmatched_worst_mean"].mean
-    assert alone == pytest.approx(worst)
 
 
 def test_each_side_may_have_its_own_columns(dataset, tmp_path):
