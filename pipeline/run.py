@@ -81,6 +81,7 @@ class RunOutcome:
     record : what `run.json` holds
     n_made, n_reused : jobs
     failed_extras : why a baseline or the like failed of a pair that is scored
+    told_failures : pairs whose failure the reporter was told of, not only known from before
     """
 
     folder: Path
@@ -89,6 +90,7 @@ class RunOutcome:
     n_made: int
     n_reused: int
     failed_extras: dict[str, str]
+    told_failures: frozenset[str] = frozenset()
 
     @property
     def rows(self) -> list[Row]:
@@ -292,8 +294,8 @@ class _Run:
         write_record(self._request.out, record.as_dict(), self._folder.check_token)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
-        n_made = self._engine.n_made
-        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras)
+        n_made, told = self._engine.n_made, frozenset(self._engine.failures)
+        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras, told)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair that are wanted."""

@@ -91,9 +91,10 @@ def ablate_view(outcome: AblateOutcome) -> RenderableType:
 
 
 def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Text]:
-    """Failures, jobs, and which files of the folder hold what."""
+    """How many failures were told of, jobs, and which files of the folder hold what."""
+    n_failed = len(outcome.failures)
     return [
-        *(Text(f"failed: {name}: {reason}", style="red") for name, reason in outcome.failures.items()),
+        *([Text(f"{n_failed} failed, as told above; see also failures in run.json", style="red")] if n_failed else []),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
         Text(f"results: {outcome.folder}/{results}"),
     ]

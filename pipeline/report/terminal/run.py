@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from operator import attrgetter
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from ....schemas.metrics import (
 from ....schemas.results import (
     BaselineSummary,
     Claim,
+    ClassFindings,
     Findings,
     RunRecord,
     SeedSummary,
@@ -52,19 +53,26 @@ _COLOURS = {HOLDS: "green", FAILS: "red", UNDECIDED: "yellow"}
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The results of a run, as a newcomer should see them first."""
     record, folder = outcome.record, outcome.folder
-    suspects = record.frames or {}
     return Group(
-        summary_view(folder, outcome.rows, record),
+        _scores_view(folder, outcome.rows, record),
+        *_failures_parts(folder, outcome.rows, outcome.told_failures),
         Text(preset_line(parse(record.settings))),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
         Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
         *([Text(f"to look at them: fidpipe report {folder}")] if record.pairs.scored else ()),
-        *([Text(f"warning: {frames_summary(suspects, len(outcome.rows))}", style="yellow")] if suspects else []),
+        *_frames_parts(outcome.rows, record),
     )
 
 
 def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
-    """The pairs of a run, what they say together, and which failed."""
+    """The pairs of a run, what they say together, which failed, and which seem to lie in another frame."""
+    return Group(
+        _scores_view(folder, rows, record), *_failures_parts(folder, rows, frozenset()), *_frames_parts(rows, record)
+    )
+
+
+def _scores_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
+    """The pairs of a run, and what they say together."""
     parts: list[RenderableType] = []
     if record.findings:
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
@@ -77,13 +85,29 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
         parts.append(baselines_view(record.baselines))
     if record.seeds:
         parts.append(seeds_view(record.seeds))
-    failures = [row for row in rows if row["status"] == "failed"]
-    if failures:
-        parts.append(Text(f"{len(failures)} of {len(rows)} pairs failed:", style="red"))
-        parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in failures[:_MOST_PAIRS]]
-        if len(failures) > _MOST_PAIRS:
-            parts.append(Text(f"  and {len(failures) - _MOST_PAIRS} more, see pairs.parquet"))
     return Group(*parts)
+
+
+def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> list[RenderableType]:
+    """How many pairs failed, and why; of those that were told of already only where it can be read again."""
+    failures = [row for row in rows if row["status"] == "failed"]
+    if not failures:
+        return []
+    new = [row for row in failures if row["pair_id"] not in told]
+    count, n_told = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
+    above = (
+        f", {'' if n_told == len(failures) else f'{n_told} of them '}as told above; again with: fidpipe show {folder}"
+    )
+    parts: list[RenderableType] = [Text(f"{count}{above if n_told else ''}{':' if new else ''}", style="red")]
+    parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
+    if len(new) > _MOST_PAIRS:
+        parts.append(Text(f"  and {len(new) - _MOST_PAIRS} more, see pairs.parquet"))
+    return parts
+
+
+def _frames_parts(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
+    suspects = record.frames or {}
+    return [Text(f"warning: {frames_summary(suspects, len(rows))}", style="yellow")] if suspects else []
 
 
 def claims_view(findings: Findings | None) -> RenderableType:
@@ -287,10 +311,16 @@ def _classes(findings: Findings) -> Table:
     if len(classes) > _MOST_CLASSES:
         title = f"The {_MOST_CLASSES} most frequent of {len(classes)} classes (of the real object where both have it)"
     rows = (
-        (own.label, *_unmatched(own), own.n_matched, *(own.of_score(score).mean for score in DISTRIBUTED))
+        (own.label, *_unmatched(own), own.n_matched, *(_mean_of(own, score) for score in DISTRIBUTED))
         for own in classes[:_MOST_CLASSES]
     )
     return plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+
+
+def _mean_of(own: ClassFindings, score: str) -> str:
+    """A mean of a class; with its number of objects where that is not all which both sides have."""
+    mean = own.of_score(score)
+    return number(mean.mean) + f" (of {mean.n})" * (mean.n != own.n_matched)
 
 
 def _scans(findings: Findings) -> Table:
