@@ -37,6 +37,9 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
 ]
+Replace = Annotated[
+    bool, typer.Option("--replace", help="Replace finished results that were made with other settings.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]
 
 EXIT_WRONG_INPUT = 1

@@ -46,7 +46,9 @@ def show(
     finished = FinishedRun(run)
     if paper:
         claims = finished.record.claims
-        print_json([claim.as_dict() for claim in claims]) if as_json else print_view(claims_view(claims))
+        print_json([claim.as_dict() for claim in claims]) if as_json else print_view(
+            claims_view(finished.record.findings)
+        )
     elif pair is None:
         print_json(run_facts(finished)) if as_json else print_view(summary_view(run, finished.rows, finished.record))
     elif object_ is None:

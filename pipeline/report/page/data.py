@@ -19,6 +19,7 @@ from ....schemas.metrics import METRIC, metric_of
 from ....schemas.settings import parse
 from ....stages.arrays import IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
+from ...datasets.frame_checks import frames_summary
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
@@ -98,12 +99,14 @@ def page_data(results: RunResults) -> dict[str, Any]:
 def page_words(results: RunResults) -> dict[str, Any]:
     """What the page's template shows of the whole run; versions by group, what made it."""
     record = results.run.record
+    n_pairs = len(results.pairs) + len(results.failures)
     return {
         "title": results.run.folder.resolve().name,
         "preset": preset_line(parse(record.settings)),
         "verdict": verdict_of(results),
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
+        "frames": frames_summary(record.frames, n_pairs) if record.frames else "",
         "notes": _notes(results),
         "settings": record.settings,
         "versions": {

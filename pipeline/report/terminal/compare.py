@@ -127,13 +127,24 @@ def changed(comparison: Comparison) -> list[ObjectChange]:
 
 
 def score_table(comparison: Comparison) -> list[list[str]]:
-    """Headings, then one row per score: name, verdict, before, after, change, its interval and p.
+    """Headings, then one row per score: name, verdict, pairs that have it, before, after, change, its interval and p.
 
     Where both runs were repeated under other seeds, also whether the change is more than they alone would make.
     """
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
     rows = [
-        ["score", "verdict", "before", "after", "change", "from", "to", "p", *["more than seeds make"] * with_seeds]
+        [
+            "score",
+            "verdict",
+            "pairs",
+            "before",
+            "after",
+            "change",
+            "from",
+            "to",
+            "p",
+            *["more than seeds make"] * with_seeds,
+        ]
     ]
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
     for score in comparison.scores:
@@ -145,7 +156,7 @@ def score_table(comparison: Comparison) -> list[list[str]]:
             number(score.p),
         )
         seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
-        rows.append([score.name, score.verdict, *numbers, *[seeds] * with_seeds])
+        rows.append([score.name, score.verdict, str(change.n_pairs), *numbers, *[seeds] * with_seeds])
     return rows
 
 
@@ -175,9 +186,9 @@ def signed(value: float | None) -> str:
 def _parts(comparison: Comparison) -> list[RenderableType]:
     headings, *scores = score_table(comparison)
     for row in (headings, *scores):
-        row.insert(7, row.pop(1))  # the verdict, behind the numbers that it is about
+        row.insert(8, row.pop(1))  # the verdict, behind the numbers that it is about
     title = f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, means and 95 % intervals"
-    parts: list[RenderableType] = [_table(f"{title} (paired t)", headings, scores, words=(0, 7, 8))]
+    parts: list[RenderableType] = [_table(f"{title} (paired t)", headings, scores, words=(0, 8, 9))]
     if comparison.objects:
         headings, *kinds = kind_table(comparison)
         parts.append(_table("Real objects", headings, kinds))
