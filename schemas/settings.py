@@ -181,6 +181,9 @@ class MetricsSettings(_Group):
     dcd_alpha: Annotated[
         float, Field(gt=0, description="DCD: weight of the squared distance, objects of unit size")
     ] = 1000.0
+    emd_max_points: Annotated[
+        int, Field(ge=2, description="EMD of all points: larger objects are left out, one may take over a minute")
+    ] = 8000
     projections: Annotated[int, Field(ge=1, le=10_000, description="sliced Wasserstein: random directions")] = 200
     histogram_points: Annotated[
         int, Field(ge=2, le=10_000, description="histogram: points sampled per side, all pairs of which are measured")

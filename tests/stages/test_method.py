@@ -127,6 +127,7 @@ def scans():
     return real, drifted(real, seed=4)
 
 
+@pytest.mark.filterwarnings("ignore:the simulated scan covers")  # one of the settings mirrors it
 @pytest.mark.parametrize(
     "words",
     [

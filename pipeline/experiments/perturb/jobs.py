@@ -141,7 +141,7 @@ BASELINE = replace(
     name="perturb_baselines",
     gives=("perturb_baselines",),
     settings=(*GLOBAL.settings, "metrics"),
-    version=1,
+    version=2,
     make=make_baselines,
     libraries=baseline_libraries,
 )
