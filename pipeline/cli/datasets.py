@@ -87,7 +87,7 @@ def twin(
     ] = None,
     others: Annotated[
         int, typer.Option("--others", min=2, help="Of so many other frames, the nearest, each model is made.")
-    ] = 10,
+    ] = 4,
     foliage: Annotated[
         str | None,
         typer.Option(
@@ -125,10 +125,11 @@ def twin(
     from dataclasses import replace as with_values
 
     from ...schemas.settings import load
+    from ...stages.sensing.flaws import parse_flaws
     from ..datasets.sensors import read_sensor
     from ..datasets.sequences import read_recording
     from ..engine.progress import Reporter
-    from ..experiments.twin import TwinRequest, make_twins, parse_flaws
+    from ..experiments.twin import TwinRequest, make_twins
 
     model = read_sensor(sensor)
     request = TwinRequest(

@@ -7,6 +7,7 @@ and the manifest comes last, so that what was interrupted goes on with the twins
 from __future__ import annotations
 
 import csv
+import gc
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +24,7 @@ from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
-from ...stages.sensing.flaws import FLAWS, lose_foliage
+from ...stages.sensing.flaws import FLAWS, ChosenFlaw, lose_foliage
 from ...stages.sensing.ray_casting import SensorModel, fire, need_ray_caster
 from ...stages.sensing.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
@@ -42,19 +43,6 @@ RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
 _LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
 _SECONDS = 12.0  # of a twin, roughly
 _FEWEST_OTHERS = 2
-
-
-@dataclass(frozen=True)
-class ChosenFlaw:
-    """A flaw that the twins are to have.
-
-    name : in `FLAWS`
-    at_m : its second number; None for the usual one, or where there is none
-    """
-
-    name: str
-    amount: float
-    at_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,7 +66,7 @@ class TwinRequest:
     recording: Recording
     sensor: SensorModel = RECORDED
     flaws: tuple[ChosenFlaw, ...] = ()
-    n_others: int = 10
+    n_others: int = 4
     foliage: tuple[str, ...] = ()
     pattern: str | None = None
     seed: int = 0
@@ -108,38 +96,6 @@ class _Task:
     foliage: tuple[str, ...]
     seed: int
     settings: InputSettings
-
-
-def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
-    """The flaws of words such as `dropout=0.3`, `holes=12:1.5` and `mirrored`, in the order of `FLAWS`.
-
-    Raises
-    ------
-    FidpipeError
-        A word is not of that form, a flaw is unknown or named twice, or an amount is out of bounds.
-    """
-    chosen: dict[str, ChosenFlaw] = {}
-    for word in words:
-        name, _, text = word.partition("=")
-        if name not in FLAWS:
-            near = get_close_matches(name.lower(), FLAWS, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(FLAWS)}"
-            raise FidpipeError(f"flaw {name!r}: no such flaw; {hint}")
-        if name in chosen:
-            raise FidpipeError(f"flaw {name}: named twice; once is wanted")
-        amount, colon, at_m = text.partition(":")
-        if not text and FLAWS[name].is_whole and FLAWS[name].high == 1:
-            amount = "1"
-        try:
-            flaw = ChosenFlaw(name, float(amount), float(at_m) if colon else None)
-        except ValueError:
-            second = f", and {FLAWS[name].at} after a colon" if FLAWS[name].at_m is not None else ""
-            raise FidpipeError(
-                f"flaw {word!r}: {name}=AMOUNT is wanted, a number ({FLAWS[name].amount}{second})"
-            ) from None
-        FLAWS[name].check(flaw.amount, flaw.at_m)
-        chosen[name] = flaw
-    return tuple(chosen[name] for name in FLAWS if name in chosen)
 
 
 def make_twins(request: TwinRequest, reporter: Reporter) -> TwinOutcome:
@@ -322,7 +278,8 @@ def _plan(request: TwinRequest, task: _Task) -> PairPlan:
 def _make(context: Context) -> Made:
     (task,) = context.arguments
     real, sim = _files(task)
-    points = scan_again(task)
+    points = _scan_again(task)
+    gc.collect()  # a surface of trimesh refers to itself: 80 MB a frame would wait for the collector
     labels = label_path_of(task.frame.path, stem_of(task.frame.path))
     if labels.exists():
         write_whole(label_path_of(real, stem_of(real)), labels.read_bytes())
@@ -333,7 +290,7 @@ def _make(context: Context) -> Made:
     return Made({})
 
 
-def scan_again(task: _Task) -> FloatArray:
+def _scan_again(task: _Task) -> FloatArray:
     """The twin of a scan, (n, 3) float64, metres, in its frame, with the flaws that are wanted.
 
     Raises
