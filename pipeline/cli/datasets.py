@@ -107,20 +107,21 @@ def twin(
     ] = 1,
     replace: Annotated[bool, typer.Option("--replace", help="Replace a dataset of another recipe.")] = False,
 ) -> None:
-    """Make a dataset: posed real scans, and of each the place scanned again in a model of the other scans.
+    """Make a dataset: posed real scans, and each place scanned again in a model of the other scans.
 
-    A simulator whose flaws are known: surfels of the other frames, ray casting, and the flaws that --flaw names:
-    foliage, holes, far-dropout, dropout, density, beams, blur, noise, ghosts, yaw, offset, mirrored. What they and
-    their amounts are: docs/twin.md. The recipe is written beside the scans, to twin.toml. The same recipe gives the
-    same bytes. Interrupted, it goes on where it stopped.
+    A simulator whose flaws are known: surfels of the other frames, ray casting, and
+    what --flaw names: foliage, holes, far-dropout, dropout, density, beams, blur,
+    noise, ghosts, yaw, offset, mirrored (amounts: docs/twin.md). twin.toml beside
+    the scans is the recipe; the same recipe gives the same bytes. Interrupted, it
+    goes on where it stopped.
 
     For example:
 
-    fidpipe twin drive/ twins/                                  poses in drive/poses.tum; then: fidpipe run twins/
+    fidpipe twin drive/ twins/            poses are in drive/poses.tum
 
-    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12:1.5 --flaw offset=0.2
+    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12:1.5 --flaw mirrored
 
-    fidpipe twin sequences/00 twins/ --poses poses/00.txt --sensor hdl64 --pairs '*0' --workers 8
+    fidpipe twin sequences/00 twins/ --sensor hdl64 --pairs '*0' --workers 8
     """
     from dataclasses import replace as with_values
 

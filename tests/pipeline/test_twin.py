@@ -2,6 +2,7 @@
 
 import shutil
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +17,12 @@ from fidpipe.pipeline.experiments import twin
 from fidpipe.schemas.errors import DatasetError, FidpipeError
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.sensing.flaws import FLAWS, parse_flaws
-from fidpipe.stages.sensing.ray_casting import SensorModel
+from fidpipe.stages.sensing.ray_casting import SENSORS, SensorModel
 from fidpipe.stages.sensing.rescan import RECORDED
 from runs import command, run, tables
 from scenes import box, moved, rigid, write_bin
 
+DOCUMENTATION = Path(__file__).resolve().parents[2] / "docs" / "twin.md"
 N = 4
 NAMES = [f"{i:03}" for i in range(N)]
 SMALL = SensorModel("small", tuple(np.linspace(-25, 12, 30)), (0.0,) * 30, 1.5, 0.5, 100.0, 0.02, 0.0, 0.03, 60.0)
@@ -292,6 +294,14 @@ def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, t
     assert all(name in text for name in FLAWS)
 
 
+def test_the_documentation_has_every_flaw_and_sensor():
+    text = DOCUMENTATION.read_text()
+    for flaw in FLAWS.values():
+        row = next(line for line in text.splitlines() if line.startswith(f"| `{flaw.name}` |"))
+        assert flaw.at_m is None or f"({flaw.at_m:g})" in row
+    assert all(f"`{name}`" in text for name in ("recorded", *SENSORS))
+
+
 def test_a_broken_scan_gives_exit_code_3(drive, tmp_path):
     broken = shutil.copytree(drive, tmp_path / "drive")
     (broken / "000.bin").write_bytes(b"no scan")
@@ -311,4 +321,4 @@ def test_a_kitti_drive_scanned_again_covers_what_was_seen(sensor, real_data, tmp
         ours = ours[np.linalg.norm(ours, axis=1) > 2.5]
         shares = [(cKDTree(a).query(b)[0] <= 0.3).mean() for a, b in ((theirs, ours), (ours, theirs))]
         assert min(shares) > 0.7
-        assert len(theirs) == pytest.approx(len(ours), rel=0.2)
+        assert len(theirs) == pytest.approx(len(ours), rel=0.25)
