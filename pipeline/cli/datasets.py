@@ -16,7 +16,9 @@ def synth(
     ],
     pairs: Annotated[int, typer.Option("--pairs", min=1, help="How many streets; each gives one pair.")] = 50,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other streets.")] = 0,
-    sensor: Annotated[str, typer.Option("--sensor", help="Model of the sensor: vlp32c or hdl64.")] = "vlp32c",
+    sensor: Annotated[
+        str, typer.Option("--sensor", help="Model of the sensor: vlp32c, hdl64, os1-64 or carla.")
+    ] = "vlp32c",
     points: Annotated[
         int | None,
         typer.Option(
