@@ -148,7 +148,7 @@ def _recipe(request: TwinRequest, frames: Sequence[Frame]) -> dict[str, Any]:
     """All that the files depend on; of two datasets with the same recipe all files are the same."""
     from ... import __version__
 
-    recording, sensor = request.recording, request.sensor
+    recording = request.recording
     inputs = [[frame.path.name, hash_file(frame.path), frame.T_world_sensor] for frame in recording.frames]
     return {
         "version": RECIPE_VERSION,
@@ -160,11 +160,11 @@ def _recipe(request: TwinRequest, frames: Sequence[Frame]) -> dict[str, Any]:
         "others": request.n_others,
         "foliage": list(request.foliage),
         "flaw": [_without_none(vars(flaw)) for flaw in request.flaws],
-        "sensor": vars(sensor),
+        "sensor": vars(request.sensor),
         "input": request.settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
         "frames": [frame.name for frame in frames],
-        "files": sorted({path.name for task in _tasks(request, frames) for path in _files(task)}),
+        "files": sorted({name for frame in frames for name in _names(frame)}),
     }
 
 
@@ -195,9 +195,8 @@ def _prepare(request: TwinRequest, frames: Sequence[Frame]) -> None:
                 f"dataset {out}: holds finished twins of another recipe ({changed}); give the name of another folder, "
                 "or --replace"
             )
-        for side in SIDES:
-            for name in earlier["files"]:
-                (out / side / name).unlink(missing_ok=True)
+        for path in (out / LABEL_NAMES, *(out / side / Path(name).name for side in SIDES for name in earlier["files"])):
+            path.unlink(missing_ok=True)
     (out / MANIFEST).unlink(missing_ok=True)
     write_whole(out / RECIPE, wanted.encode())
     names = request.recording.label_names
@@ -238,9 +237,15 @@ def _tasks(request: TwinRequest, frames: Sequence[Frame]) -> Iterator[_Task]:
         )
 
 
+def _names(frame: Frame) -> tuple[str, str, str]:
+    """Names of the files of a pair: the real scan, the simulated one, the labels of the former."""
+    return frame.path.name, f"{stem_of(frame.path)}.bin", label_path_of(frame.path, stem_of(frame.path)).name
+
+
 def _files(task: _Task) -> tuple[Path, Path]:
     """The scans of a pair."""
-    return task.out / "real" / task.frame.path.name, task.out / "sim" / f"{stem_of(task.frame.path)}.bin"
+    real, sim, _ = _names(task.frame)
+    return task.out / "real" / real, task.out / "sim" / sim
 
 
 def _is_made(task: _Task) -> bool:
@@ -254,7 +259,8 @@ def _manifest(frames: Sequence[Frame]) -> str:
     for frame in frames:
         time_s = "" if frame.timestamp_s is None else repr(frame.timestamp_s)
         motion = " ".join(map(repr, frame.T_world_sensor))
-        rows.writerow([frame.name, f"real/{frame.path.name}", f"sim/{stem_of(frame.path)}.bin", time_s, motion])
+        real, sim, _ = _names(frame)
+        rows.writerow([frame.name, f"real/{real}", f"sim/{sim}", time_s, motion])
     return text.getvalue()
 
 
@@ -282,7 +288,7 @@ def _make(context: Context) -> Made:
     gc.collect()  # a surface of trimesh refers to itself: 80 MB a frame would wait for the collector
     labels = label_path_of(task.frame.path, stem_of(task.frame.path))
     if labels.exists():
-        write_whole(label_path_of(real, stem_of(real)), labels.read_bytes())
+        write_whole(real.with_name(labels.name), labels.read_bytes())
     write_whole(real, task.frame.path.read_bytes())
     rows = np.zeros((len(points), 4), dtype="<f4")
     rows[:, :3] = points
@@ -326,9 +332,7 @@ def _scan_again(task: _Task) -> FloatArray:
         for flaw in task.flaws:
             rng = _rng(task, flaw.name if FLAWS[flaw.name].is_systematic else f"{task.frame.name}/{flaw.name}")
             if flaw.name == "foliage" and task.foliage:
-                points = lose_foliage(
-                    points, flaw.amount, rng, rescan.is_foliage
-                )  # the first flaw: rows are the scan's
+                points = lose_foliage(points, flaw.amount, rng, rescan.is_foliage)  # the first flaw: all rows are there
             else:
                 points = FLAWS[flaw.name](points, flaw.amount, rng, flaw.at_m)
     if not len(points):

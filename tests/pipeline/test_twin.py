@@ -249,6 +249,7 @@ def test_finished_twins_of_another_recipe_are_replaced_on_purpose_only(twins, dr
     (out / "sim" / "notes.txt").write_text("mine")
     make(out, drive, seed=1, pattern="*[01]", replace=True)
     assert sorted(path.name for path in (out / "sim").iterdir()) == ["000.bin", "001.bin", "notes.txt"]
+    assert sorted(path.name for path in (out / "real").iterdir()) == ["000.bin", "000.label", "001.bin", "001.label"]
     assert (sim(out, "000")[:50] != sim(twins, "000")[:50]).all()
 
 
