@@ -143,7 +143,9 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
     hashed = np.zeros(len(points), dtype=np.int32)
     for column in words.T:
         hashed = murmurhash3_32(column ^ hashed, seed=seed)
-    order: IntArray = np.lexsort((*points.T, hashed)).astype(np.int32)
+    order: IntArray = np.argsort(hashed).astype(np.int32)
+    if np.any(hashed[order[1:]] == hashed[order[:-1]]):
+        order = np.lexsort((*points.T, hashed)).astype(np.int32)
     return order
 
 
