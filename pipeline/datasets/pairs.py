@@ -1,7 +1,7 @@
 """A dataset's layout: which files form a pair. Opens the manifest and the label names, no scan.
 
 Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the columns pair_id,
-real, sim and perhaps timestamp_s and T_real_sim (12 numbers separated by spaces, [R | t] row by row).
+real, sim and perhaps timestamp_s, T_real_sim and T_world_sensor (12 numbers separated by spaces, [R | t] row by row).
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
+from ...stages.arrays import FloatArray
 from .readers import FORMATS, stem_of, suffix_of
 
 MANIFEST = "pairs.csv"
 LABEL_NAMES = "labels.toml"
-_MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim")
+_MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -33,6 +34,7 @@ class ScanPair:
     T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame; None if they are
         in it already
     fault : why the pair cannot be evaluated, or None
+    T_world_sensor : 12 numbers, [R | t] row by row: where the real sensor was, in the frame of the recording
     """
 
     pair_id: str
@@ -41,6 +43,7 @@ class ScanPair:
     timestamp_s: float | None = None
     T_real_sim: tuple[float, ...] | None = None
     fault: str | None = None
+    T_world_sensor: tuple[float, ...] | None = None
 
     def path(self, side: str) -> Path | None:
         """The scan file of a side ("real" or "sim"), or None."""
@@ -76,7 +79,7 @@ def read_dataset(folder: Path) -> Dataset:
         raise DatasetError(f"dataset {folder}: no such folder")
     manifest = folder / MANIFEST
     warnings: list[str] = []
-    pairs = _from_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
+    pairs = read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
     if not pairs:
         wanted = f"files are wanted in real/ and sim/, or a {MANIFEST}"
         why = f"{MANIFEST} is empty" if manifest.exists() else wanted
@@ -162,14 +165,27 @@ def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
     return scans
 
 
-def _from_manifest(manifest: Path, warnings: list[str]) -> list[ScanPair]:
+def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True) -> list[ScanPair]:
+    """The pairs of a manifest, in its order.
+
+    Parameters
+    ----------
+    warnings : gets a line for each column that is not known
+    needs_sim : whether the column sim is wanted; without one the pairs have no simulated scan
+
+    Raises
+    ------
+    DatasetError
+        It is no table, lacks a column, names a pair twice, or a number is none.
+    """
     import pandas as pd
 
     try:
         rows = pd.read_csv(manifest, dtype=str, keep_default_na=False, skipinitialspace=True)
     except (OSError, ValueError) as error:
         raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
-    missing = [name for name in ("pair_id", "real", "sim") if name not in rows.columns]
+    wanted = ("pair_id", "real", "sim") if needs_sim else ("pair_id", "real")
+    missing = [name for name in wanted if name not in rows.columns]
     if missing:
         raise DatasetError(
             f"{manifest}: columns {', '.join(map(str, rows.columns))} found; {', '.join(missing)} wanted as well"
@@ -193,10 +209,12 @@ def _from_manifest(manifest: Path, warnings: list[str]) -> list[ScanPair]:
                 f"{where}: pair_id {pair_id} stands in line {seen[pair_id]} already; each may stand once"
             )
         seen[pair_id] = line
-        (real, no_real), (sim, no_sim) = (_named_scan(where, manifest.parent, row[side], side) for side in SIDES)
+        (real, no_real), (sim, no_sim) = (
+            _named_scan(where, manifest.parent, row.get(side, ""), side) for side in SIDES
+        )
         time_s = _number(where, "timestamp_s", row.get("timestamp_s", ""))
-        T_real_sim = _transform(where, row.get("T_real_sim", ""))
-        pairs.append(ScanPair(pair_id, real, sim, time_s, T_real_sim, no_real or no_sim))
+        T_real_sim, T_world_sensor = (_transform(where, name, row.get(name, "")) for name in _MANIFEST_COLUMNS[-2:])
+        pairs.append(ScanPair(pair_id, real, sim, time_s, T_real_sim, no_real or no_sim, T_world_sensor))
     return pairs
 
 
@@ -220,22 +238,39 @@ def _number(where: str, name: str, text: str) -> float | None:
     return value
 
 
-def _transform(where: str, text: str) -> tuple[float, ...] | None:
+def _transform(where: str, name: str, text: str) -> tuple[float, ...] | None:
     words = text.split()
     if not words:
         return None
-    if len(words) != 12:
-        raise DatasetError(f"{where}: T_real_sim has {len(words)} numbers, 12 are wanted ([R | t] row by row)")
-    values = np.array([_number(where, "T_real_sim", word) for word in words], dtype=np.float64)
-    rotation = values.reshape(3, 4)[:, :3]
+    numbers = np.array([_number(where, name, word) for word in words], dtype=np.float64)
+    return tuple(check_rigid(where, name, numbers).ravel().tolist())
+
+
+def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
+    """The rigid motion of 12 numbers, (3, 4) float64, [R | t].
+
+    Parameters
+    ----------
+    where, name : of the motion, for errors
+
+    Raises
+    ------
+    DatasetError
+        There are not 12 numbers, or R is no rotation.
+    """
+    if len(numbers) != 12:
+        raise DatasetError(f"{where}: {name} has {len(numbers)} numbers, 12 are wanted ([R | t] row by row)")
+    motion = numbers.reshape(3, 4)
+    rotation = motion[:, :3]
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if off > _ROTATION_TOLERANCE:
+    if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
         raise DatasetError(
-            f"{where}: T_real_sim is no rigid motion (R R^T is off the identity by {off:.2g}, "
+            f"{where}: {name} is no rigid motion (R R^T is off the identity by {off:.2g}, "
             f"at most {_ROTATION_TOLERANCE:g} is taken for rounding)"
         )
     if np.linalg.det(rotation) < 0:
-        raise DatasetError(
-            f"{where}: T_real_sim is a mirror image; set input.sim_flip_y = true for a left-handed simulator"
+        hint = (
+            "set input.sim_flip_y = true for a left-handed simulator" if name == "T_real_sim" else "det R = 1 is wanted"
         )
-    return tuple(values.tolist())
+        raise DatasetError(f"{where}: {name} is a mirror image; {hint}")
+    return motion

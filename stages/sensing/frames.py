@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from ...schemas.settings import Box, InputSettings
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import clean_scan
+from .surfels import voxel_ids
 
 FRAMES_VERSION = 1  # raised where a result can change
 AS_IT_LIES = "as it lies"
@@ -270,8 +271,7 @@ def _setting(reading: _Reading, placement: _Placement) -> str:
 def _thinned(points: FloatArray, settings: InputSettings) -> FloatArray:
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
     near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
-    cells = np.floor(near / VOXEL_M).astype(np.int64) + 2**20
-    _, first = np.unique((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2], return_index=True)
+    _, first = np.unique(voxel_ids(near, VOXEL_M), return_index=True)
     return clean_scan(near[np.sort(first)], settings.model_copy(update={"include_box": None})).points
 
 

@@ -126,7 +126,7 @@ def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatAr
     gets round((factor - 1) m) more, each on the line from a random point of the region to a random one of its 5
     nearest neighbours in the scan, so that they lie on the surface.
     """
-    chosen = _regions(points, round(REGION_SHARE * len(points)), rng)
+    chosen = grow_regions(points, round(REGION_SHARE * len(points)), rng)
     if factor <= 1:
         return points[~chosen | (rng.random(len(points)) < factor)]
     n_new = round((factor - 1) * np.count_nonzero(chosen))
@@ -139,8 +139,8 @@ def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatAr
     return np.vstack([points, points[start] + rng.random((n_new, 1)) * (points[end] - points[start])])
 
 
-def _regions(points: FloatArray, n_wanted: int, rng: Generator) -> BoolArray:
-    """Which points lie in the regions, (n,) bool with exactly `n_wanted` True."""
+def grow_regions(points: FloatArray, n_wanted: int, rng: Generator) -> BoolArray:
+    """Which points lie in regions of 2 m about random points, (n,) bool with exactly `n_wanted` True."""
     chosen = np.zeros(len(points), dtype=np.bool_)
     tree = cKDTree(points)
     n_left = n_wanted

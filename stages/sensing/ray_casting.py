@@ -21,7 +21,7 @@ class SensorModel:
     azimuth_step_deg : between two firings
     min_range_m, max_range_m : returns outside are not reported
     range_noise_m : standard deviation along the ray
-    range_quantum_m : ranges are multiples of it
+    range_quantum_m : ranges are multiples of it; 0 for any
     lost_share : share of the pulses that are lost whatever they meet
     signal_range_m : range at which a white surface that faces the sensor still answers 63 % of the pulses
     """
@@ -93,7 +93,8 @@ _VLP32C_DEG = (
 _DEG_PER_S = 600 / 60 * 360.0
 
 #: Sensors by name. VLP-32C: firing cycle 55.296 us at 600 rpm. HDL-64E: nominal angles, as each unit has its own
-#: calibration; 2083 firings per revolution.
+#: calibration; 2083 firings per revolution. OS1-64: design values of the first generation, 2048 columns. CARLA: its
+#: ray_cast sensor with default field of view, channels and drop-off; the usual 100 m and 0.2 degrees for 10 m and 2.
 SENSORS = {
     "vlp32c": SensorModel(
         name="vlp32c",
@@ -118,6 +119,30 @@ SENSORS = {
         range_quantum_m=0.002,
         lost_share=0.03,
         signal_range_m=60.0,
+    ),
+    "os1-64": SensorModel(
+        name="os1-64",
+        elevation_deg=tuple(np.linspace(16.611, -16.611, 64).tolist()),
+        azimuth_offset_deg=(-3.164, -1.055, 1.055, 3.164) * 16,
+        azimuth_step_deg=360.0 / 2048,
+        min_range_m=0.8,
+        max_range_m=120.0,
+        range_noise_m=0.03,
+        range_quantum_m=0.001,
+        lost_share=0.03,
+        signal_range_m=55.0,
+    ),
+    "carla": SensorModel(
+        name="carla",
+        elevation_deg=tuple(np.linspace(10.0, -30.0, 32).tolist()),
+        azimuth_offset_deg=(0.0,) * 32,
+        azimuth_step_deg=0.2,
+        min_range_m=0.1,
+        max_range_m=100.0,
+        range_noise_m=0.0,
+        range_quantum_m=0.0,
+        lost_share=0.45,
+        signal_range_m=1e4,
     ),
 }
 
@@ -227,13 +252,15 @@ def return_probability(
 
 
 def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Ranges as the sensor reports them: with Gaussian noise along the ray, then rounded to the quantum.
+    """Ranges as the sensor reports them: with Gaussian noise along the ray, then rounded to the quantum, if it has one.
 
     Parameters
     ----------
     range_m : (n,) float64, true
     rng : source of the noise
     """
-    noisy = range_m + rng.normal(0.0, sensor.range_noise_m, len(range_m))
+    noisy: FloatArray = range_m + rng.normal(0.0, sensor.range_noise_m, len(range_m))
+    if not sensor.range_quantum_m:
+        return noisy
     reported: FloatArray = np.round(noisy / sensor.range_quantum_m) * sensor.range_quantum_m
     return reported

@@ -1,0 +1,220 @@
+"""Posed recordings: the scans of one drive, and where the sensor was when each was taken.
+
+Three layouts: the manifest `pairs.csv` with a column T_world_sensor; poses in TUM format; KITTI's poses of the camera
+with its calibration. Opens poses, calibration and manifest, no scan.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...schemas.errors import DatasetError
+from ...stages.arrays import FloatArray
+from .pairs import LABEL_NAMES, MANIFEST, check_rigid, read_label_names, read_manifest
+from .readers import stem_of, suffix_of
+
+FEWEST_FRAMES = 3
+_SCAN_FOLDERS = ("velodyne", "real", ".")
+_POSE_FILES = ("poses.tum", "poses.txt")
+_CALIBRATION = "calib.txt"
+_TIMES = "times.txt"
+_QUATERNION_TOLERANCE = 1e-2
+_TUM_NUMBERS, _KITTI_NUMBERS = 8, 12
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One scan of a recording.
+
+    name : of the frame, and of its pair
+    T_world_sensor : 12 numbers, [R | t] row by row: maps the scan's points into the frame of the recording
+    timestamp_s : when it was taken, if that is known
+    """
+
+    name: str
+    path: Path
+    T_world_sensor: tuple[float, ...]
+    timestamp_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Posed scans in the order in which they were taken.
+
+    poses : the file that they are posed by
+    label_names : class names by number, {} without a `labels.toml`
+    """
+
+    folder: Path
+    poses: Path
+    frames: tuple[Frame, ...]
+    label_names: dict[int, str]
+
+
+def read_recording(folder: Path, poses: Path | None = None, calibration: Path | None = None) -> Recording:
+    """The frames of a folder, with their poses.
+
+    Scans lie in `velodyne/`, `real/` or the folder itself and are taken in the order of their names, one pose each.
+
+    Parameters
+    ----------
+    folder : of the recording
+    poses : file of poses, eight numbers a line (TUM: time tx ty tz qx qy qz qw, of the sensor) or twelve (KITTI:
+        [R | t] row by row, of the camera); by default the manifest, poses.tum, poses.txt, or ../../poses/NAME.txt
+    calibration : KITTI's, whose line Tr maps the sensor's frame into the camera's; by default calib.txt in the folder
+
+    Raises
+    ------
+    DatasetError
+        There is no such folder, no pose, not one pose for each scan, a pose is no rigid motion, or there are fewer
+        than three frames.
+    """
+    if not folder.is_dir():
+        raise DatasetError(f"recording {folder}: no such folder; one with scans and poses is wanted")
+    manifest = folder / MANIFEST
+    if poses is None and manifest.exists():
+        poses, frames = manifest, _frames_of_manifest(manifest)
+    else:
+        poses = poses or _find_poses(folder)
+        frames = _frames_of_poses(folder, poses, calibration)
+    if len(frames) < FEWEST_FRAMES:
+        raise DatasetError(
+            f"recording {folder}: {len(frames)} frames found, at least {FEWEST_FRAMES} are wanted: each is scanned "
+            "again in a model of the others"
+        )
+    stem, n_alike = Counter(stem_of(frame.path) for frame in frames).most_common(1)[0]
+    if n_alike > 1:
+        raise DatasetError(f"recording {folder}: {n_alike} scans are called {stem}; names that differ are wanted")
+    labelled = next((place for place in (folder, frames[0].path.parent) if (place / LABEL_NAMES).exists()), folder)
+    return Recording(folder, poses, tuple(frames), read_label_names(labelled))
+
+
+def _frames_of_manifest(manifest: Path) -> list[Frame]:
+    pairs = read_manifest(manifest, [], needs_sim=False)
+    frames = []
+    for pair in pairs:
+        if pair.T_world_sensor is None:
+            raise DatasetError(
+                f"{manifest}: pair {pair.pair_id} has no T_world_sensor; 12 numbers are wanted ([R | t] row by row), "
+                "or a file of poses (--poses)"
+            )
+        if pair.real is None:
+            raise DatasetError(f"{manifest}: pair {pair.pair_id} has no real scan ({pair.fault})")
+        frames.append(Frame(pair.pair_id, pair.real, pair.T_world_sensor, pair.timestamp_s))
+    return frames
+
+
+def _find_poses(folder: Path) -> Path:
+    places = [*(folder / name for name in _POSE_FILES), folder.parent.parent / "poses" / f"{folder.name}.txt"]
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
+        raise DatasetError(
+            f"recording {folder}: no poses found; {', '.join(_POSE_FILES)}, a {MANIFEST} with T_world_sensor, or "
+            "a file named by --poses is wanted"
+        )
+    return found
+
+
+def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[Frame]:
+    places = [folder / name for name in _SCAN_FOLDERS if (folder / name).is_dir()]
+    scans = next(filter(None, map(_scans, places)), [])
+    if not scans:
+        raise DatasetError(f"recording {folder}: no scans found; files are wanted in velodyne/, real/ or the folder")
+    rows = _read_numbers(poses, (_TUM_NUMBERS, _KITTI_NUMBERS))
+    if len(rows) != len(scans):
+        raise DatasetError(
+            f"{poses}: {len(rows)} poses found for {len(scans)} scans ({scans[0].name} to {scans[-1].name}); one pose "
+            "for each scan is wanted, in the order of their names"
+        )
+    if rows.shape[1] == _TUM_NUMBERS:
+        motions, times = _tum_motions(poses, rows[:, 1:]), rows[:, 0].tolist()
+    else:
+        motions = _kitti_motions(folder, poses, rows, calibration)
+        times = _kitti_times(folder / _TIMES, len(scans))
+    return [
+        Frame(stem_of(path), path, tuple(motion.ravel().tolist()), time_s)
+        for path, motion, time_s in zip(scans, motions, times, strict=True)
+    ]
+
+
+def _scans(folder: Path) -> list[Path]:
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_file() and not path.name.startswith(".") and path.name != MANIFEST and suffix_of(path) is not None
+    )
+
+
+def _read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
+    """(n, width) float64, the lines of a file; those that begin with # are left out."""
+    wanted = " or ".join(map(str, widths))
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        rows = [[float(word) for word in line.split()] for line in lines if line.strip() and line.lstrip()[0] != "#"]
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except ValueError as error:
+        raise DatasetError(f"{path}: lines of {wanted} numbers are wanted ({error})") from error
+    counts = {len(row) for row in rows}
+    if len(counts) != 1 or counts.pop() not in widths:
+        found = ", ".join(map(str, sorted({len(row) for row in rows}))) or "no"
+        raise DatasetError(f"{path}: lines of {found} numbers found, lines of {wanted} numbers are wanted")
+    return np.array(rows)
+
+
+def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
+    """(n, 3, 4) float64, from translations and quaternions (x y z w)."""
+    from scipy.spatial.transform import Rotation
+
+    length = np.sqrt((rows[:, 3:] ** 2).sum(axis=1))
+    wrong = np.flatnonzero(~(np.abs(length - 1) <= _QUATERNION_TOLERANCE) | ~np.isfinite(rows).all(axis=1))
+    if len(wrong):
+        raise DatasetError(
+            f"{poses}, pose {wrong[0] + 1}: no rigid motion (its quaternion has the length {length[wrong[0]]:.3g}, 1 "
+            "is wanted); lines are time tx ty tz qx qy qz qw"
+        )
+    R = Rotation.from_quat(rows[:, 3:]).as_matrix()
+    return np.concatenate([R, rows[:, :3, None]], axis=2)
+
+
+def _kitti_motions(folder: Path, poses: Path, rows: FloatArray, calibration: Path | None) -> FloatArray:
+    """(n, 3, 4) float64, T_world_sensor = Tr^-1 T_world_camera Tr; the world is then the sensor's first frame."""
+    T_world_camera = [check_rigid(f"{poses}, pose {line}", "the pose", row) for line, row in enumerate(rows, start=1)]
+    T_camera_sensor = _square(_read_calibration(calibration or folder / _CALIBRATION, poses))
+    T_sensor_camera = np.linalg.inv(T_camera_sensor)
+    return np.array([(T_sensor_camera @ _square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera])
+
+
+def _read_calibration(path: Path, poses: Path) -> FloatArray:
+    """(3, 4) float64, the line `Tr` of KITTI's calibration."""
+    if not path.is_file():
+        raise DatasetError(
+            f"{path}: no such file; {poses.name} holds 12 numbers a line, KITTI's poses of the camera, and a "
+            "calibration with the line Tr is wanted with them (--calib); poses of the sensor are read in TUM format"
+        )
+    for line in path.read_text(encoding="utf-8").splitlines():
+        name, _, text = line.partition(":")
+        if name.strip() in ("Tr", "Tr_velo_to_cam"):
+            try:
+                numbers = np.array(text.split(), dtype=np.float64)
+            except ValueError as error:
+                raise DatasetError(f"{path}: Tr holds no numbers ({error})") from error
+            return check_rigid(str(path), "Tr", numbers)
+    raise DatasetError(f"{path}: no line Tr: found; it maps the sensor's frame into the camera's")
+
+
+def _kitti_times(path: Path, n_frames: int) -> list[float] | list[None]:
+    if not path.is_file():
+        return [None] * n_frames
+    times: list[float] = _read_numbers(path, (1,))[:, 0].tolist()
+    if len(times) != n_frames:
+        raise DatasetError(f"{path}: {len(times)} times found for {n_frames} scans; one for each is wanted")
+    return times
+
+
+def _square(motion: FloatArray) -> FloatArray:
+    return np.vstack([motion, [0.0, 0.0, 0.0, 1.0]])

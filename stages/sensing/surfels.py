@@ -1,0 +1,104 @@
+"""The surface that points lie on: its plane about each point, and a scan thinned to one point per voxel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import FloatArray, IndexArray
+
+_ROWS_AT_ONCE = 8192  # bounds the memory of neighbourhoods
+
+
+@dataclass(frozen=True)
+class LocalPlanes:
+    """What the neighbours of each place say of the surface there.
+
+    mean : (n, 3) float64, metres, weighted mean of the neighbours
+    normal : (n, 3) float64, unit vectors: the axis along which the neighbours vary least, of either sign
+    variance : (n, 3) float64, m^2, along the three principal axes, ascending; l3, l2, l1 of the literature
+    n_neighbours : (n,) intp, how many there are; a plane wants three
+    """
+
+    mean: FloatArray
+    normal: FloatArray
+    variance: FloatArray
+    n_neighbours: IndexArray
+
+    @property
+    def scattering(self) -> FloatArray:
+        """l3 / l1 (Demantke et al., ISPRS 2011): 0 on a plane and a line, 1 where points vary alike on all axes."""
+        scattering: FloatArray = self.variance[:, 0] / np.maximum(self.variance[:, 2], 1e-300)
+        return scattering
+
+
+def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: float = np.inf) -> LocalPlanes:
+    """The plane through the neighbours of each place, by weighted principal component analysis.
+
+    The neighbours are the `n_most` nearest points within `reach_m`. With a finite reach h their weights are
+    exp(-(2 d / h)^2), as in moving least squares (Alexa et al., IEEE Visualization 2001); without one all weigh alike.
+    A place without neighbours has itself as mean, and no variance.
+
+    Parameters
+    ----------
+    points : (m, 3) float64, metres
+    places : (n, 3) float64, metres
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> floor = np.array([[x, y, 0.0] for x in range(3) for y in range(3)])
+    >>> planes = fit_planes(floor, floor[4:5], 9)
+    >>> np.abs(planes.normal).tolist(), planes.n_neighbours.tolist()
+    ([[0.0, 0.0, 1.0]], [9])
+    """
+    n_most = min(n_most, len(points))
+    if not len(places) or not n_most:
+        normal = np.broadcast_to([0.0, 0.0, 1.0], places.shape).copy()
+        return LocalPlanes(places.copy(), normal, np.zeros_like(places), np.zeros(len(places), dtype=np.intp))
+    tree = cKDTree(points)
+    parts = []
+    for start in range(0, len(places), _ROWS_AT_ONCE):
+        asked = places[start : start + _ROWS_AT_ONCE]
+        apart, ids = tree.query(asked, k=np.arange(1, n_most + 1), distance_upper_bound=reach_m)
+        is_near = np.isfinite(apart)
+        weight = is_near * (np.exp(-((2 * np.where(is_near, apart, 0.0) / reach_m) ** 2)))
+        total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
+        off = (points[np.where(is_near, ids, 0)] - asked[:, None]) * is_near[..., None]
+        mean = np.einsum("nk,nkd->nd", weight, off) / total
+        centred = (off - mean[:, None]) * np.sqrt(weight / total)[..., None]
+        variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
+        parts.append((asked + mean, axes[:, :, 0], np.maximum(variance, 0.0), is_near.sum(axis=1)))
+    return LocalPlanes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:
+    """The mean of the points of each occupied voxel, (v, 3) float64, in the order of the voxels.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    edge_m : of a voxel; one of them has a corner at the origin
+
+    Examples
+    --------
+    >>> voxel_means(np.array([[0.1, 0, 0], [0.3, 0, 0], [1.5, 0, 0]]), 1.0).tolist()
+    [[0.2, 0.0, 0.0], [1.5, 0.0, 0.0]]
+    """
+    _, ids, n_points = np.unique(voxel_ids(points, edge_m), return_inverse=True, return_counts=True)
+    return np.column_stack([np.bincount(ids, points[:, axis], len(n_points)) / n_points for axis in range(3)])
+
+
+def voxel_ids(points: FloatArray, edge_m: float) -> IndexArray:
+    """A number for the voxel that each point lies in, (n,) int64; unique within a million voxels of the origin.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    edge_m : of a voxel
+    """
+    cells = np.floor(points / edge_m).astype(np.int64) + 2**20
+    ids: IndexArray = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    return ids

@@ -1,0 +1,198 @@
+"""Known flaws: each does what its name says, by the amount that is given, and nothing else."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from fidpipe.schemas.errors import FidpipeError
+from fidpipe.stages.sensing.flaws import FLAWS, is_foliage, lose_foliage
+from fidpipe.stages.sensing.surfels import fit_planes, voxel_means
+from scenes import box, road
+
+NOTHING = {name: 1.0 if name == "density" else 0.0 for name in FLAWS}
+SOME = {"holes": 5, "mirrored": 1, "yaw": 3.0, "blur": 0.4, "offset": 0.2, "noise": 0.1}
+
+
+def seeded(seed=3):
+    return np.random.default_rng(seed)
+
+
+def ring_scan(seed=0):
+    """32 rings of a flat road 1.7 m below the sensor and of a wall across it, 30 m ahead."""
+    elevation, azimuth = np.meshgrid(np.radians(np.linspace(-20, 5, 32)), np.radians(np.arange(0, 360, 0.4)))
+    u = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+    ).reshape(-1, 3)
+    with np.errstate(divide="ignore"):
+        to_road = np.where(u[:, 2] < 0, -1.7 / u[:, 2], np.inf)
+        to_wall = np.where(u[:, 0] > 0, 30.0 / u[:, 0], np.inf)
+    range_m = np.minimum(to_road, to_wall)
+    return (u * range_m[:, None])[range_m < 60]
+
+
+def crown(n=2000, centre=(8.0, 3.0, 2.0)):
+    return np.asarray(centre) + seeded(1).normal(0, 0.8, (n, 3))
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    return np.vstack([ring_scan(), crown()])
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_an_amount_of_nothing_changes_nothing(name, cloud):
+    np.testing.assert_allclose(FLAWS[name](cloud, NOTHING[name], seeded()), cloud, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_the_same_seed_gives_the_same_points_and_the_argument_stays_as_it_was(name, cloud):
+    before = cloud.copy()
+    a, b = (FLAWS[name](cloud, SOME.get(name, 0.5), seeded()) for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(cloud, before)
+    assert len(a) != len(cloud) or np.abs(a - cloud).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_no_points_stay_no_points(name):
+    assert FLAWS[name](np.empty((0, 3)), SOME.get(name, 0.5), seeded()).shape == (0, 3)
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_a_scan_of_three_points_can_have_every_flaw(name):
+    altered = FLAWS[name](np.eye(3) * 30.0, SOME.get(name, 0.5), seeded())
+    assert altered.shape[1] == 3
+    assert np.isfinite(altered).all()
+
+
+def test_far_dropout_loses_its_share_beyond_the_range_and_nothing_nearer(cloud):
+    left = FLAWS["far-dropout"](cloud, 0.6, seeded())
+    range_m, left_m = np.linalg.norm(cloud, axis=1), np.linalg.norm(left, axis=1)
+    assert (left_m <= 25).sum() == (range_m <= 25).sum()
+    assert (left_m > 25).sum() / (range_m > 25).sum() == pytest.approx(0.4, abs=0.03)
+    near = FLAWS["far-dropout"](cloud, 1.0, seeded(), 10.0)
+    assert np.linalg.norm(near, axis=1).max() <= 10
+
+
+def test_a_hole_is_a_ball_about_a_point_of_the_scan(cloud):
+    left = FLAWS["holes"](cloud, 1, seeded())
+    lost = cloud[cKDTree(left).query(cloud)[0] > 0]
+    centre = cloud[seeded().integers(len(cloud), size=1)][0]
+    assert len(lost) == (np.linalg.norm(cloud - centre, axis=1) <= 1.5).sum() > 0
+    assert len(FLAWS["holes"](cloud, 12, seeded())) < len(left)
+
+
+def test_foliage_is_told_from_a_road_and_a_wall_by_its_scattering(cloud):
+    found = is_foliage(cloud)
+    assert found[-2000:].mean() > 0.95
+    assert found[:-2000].mean() < 0.03
+
+
+def test_lost_foliage_goes_in_clumps_and_nothing_else_goes(cloud):
+    labelled = np.arange(len(cloud)) >= len(cloud) - 2000
+    left = lose_foliage(cloud, 0.3, seeded(), labelled)
+    assert len(left) == len(cloud) - 600
+    np.testing.assert_array_equal(left[: len(cloud) - 2000], cloud[:-2000])
+    leaves = cloud[-2000:]
+    is_lost = cKDTree(left).query(leaves)[0] > 0
+    neighbour = cKDTree(leaves).query(leaves[is_lost], k=2)[1][:, 1]
+    assert is_lost[neighbour].mean() > 0.7  # of a dropout it would be 0.3
+
+
+def test_without_labels_a_share_of_what_is_scattered_is_lost(cloud):
+    left = FLAWS["foliage"](cloud, 0.5, seeded())
+    assert len(cloud) - len(left) == round(0.5 * is_foliage(cloud).sum())
+
+
+def test_blur_leaves_a_plane_and_rounds_the_corner_of_two():
+    floor = np.stack(np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05), [0.0]), axis=-1).reshape(-1, 3)
+    wall = floor[:, [2, 1, 0]]
+    corner = np.unique(np.vstack([floor, wall]), axis=0)
+    blurred = FLAWS["blur"](corner, 0.4, seeded())
+    np.testing.assert_allclose(FLAWS["blur"](floor, 0.4, seeded()), floor, atol=1e-12)
+    at_edge = np.hypot(corner[:, 0], corner[:, 2]) < 1e-9
+    inner = at_edge & (np.abs(corner[:, 1] - 2) < 1)
+    assert (np.hypot(blurred[inner, 0], blurred[inner, 2]) > 0.05).all()
+    far = (np.hypot(corner[:, 0], corner[:, 2]) > 0.6) & (np.abs(corner[:, 1] - 2) < 1)
+    np.testing.assert_allclose(blurred[far], corner[far], atol=1e-9)
+
+
+def test_blur_takes_roughness_and_the_thickness_of_what_is_thin():
+    rough = road(4000, half_width=6.0)
+    assert FLAWS["blur"](rough, 0.8, seeded())[:, 2].std() < 0.5 * rough[:, 2].std()
+    board = box([9, 0, 0], [0.2, 4, 2], 4000)
+    assert FLAWS["blur"](board, 0.8, seeded())[:, 0].std() < 0.3 * board[:, 0].std()
+
+
+def test_wrong_beams_look_elsewhere_and_meet_the_same_surfaces():
+    scan = ring_scan()
+    altered = FLAWS["beams"](scan, 0.3, seeded())
+    turned_deg = np.degrees(
+        np.arctan2(altered[:, 2], np.hypot(*altered[:, :2].T)) - np.arctan2(scan[:, 2], np.hypot(*scan[:, :2].T))
+    )
+    assert np.abs(turned_deg).mean() == pytest.approx(0.3 * np.sqrt(2 / np.pi), rel=0.4)
+    np.testing.assert_allclose(np.arctan2(altered[:, 1], altered[:, 0]), np.arctan2(scan[:, 1], scan[:, 0]), atol=1e-9)
+    is_road = (np.abs(scan[:, 2] + 1.7) < 1e-9) & (np.linalg.norm(scan, axis=1) < 12)
+    np.testing.assert_allclose(altered[is_road, 2], -1.7, atol=1e-6)
+    is_wall = (np.abs(scan[:, 0] - 30) < 1e-9) & (np.abs(scan[:, 1]) < 10) & (scan[:, 2] > -1)
+    assert np.median(np.abs(altered[is_wall, 0] - 30)) < 1e-6
+    # One error per beam: points of one elevation turn alike.
+    ring = np.abs(np.degrees(np.arcsin(scan[:, 2] / np.linalg.norm(scan, axis=1))) + 20) < 0.01
+    assert np.ptp(turned_deg[ring]) < 1e-9
+
+
+def test_what_is_systematic_moves_the_whole_scan(cloud):
+    shift = FLAWS["offset"](cloud, 0.2, seeded()) - cloud
+    assert np.ptp(shift, axis=0).max() < 1e-9
+    assert np.linalg.norm(shift[0]) == pytest.approx(0.2)
+    np.testing.assert_allclose(FLAWS["yaw"](np.array([[10.0, 0, 2]]), 90.0, seeded()), [[0, 10, 2]], atol=1e-12)
+    np.testing.assert_array_equal(FLAWS["mirrored"](cloud, 1, seeded()), cloud * [1, -1, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "amount", "at_m", "words"),
+    [
+        ("dropout", 1.5, None, "flaw dropout: amount 1.5; 0 to 1 is wanted"),
+        ("dropout", np.nan, None, "flaw dropout: amount nan"),
+        ("holes", 2.5, None, "flaw holes: amount 2.5; a whole number is wanted"),
+        ("holes", 2, 0.0, "second number 0; more than 0 is wanted .radius of a hole"),
+        ("noise", 0.1, 3.0, "flaw noise: a second number, 3, is given; it has none"),
+    ],
+)
+def test_amounts_that_make_no_sense_are_refused(name, amount, at_m, words, cloud):
+    with pytest.raises(FidpipeError, match=words):
+        FLAWS[name](cloud, amount, seeded(), at_m)
+
+
+def test_local_planes_agree_with_one_place_after_the_other(rng):
+    points, places = rng.normal(size=(300, 3)), rng.normal(size=(20, 3))
+    planes = fit_planes(points, places, 30, 0.9)
+    for i, place in enumerate(places):
+        apart = np.linalg.norm(points - place, axis=1)
+        near = [j for j in np.argsort(apart)[:30] if apart[j] <= 0.9]
+        assert planes.n_neighbours[i] == len(near)
+        if len(near) >= 4:
+            weight = np.exp(-((2 * apart[near] / 0.9) ** 2))
+            mean = (weight[:, None] * points[near]).sum(axis=0) / weight.sum()
+            covariance = (
+                sum(w * np.outer(p - mean, p - mean) for w, p in zip(weight, points[near], strict=True)) / weight.sum()
+            )
+            variance, axes = np.linalg.eigh(covariance)
+            np.testing.assert_allclose(planes.mean[i], mean, atol=1e-9)
+            np.testing.assert_allclose(planes.variance[i], variance, atol=1e-9)
+            assert abs(planes.normal[i] @ axes[:, 0]) == pytest.approx(1)
+
+
+def test_a_place_without_neighbours_is_its_own_mean():
+    planes = fit_planes(np.zeros((5, 3)), np.array([[9.0, 0, 0]]), 5, 1.0)
+    assert planes.n_neighbours.tolist() == [0]
+    np.testing.assert_allclose(planes.mean, [[9.0, 0, 0]])
+
+
+def test_voxel_means_are_those_of_the_points_in_each_voxel(rng):
+    points = rng.uniform(-3, 3, (500, 3))
+    by_hand = {}
+    for point in points:
+        by_hand.setdefault(tuple(np.floor(point / 0.7)), []).append(point)
+    wanted = np.array(sorted(np.mean(group, axis=0).tolist() for group in by_hand.values()))
+    np.testing.assert_allclose(np.array(sorted(voxel_means(points, 0.7).tolist())), wanted)
