@@ -37,6 +37,12 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
 ]
+Floor = Annotated[
+    Path | None,
+    typer.Option(
+        "--floor", metavar="RUN", help="Scores also over this floor, a run of fidpipe floor of the same real scans."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]
 
 EXIT_WRONG_INPUT = 1

@@ -16,10 +16,12 @@ import pandas as pd
 from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
 from ....stages.arrays import IndexArray
+from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
 from ..results import PairTables, RunResults, Spectra
+from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
 from ..verdict import limits_in_words, verdict_of
 
 #: More rows would make the page slow; the table then says what part it shows.
@@ -83,8 +85,8 @@ def page_data(results: RunResults) -> dict[str, Any]:
     }
 
 
-def page_words(results: RunResults) -> dict[str, Any]:
-    """What the page's template shows of the whole run; versions by group, what made it."""
+def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
+    """What the page's template shows of the whole run; versions by group, what made it; scores over a floor if any."""
     record = results.run.record
     return {
         "title": results.run.folder.resolve().name,
@@ -92,6 +94,12 @@ def page_words(results: RunResults) -> dict[str, Any]:
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
+        "floor": excess
+        and {
+            "title": excess_title(excess),
+            "rows": excess_table(excess),
+            "notes": [EXCESS_NOTE, *excess_notes(excess)],
+        },
         "settings": record.settings,
         "versions": {
             "": {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}
