@@ -103,7 +103,7 @@ def _on_chance(comparison: Comparison) -> list[str]:
     below = [score for score in comparison.scores if score.beyond_floor is False]
     if below:
         lines.append(
-            "smaller than the floor, so that a perfect simulator measured again may differ as much: "
+            "smaller than the floor, what a second measurement of the real scan alone is off by: "
             + ", ".join(
                 f"{score.name} ({signed(score.difference.difference)}, floor {number(score.floor)})" for score in below
             )
