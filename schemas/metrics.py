@@ -251,6 +251,67 @@ COVERAGE_SCORES = tuple(
     for reach in COVERAGE_REACHES
 )
 
+_ROUGHNESS = "standard deviation of the 20 nearest points from their plane"
+
+#: What is said of the place and the roughness of the surfaces of a pair, in the order of the columns of `pairs`.
+SURFACE_SCORES = (
+    *(
+        Metric(
+            f"shift_{axis}_m",
+            f"shift {axis}",
+            f"displacement of the simulated surface along {axis}, point to plane",
+            f"displacement of the simulated surface along {axis}: 0 where both lie at the same place",
+            unit="m",
+            low=None,
+            better=None,
+            source="fidpipe; Chen and Medioni 1992",
+        )
+        for axis in "xyz"
+    ),
+    Metric(
+        "shift_m",
+        "shift",
+        "length of the displacement in the directions that the real surface tells",
+        unit="m",
+        source="fidpipe; Chen and Medioni 1992",
+    ),
+    Metric(
+        "roughness_real_m",
+        "roughness, real",
+        f"median over real points: {_ROUGHNESS}",
+        unit="m",
+        better=None,
+        equal=None,
+        source="fidpipe",
+    ),
+    Metric(
+        "roughness_sim_m",
+        "roughness, simulated",
+        f"median over simulated points: {_ROUGHNESS}",
+        unit="m",
+        better=None,
+        equal=None,
+        source="fidpipe",
+    ),
+    Metric(
+        "roughness_bias_m",
+        "roughness bias",
+        "mean roughness, simulated less real",
+        "above 0: the simulated surface is rougher (noise); below: it is smoother",
+        unit="m",
+        low=None,
+        better=None,
+        source="double validation metric, Rosenberger 2023",
+    ),
+    Metric(
+        "roughness_area_m",
+        "roughness area",
+        "area between both distributions of roughness without their bias",
+        unit="m",
+        source="double validation metric, Rosenberger 2023",
+    ),
+)
+
 #: The distances of others, in the order in which they are computed and shown.
 BASELINES = (
     Metric(
@@ -350,7 +411,9 @@ BASELINES = (
 )
 
 #: Every score by its column.
-METRIC = {metric.column: metric for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *BASELINES)}
+METRIC = {
+    metric.column: metric for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *SURFACE_SCORES, *BASELINES)
+}
 
 #: The object scores whose mean and standard deviation stand in `pairs`, in that order.
 OBJECT_METRICS = tuple(metric.column for metric in OBJECT_SCORES if metric.has_mean)
@@ -365,7 +428,7 @@ SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
 DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
 #: The same of a run, which also measures surfaces.
-RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in COVERAGE_SCORES))
+RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES)))
 #: What a summary for people shows of each pair and of the dataset.
 HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
 #: What may be given to the setting metrics.baselines.

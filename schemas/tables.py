@@ -25,7 +25,15 @@ from .columns import (
     score_column,
 )
 from .experiment_tables import EXPERIMENT_TABLES
-from .metrics import COVERAGE_REACHES, COVERAGE_SCORES, METRIC, OBJECT_METRICS, OBJECT_SCORES, PAIR_SCORES
+from .metrics import (
+    COVERAGE_REACHES,
+    COVERAGE_SCORES,
+    METRIC,
+    OBJECT_METRICS,
+    OBJECT_SCORES,
+    PAIR_SCORES,
+    SURFACE_SCORES,
+)
 
 GROUND = Table(
     "ground",
@@ -168,6 +176,20 @@ COVERAGE = Table(
     ("side", "community_id"),
 )
 
+SURFACE = Table(
+    "surface",
+    pa.schema(
+        [
+            PAIR,
+            column("real_id", INT32, "object of the real side; null for the whole side", optional=True),
+            column("n_points", INT32, "sampled real points on planes that the simulated side covers"),
+            column("n_directions", INT32, "in how many directions, 0 to 3, their normals tell a displacement"),
+            *(score_column(METRIC[name]) for name in ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")),
+        ]
+    ),
+    ("real_id",),
+)
+
 BASELINES = Table(
     "baselines",
     pa.schema(
@@ -243,7 +265,7 @@ def _pairs_schema() -> pa.Schema:
             number(f"{metric}_mean", f"mean of {metric} over the objects"),
             number(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
         ]
-    fields += [score_column(metric) for metric in COVERAGE_SCORES]
+    fields += [score_column(metric) for metric in (*COVERAGE_SCORES, *SURFACE_SCORES)]
     return pa.schema(fields)
 
 
@@ -258,7 +280,7 @@ TIMINGS = Table(
             column(
                 "stage",
                 STRING,
-                "ground, graph, communities, matching, coverage, selection, metrics, baselines or seeds",
+                "ground, graph, communities, matching, coverage, surface, selection, metrics, baselines or seeds",
             ),
             column("step", STRING, "read, write, or a step of the method"),
             column("seconds", FLOAT64, "wall time of the step", "s"),
@@ -272,7 +294,7 @@ TIMINGS = Table(
 TABLES = {
     table.name: table
     for table in (
-        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SELECTION, METRICS),
+        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, SELECTION, METRICS),
         *(BASELINES, SEEDS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )

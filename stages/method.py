@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..schemas.metrics import OBJECT_METRICS
+from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
 from .clean import CleanResult, clean_scan
 from .communities import find_communities
+from .coverage import cover, nearest_distances
 from .graph import build_graph
 from .ground import GroundResult, remove_ground
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
@@ -33,6 +34,7 @@ from .reference import (
 )
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
+from .surface import compare_roughness, describe_surface, measure_offsets
 
 
 def evaluate(
@@ -69,7 +71,10 @@ def evaluate(
 
     # "Graph-Based Validation Metrics": the objects that both sides have are scored
     scores = compare(objects_real, objects_sim, settings)
-    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores)
+
+    # Not the paper's: how much of each surface the other side has, how far apart they are, and how rough
+    surfaces = compare_surfaces(objects_real.points, objects_sim.points)
+    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces)
 
 
 def partition(
@@ -152,6 +157,26 @@ def match_objects(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: In
     if settings.communities.objects == "reference":
         return match_reference(real, sim, n_real, n_sim, settings.communities.min_points)
     return match_communities(real, sim, settings.matching)
+
+
+def compare_surfaces(real: FloatArray, sim: FloatArray) -> dict[str, Number]:
+    """Coverage of either side, displacement and roughness, by column of `pairs`; see `coverage` and `surface`.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, object points, at least one
+    """
+    found: dict[str, Number] = {}
+    for side, points, others in (("real", real, sim), ("sim", sim, real)):
+        whole = cover(nearest_distances(points, others), np.zeros(len(points), dtype=np.int32))
+        shares = zip(COVERAGE_REACHES, whole.covered[0].tolist(), strict=True)
+        found |= {f"covered_{side}_{reach}": share for reach, share in shares}
+    real_surface, sim_surface = describe_surface(real), describe_surface(sim)
+    offset = measure_offsets(real_surface, sim_surface)
+    lengths = (*offset.shift_m[0].tolist(), *offset.distance_m.tolist())
+    for name, length_m in zip(("shift_x_m", "shift_y_m", "shift_z_m", "shift_m"), lengths, strict=True):
+        found[name] = None if np.isnan(length_m) else length_m
+    return found | compare_roughness(real_surface, sim_surface)
 
 
 def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
@@ -241,6 +266,7 @@ class Evaluation:
     cut_real, cut_sim : which of these are ground
     objects_real, objects_sim : the others, their graph and their communities
     scores : of the pair
+    surfaces : of the pair, whatever the objects are
     """
 
     clean_real: CleanResult
@@ -250,6 +276,7 @@ class Evaluation:
     objects_real: PartitionedScan
     objects_sim: PartitionedScan
     scores: PairScores
+    surfaces: dict[str, Number]
 
 
 def _summarise(

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IntArray
 from .reference import visiting_order
+from .statistics.validation import double_validation_metric
 
 SAMPLE_POINTS = 2000
 NEIGHBOURS = 20
@@ -154,6 +156,24 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     leaning = np.where(is_told[:, None, :], 0.0, axes**2).sum(axis=2)
     distance_m = np.where(n_directions > 0, np.linalg.norm(shift, axis=1), np.nan)
     return Offsets(n_points, n_directions, np.where(leaning <= _MOST_LEANING, shift, np.nan), distance_m)
+
+
+def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
+    """The median roughness of both sides, and the double validation metric of their distributions, in metres.
+
+    Parameters
+    ----------
+    real, sim : both sides; None for all where a side has too few points
+    """
+    if not len(real.roughness_m) or not len(sim.roughness_m):
+        return dict.fromkeys(("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"))
+    apart = double_validation_metric(real.roughness_m, sim.roughness_m)
+    return {
+        "roughness_real_m": float(np.median(real.roughness_m)),
+        "roughness_sim_m": float(np.median(sim.roughness_m)),
+        "roughness_bias_m": apart.bias,
+        "roughness_area_m": apart.area,
+    }
 
 
 def _shifts(

@@ -30,7 +30,7 @@ def make_metrics(context: Context) -> Made:
 
 
 def gather_metrics(context: Context, tables: Tables) -> Facts:
-    """The pair's row of `pairs`: counts, match rate, ranges, means over the objects, and coverage."""
+    """The pair's row of `pairs`: counts, match rate, ranges, means over the objects, and what both surfaces say."""
     metrics = tables["metrics"]
     row: Facts = {"pair_id": context.pair_id, "status": "scored"}
     for side in SIDES:
@@ -58,12 +58,13 @@ def gather_metrics(context: Context, tables: Tables) -> Facts:
             range_of("sim", "hallucinated"),
         )
         | context.facts("coverage")["pair"]
+        | context.facts("surface")
     }
 
 
 STAGE = Stage(
     name="metrics",
-    takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS, "coverage": ()},
+    takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS, "coverage": (), "surface": ()},
     gives=("metrics",),
     grain=Grain.OBJECT,
     version=1,

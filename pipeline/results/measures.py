@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import DatasetError, SettingsError
-from ...schemas.metrics import COVERAGE_SCORES, DISTRIBUTED, METRIC, OBJECT_METRICS
+from ...schemas.metrics import COVERAGE_SCORES, DISTRIBUTED, METRIC, OBJECT_METRICS, SURFACE_SCORES
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
@@ -26,7 +26,7 @@ from .floor import RunExcess
 _OF_PAIRS = ("mean", "std", "min", "median", "max")
 _OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
 _COUNTS = ("total", "mean", "max", "share")
-_PAIR_SCORES = ("match_rate", *OBJECT_METRICS)
+_PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in SURFACE_SCORES))
 #: `covered.real.0.3m`, by which a gate knows the column `covered_real_0p3m`.
 _COVERAGE = {metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES}
 #: Of the double validation metric, over objects where a score has them.

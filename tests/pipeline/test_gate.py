@@ -115,7 +115,7 @@ def test_scans_that_changed_since_the_run_fail_it(tmp_path):
     data.rename(tmp_path / "elsewhere")
     result = judge_run(tmp_path / "run", [parse_word("match_rate.mean=0", "min")])
     assert result.passed
-    assert "is not here: not checked whether it has changed" in result.notes[0]
+    assert "is not here: not checked whether it has changed" in result.notes[1]
 
 
 def write_labelled(folder):
@@ -174,7 +174,7 @@ def test_a_dataset_that_is_there_but_broken_fails_with_the_reason(moved):
     (moved / "streets" / "pairs.csv").write_text("pair_id,real\n")
     result = judge_run(moved / "run", [parse_word("match_rate.mean=0", "min")])
     found = {of.criterion.measure: of for of in result.judged}
-    assert result.notes == ()
+    assert not any("is not here" in note for note in result.notes)
     for measure in ("pairs.changed", "pairs.to_do"):
         assert (found[measure].value, found[measure].passed) == (None, False)
         assert "sim wanted as well" in found[measure].why

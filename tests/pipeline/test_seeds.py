@@ -55,7 +55,7 @@ def seeds(out):
 
 def test_the_main_tables_stay_those_of_the_set_seed(plain, repeated):
     out, outcome = repeated
-    assert (outcome.n_made, outcome.n_reused) == (2, 18)
+    assert (outcome.n_made, outcome.n_reused) == (2, 22)
     assert not changed_files(out, marks(plain))
     assert_same_tables(out, plain)
     assert not (plain / "seeds").exists()
@@ -139,7 +139,7 @@ def test_the_terminal_shows_the_spread(repeated):
 def test_the_option_is_the_setting(again, dataset):
     done = command("run", dataset, "--out", again, "--workers", 1, "--seeds", 3)
     assert done.returncode == 0, done.stderr
-    assert "0 jobs done, 20 reused" in done.stdout
+    assert "0 jobs done, 24 reused" in done.stdout
     assert "How stable the scores are (3 seeds, 2 pairs)" in done.stdout
 
 

@@ -7,10 +7,12 @@ import readme
 from fidpipe.schemas.metrics import (
     BASELINE_NAMES,
     BASELINES,
+    COVERAGE_SCORES,
     METRIC,
     OBJECT_METRICS,
     OBJECT_SCORES,
     PAIR_SCORES,
+    SURFACE_SCORES,
     metric_of,
 )
 from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
@@ -25,7 +27,7 @@ from scenes import box
 
 
 def test_no_column_stands_in_the_catalogue_twice():
-    assert len(METRIC) == len(OBJECT_SCORES) + len(PAIR_SCORES) + len(BASELINES)
+    assert len(METRIC) == sum(map(len, (OBJECT_SCORES, PAIR_SCORES, COVERAGE_SCORES, SURFACE_SCORES, BASELINES)))
 
 
 def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():

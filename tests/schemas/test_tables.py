@@ -31,8 +31,11 @@ def test_the_pairs_table_has_the_columns_of_the_contract():
         "ground_real_tilt_deg",
         "n_communities_real",
     ]
-    assert names[-2:] == ["alignment_rms_m_mean", "alignment_rms_m_std"]
-    assert len(names) == 3 + 2 * 10 + 9 + 2 * 8
+    assert names[-16:-14] == ["alignment_rms_m_mean", "alignment_rms_m_std"]
+    assert names[-14:-8] == [f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")]
+    assert names[-8:-4] == ["shift_x_m", "shift_y_m", "shift_z_m", "shift_m"]
+    assert names[-4:] == ["roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"]
+    assert len(names) == 3 + 2 * 10 + 9 + 2 * 8 + 6 + 8
 
 
 def test_a_missing_column_is_refused():

@@ -72,11 +72,11 @@ def frames(evaluation):
 
 def summary(evaluation, n_raw):
     """The row of the pair, made of what the method returns."""
-    row = dict(evaluation.scores.summary)
+    row = evaluation.scores.summary | evaluation.surfaces
     for side in SIDES:
         clean, cut, scan = (getattr(evaluation, f"{name}_{side}") for name in ("clean", "cut", "objects"))
         row |= {f"n_{side}_raw": n_raw[side], f"n_{side}_clean": len(clean.points)}
-        row |= {f"n_{side}_points": len(scan.points), f"n_communities_{side}": len(scan.objects.n_points)}
+        row |= {f"n_{side}_points": len(scan.points), f"n_communities_{side}": scan.objects.n_objects}
         row |= {f"ground_{side}_{name}": getattr(cut, name) for name in ("peak_m", "threshold_m", "loss")}
         row |= {f"ground_{side}_iterations": cut.iterations, f"ground_{side}_tilt_deg": cut.tilt_deg}
         row[f"ground_{side}_removed_share"] = np.count_nonzero(cut.is_ground) / len(clean.points)
@@ -135,6 +135,7 @@ def scans():
         ["input.sim_flip_y=true", "matching.delta_m=40", "matching.method=optimal"],
         ["graph.edges=intersection", "graph.k=12", "graph.tau_m=0.6", "selection.t=0.3"],
         ["communities.backend=python-louvain", "communities.seed=5", "ground.method=none", "graph.k=8"],
+        ["communities.objects=reference", "graph.ties=coordinates", "communities.reach_m=0.4"],
     ],
     ids=" ".join,
 )

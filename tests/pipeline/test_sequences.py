@@ -1,0 +1,211 @@
+"""Posed recordings and sensor tables: what is read, and what is refused in one line."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.sensors import read_sensor
+from fidpipe.pipeline.datasets.sequences import read_recording
+from fidpipe.schemas.errors import DatasetError, FidpipeError
+from scenes import rigid, street, write_bin
+
+N = 4
+
+
+def motions(n=N):
+    """Where the sensor was: a metre on and two degrees to the left with each frame."""
+    return [rigid(2.0 * i, [1.0 * i, 0.1 * i, 0.02 * i]) for i in range(n)]
+
+
+def scans(folder, n=N):
+    for i in range(n):
+        write_bin(folder / f"{i:03}.bin", street(seed=i, n=20))
+    return folder
+
+
+def tum(path, poses):
+    lines = [
+        " ".join(map(repr, [0.1 * i, *T[:, 3].tolist(), *Rotation.from_matrix(T[:, :3]).as_quat().tolist()]))
+        for i, T in enumerate(poses)
+    ]
+    path.write_text("# time tx ty tz qx qy qz qw\n" + "\n".join(lines) + "\n")
+
+
+def square(T):
+    return np.vstack([T, [0, 0, 0, 1]])
+
+
+def write_kitti(folder, poses, Tr):
+    """Poses of the camera, as KITTI has them, of a sensor that was at `poses`."""
+    camera = [(square(Tr) @ square(T) @ np.linalg.inv(square(Tr)))[:3] for T in poses]
+    (folder / "poses.txt").write_text("\n".join(" ".join(map(repr, T.ravel().tolist())) for T in camera))
+    numbers = " ".join(map(repr, Tr.ravel().tolist()))
+    (folder / "calib.txt").write_text(f"P0: 7 0 0 0 0 7 0 0 0 0 1 0\nTr: {numbers}\n")
+
+
+def motion_of(frame):
+    return np.reshape(frame.T_world_sensor, (3, 4))
+
+
+def test_tum_poses_are_those_of_the_sensor(tmp_path):
+    tum(scans(tmp_path) / "poses.tum", motions())
+    recording = read_recording(tmp_path)
+    assert [frame.name for frame in recording.frames] == ["000", "001", "002", "003"]
+    assert [frame.timestamp_s for frame in recording.frames] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    for frame, T in zip(recording.frames, motions(), strict=True):
+        np.testing.assert_allclose(motion_of(frame), T, atol=1e-12)
+
+
+def test_kitti_poses_are_brought_from_the_camera_to_the_sensor(tmp_path):
+    Tr = np.column_stack([[[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0.1, -0.2, -0.3]]).astype(float)
+    scans(tmp_path / "velodyne")
+    write_kitti(tmp_path, motions(), Tr)
+    (tmp_path / "times.txt").write_text("0.0\n0.1\n0.2\n0.31\n")
+    recording = read_recording(tmp_path)
+    for frame, T in zip(recording.frames, motions(), strict=True):
+        np.testing.assert_allclose(motion_of(frame), T, atol=1e-9)
+    assert recording.frames[3].timestamp_s == 0.31
+
+
+def test_poses_in_kittis_own_folder_are_found(tmp_path):
+    folder = tmp_path / "sequences" / "07"
+    scans(folder / "velodyne")
+    write_kitti(folder, motions(), np.eye(3, 4))
+    (tmp_path / "poses").mkdir()
+    (folder / "poses.txt").rename(tmp_path / "poses" / "07.txt")
+    assert read_recording(folder).poses.name == "07.txt"
+
+
+def test_a_manifest_may_hold_the_poses_and_need_not_name_simulated_scans(tmp_path):
+    scans(tmp_path / "scans")
+    rows = [
+        f"f{i},scans/{i:03}.bin,{0.5 * i},{' '.join(map(repr, T.ravel().tolist()))}" for i, T in enumerate(motions())
+    ]
+    (tmp_path / "pairs.csv").write_text("pair_id,real,timestamp_s,T_world_sensor\n" + "\n".join(rows))
+    recording = read_recording(tmp_path)
+    assert [frame.name for frame in recording.frames] == ["f0", "f1", "f2", "f3"]
+    np.testing.assert_allclose(motion_of(recording.frames[2]), motions()[2])
+    with pytest.raises(DatasetError, match="sim wanted as well"):
+        read_dataset(tmp_path)
+
+
+def test_a_manifest_with_poses_is_a_dataset_like_any_other(tmp_path):
+    scans(tmp_path / "scans")
+    T = " ".join(["1 0 0 5 0 1 0 6 0 0 1 7"])
+    (tmp_path / "pairs.csv").write_text(
+        f"pair_id,real,sim,T_world_sensor\na,scans/000.bin,scans/001.bin,{T}\nb,scans/002.bin,scans/003.bin,\n"
+    )
+    dataset = read_dataset(tmp_path)
+    assert dataset.warnings == ()
+    assert dataset.pairs[0].T_world_sensor == (1, 0, 0, 5, 0, 1, 0, 6, 0, 0, 1, 7)
+    assert dataset.pairs[1].T_world_sensor is None
+    with pytest.raises(DatasetError, match="pair b has no T_world_sensor; 12 numbers are wanted"):
+        read_recording(tmp_path)
+
+
+def test_poses_may_lie_elsewhere(tmp_path):
+    scans(tmp_path / "drive")
+    tum(tmp_path / "odometry.txt", motions())
+    assert len(read_recording(tmp_path / "drive", tmp_path / "odometry.txt").frames) == N
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda folder: (folder / "poses.tum").unlink(), "no poses found; poses.tum, poses.txt, a pairs.csv with"),
+        (lambda folder: tum(folder / "poses.tum", motions(3)), "3 poses found for 4 scans .000.bin to 003.bin."),
+        (lambda folder: (folder / "poses.tum").write_text("1 2 3\n"), "lines of 3 numbers found, lines of 8 or 12"),
+        (lambda folder: (folder / "poses.tum").write_text("a b\n"), "lines of 8 or 12 numbers are wanted .could not"),
+        (lambda folder: (folder / "poses.tum").write_text(""), "lines of no numbers found"),
+        (
+            lambda folder: (folder / "poses.tum").write_text("0 0 0 0 0 0 0 1\n" * 3 + "0 0 0 0 0 0 0 2\n"),
+            "pose 4: no rigid motion .its quaternion has the length 2",
+        ),
+        (
+            lambda folder: (folder / "poses.tum").write_text("2 0 0 0 0 1 0 0 0 0 1 0\n" * 4),
+            "poses.tum, pose 1: the pose is no rigid motion",
+        ),
+        (
+            lambda folder: (folder / "poses.tum").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 4),
+            "calib.txt: no such file; poses.tum holds 12 numbers a line, KITTI's poses of the camera",
+        ),
+        (lambda folder: [path.unlink() for path in folder.glob("*.bin")], "no scans found"),
+    ],
+)
+def test_poses_that_cannot_be_used_are_refused(spoil, words, tmp_path):
+    tum(scans(tmp_path) / "poses.tum", motions())
+    spoil(tmp_path)
+    with pytest.raises(DatasetError, match=words):
+        read_recording(tmp_path)
+
+
+def test_fewer_than_three_frames_are_refused(tmp_path):
+    tum(scans(tmp_path, 2) / "poses.tum", motions(2))
+    with pytest.raises(DatasetError, match="2 frames found, at least 3 are wanted"):
+        read_recording(tmp_path)
+    with pytest.raises(DatasetError, match="nowhere: no such folder"):
+        read_recording(tmp_path / "nowhere")
+
+
+def test_a_mirror_image_is_no_pose(tmp_path):
+    scans(tmp_path)
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 -1 0 0 0 0 1 0\n" * N)
+    with pytest.raises(DatasetError, match="the pose is a mirror image; det R = 1 is wanted"):
+        read_recording(tmp_path)
+
+
+def test_two_scans_of_one_name_are_refused(tmp_path):
+    for folder in ("a", "b", "c"):
+        write_bin(tmp_path / folder / "scan.bin", street(n=20))
+    T = "1 0 0 0 0 1 0 0 0 0 1 0"
+    (tmp_path / "pairs.csv").write_text(
+        "pair_id,real,T_world_sensor\n" + "".join(f"{name},{name}/scan.bin,{T}\n" for name in "abc")
+    )
+    with pytest.raises(DatasetError, match="3 scans are called scan; names that differ are wanted"):
+        read_recording(tmp_path)
+
+
+def test_sensors_are_known_by_name():
+    assert read_sensor("vlp32c").n_beams == 32
+    assert read_sensor("os1-64").n_beams == read_sensor("hdl64").n_beams == 64
+    carla = read_sensor("carla").elevation_deg
+    np.testing.assert_allclose(np.diff(carla), np.diff(carla)[0])
+    with pytest.raises(FidpipeError, match="'hdl46': no such sensor; did you mean hdl64"):
+        read_sensor("hdl46")
+    with pytest.raises(FidpipeError, match="one of recorded, vlp32c, hdl64, os1-64, carla, or a table"):
+        read_sensor("xyz")
+
+
+def test_a_table_of_elevations_is_a_sensor(tmp_path):
+    (tmp_path / "mine.csv").write_text("elevation_deg, azimuth_offset_deg\n-10, 1.5\n0, 0\n5, -1.5\n")
+    sensor = read_sensor(str(tmp_path / "mine.csv"))
+    assert (sensor.elevation_deg, sensor.azimuth_offset_deg) == ((-10.0, 0.0, 5.0), (1.5, 0.0, -1.5))
+    (tmp_path / "mine.toml").write_text(
+        "channels = 5\nupper_deg = 2\nlower_deg = -8\nazimuth_step_deg = 0.4\nrange_noise_m = 0.05\n"
+    )
+    sensor = read_sensor(str(tmp_path / "mine.toml"))
+    assert sensor.elevation_deg == (2.0, -0.5, -3.0, -5.5, -8.0)
+    assert (sensor.azimuth_step_deg, sensor.range_noise_m, sensor.azimuth_offset_deg) == (0.4, 0.05, (0.0,) * 5)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("elevation_deg = [1, 2", "not a table of beams"),
+        ("elevation = [1, 2]", "elevation is not known; did you mean elevation_deg"),
+        ("channels = 32", "elevation_deg is wanted, or channels, upper_deg, lower_deg"),
+        ("elevation_deg = [1, 200]", "elevation_deg holds 200, a number from -90 to 90"),
+        ("elevation_deg = [1, 2]\nazimuth_offset_deg = [0]", "1 azimuth offsets found for 2 elevations"),
+        ("elevation_deg = 3", "a list of numbers is wanted"),
+        ("elevation_deg = [3]\nlost_share = 1.5", "lost_share holds 1.5, a number from 0 to 1"),
+        ("elevation_deg = [3]\nmin_range_m = 500", "min_range_m is 500, less than max_range_m is wanted"),
+        ("channels = 2.5\nupper_deg = 1\nlower_deg = 0", "channels is 2.5, a whole number"),
+    ],
+)
+def test_a_table_that_makes_no_sense_is_refused(text, words, tmp_path):
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(FidpipeError, match=words):
+        read_sensor(str(tmp_path / "mine.toml"))
+    with pytest.raises(FidpipeError, match="cannot be read"):
+        read_sensor(str(tmp_path / "none.csv"))
