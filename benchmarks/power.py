@@ -77,14 +77,18 @@ def scored(name, flaw, amount, preset, real, sim, every):
     if flaw != NONE:
         seed = 0 if FLAWS[flaw].is_systematic else zlib.crc32(f"{name} {flaw}".encode())
         points[1] = FLAWS[flaw](points[1], amount, np.random.default_rng(seed))
-    settings = load(None, [f"metrics.baselines={BASELINES}"], preset=preset)
+    # Distances of whole scans do not depend on the objects: once is enough
+    settings = load(None, [f"metrics.baselines={BASELINES}"] if preset == PRESETS[0] else [], preset=preset)
     row = {"pair": name, "flaw": flaw, "amount": amount, "preset": preset}
     try:
         result = fidpipe.evaluate_pair(*points, settings)
     except StageError as error:
         return row | {"reason": str(error)}
-    scans = result.baselines[result.baselines.real_id.isna()]
-    return row | {name: result.summary[name] for name in OWN} | dict(zip(scans.baseline, scans.value, strict=True))
+    row |= {name: result.summary[name] for name in OWN}
+    if result.baselines is not None:
+        scans = result.baselines[result.baselines.real_id.isna()]
+        row |= dict(zip(scans.baseline, scans.value, strict=True))
+    return row
 
 
 def measure(args, path):
@@ -119,6 +123,8 @@ def changes(rows):
         change = own.set_index(keys)[scores].astype(float) - base.loc[own.set_index(keys).index].astype(float)
         for score in scores:
             values = change[score].to_numpy()
+            if np.isnan(values).all():
+                continue
             effect = effect_size(values)
             t = paired_t(values)
             found.append(

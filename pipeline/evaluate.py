@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike
 from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings, parse
+from ..stages.sensing.frames import check_frames
+from .datasets.frame_checks import frame_warning
 from .datasets.pairs import ScanPair
 from .datasets.readers.scan import Scan
 from .datasets.scan_checks import ScanContent
@@ -56,6 +59,12 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     real, sim : (n, 3) points, metres, in the real sensor's frame (z up); computed with as float64
     settings : by default those of the paper; or some of them by group, such as {"graph": {"k": 60}}
 
+    Warns
+    -----
+    UserWarning
+        The simulated scan seems to lie in another frame: mirrored, turned, shifted (`stages.sensing.frames`). Where 12
+        numbers of `T_real_sim` = [R | t] are named, pass `sim @ R.T + t`.
+
     Raises
     ------
     ScanError
@@ -77,6 +86,9 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     inputs = {side: ScanContent("", "", len(scan.points)) for side, scan in scans.items()}
+    check = check_frames(scans["real"].points, scans["sim"].points, settings.input)
+    if check and check.is_suspect:
+        warnings.warn(frame_warning(check), stacklevel=2)
     plan = Planner(stages_under(settings), settings, {}).plan(ScanPair("pair", None, None), inputs)
     tables, summary = PairTables(plan, scans), dict[str, Any]()
     with one_blas_thread():

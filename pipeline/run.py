@@ -41,7 +41,6 @@ from .storage.record import (
     read_run,
     run_header,
     run_record,
-    summarise_pairs,
     timing_rows,
     what_changed,
     write_record,
@@ -82,6 +81,7 @@ class RunOutcome:
     record : what `run.json` holds
     n_made, n_reused : jobs
     failed_extras : why a baseline or the like failed of a pair that is scored
+    told_failures : pairs whose failure the reporter was told of, not only known from before
     """
 
     folder: Path
@@ -90,6 +90,7 @@ class RunOutcome:
     n_made: int
     n_reused: int
     failed_extras: dict[str, str]
+    told_failures: frozenset[str] = frozenset()
 
     @property
     def rows(self) -> list[Row]:
@@ -262,14 +263,13 @@ class _Run:
         }
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
         rows = pairs.select(["pair_id", *SUMMARISED]).to_pylist()
-        scored = [row for row in rows if row["status"] == "scored"]
         times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
-        scored_ids = [row["pair_id"] for row in scored]
+        scored_ids = [row["pair_id"] for row in rows if row["status"] == "scored"]
         findings = run_findings(
             self._folder,
             scored_ids,
             times,
-            summarise_pairs(scored),
+            hashes,
             key,
             self._findings_before,
             by_reference=preset_of(self._request.settings) == "reference",
@@ -294,8 +294,8 @@ class _Run:
         write_record(self._request.out, record.as_dict(), self._folder.check_token)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
-        n_made = self._engine.n_made
-        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras)
+        n_made, told = self._engine.n_made, frozenset(self._engine.failures)
+        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras, told)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair that are wanted."""

@@ -226,13 +226,24 @@ class ObjectFindings(Result):
 
 
 class Claim(Result):
-    """One claim: what the paper says, what the value is here, by which rule, and whether it holds."""
+    """One claim: what the paper says, what the value is here, by which rule, and whether it holds.
+
+    estimate, low, high : what the rule looks at, such as a difference, with its 95 % interval; null where there is none
+    n_pairs : independent pairs that it comes from
+    verdict : holds, does not hold, or not decided
+    why : why there is no interval or no verdict; "" where nothing is to be said
+    """
 
     claim: str
     paper: str
     here: str
+    estimate: float | None
+    low: float | None
+    high: float | None
+    n_pairs: int
     rule: str
     verdict: str
+    why: str
 
 
 class _Key(Result):

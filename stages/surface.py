@@ -115,9 +115,14 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
 
     from t = 0 on until no t changes by more than 1 mm, at most 20 times. Each object has a t of its own. A direction
     along which the mean of (n . u)^2 is below 0.05 is not told and left at 0 (solution remapping of Zhang and others,
-    On degeneracy of optimization-based state estimation problems, ICRA 2016). Two halves of a real scan, one of them
-    moved by 20 cm, are found 20 cm apart to a few millimetres. There is no standard error: residuals of one piece of
-    surface go together, and those of least squares came out five times too small; take it over pairs.
+    On degeneracy of optimization-based state estimation problems, ICRA 2016).
+
+    Tried: two halves of five KITTI scans, one of them moved by 20 cm, are found 20 cm apart to 6 mm (root mean square
+    of an axis), to 3 cm in height where three rows of four are left out. Weights that spare large residuals see less:
+    with Huber's at 10 cm, 20 cm along the road are found as 13 cm on imperfect twins, t 3.9 over five pairs; without
+    weights as 19.5 cm, t 78. There is no standard error: what is wrong with one piece of surface is wrong with all its
+    points, and where each object of a real scan was displaced by itself, that of least squares came out four to nine
+    times too small. Take it over pairs.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """What all tests share: the real scans, one BLAS thread, and small datasets on disk."""
 
 import os
+import shutil
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -12,6 +13,8 @@ import numpy as np
 import pytest
 
 from reports import finished_run
+from runs import run
+from scenes import write_dataset
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -30,6 +33,26 @@ def real_data() -> Path:
 def report_run(tmp_path_factory) -> Path:
     """A small finished run whose pairs and classes have hostile names; not to be written to."""
     return finished_run(tmp_path_factory.mktemp("report"))
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory) -> Path:
+    """Two small pairs; modules that need others have a fixture of their own under this name."""
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
+
+
+@pytest.fixture(scope="session")
+def finished(dataset, tmp_path_factory) -> Path:
+    """The finished run of these; not to be written to."""
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    run(dataset, out)
+    return out
+
+
+@pytest.fixture
+def again(finished, tmp_path) -> Path:
+    """A copy of the finished run that a test may spoil."""
+    return shutil.copytree(finished, tmp_path / "run")
 
 
 @pytest.fixture

@@ -53,6 +53,11 @@ def assert_same_tables(a, b):
             assert a[name].column(column).equals(b[name].column(column)), (name, column)
 
 
+def contents(folder):
+    """The bytes of all tables and records of a run or an experiment."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in (".parquet", ".json", ".toml")}
+
+
 def no_temporary_files(run_folder):
     """Whether nothing half-written was left behind."""
     return not [path for folder in FOLDERS for path in (run_folder / folder).glob(".*")]

@@ -192,6 +192,43 @@ def spectral(L_real, L_sim):
     }
 
 
+def local_plane(points, place, k=20):
+    """Normal of the plane through the k points nearest to a place, roughness, planarity."""
+    near = sorted(points.tolist(), key=lambda p: math.dist(p, place))[:k]
+    centred = np.array(near) - np.mean(near, axis=0)
+    _, sizes, axes = np.linalg.svd(centred)
+    l1, l2, l3 = sizes**2 / k
+    residuals = centred @ axes[2]
+    return axes[2], math.sqrt(sum(residuals**2) / (k - 3)), (l2 - l3) / l1
+
+
+def offset(real, sim, reach_m=1.0):
+    """The translation of sim against real, point to plane, by least squares again and again."""
+    planes = [(p, local_plane(real, p)) for p in real]
+    planes = [(p, normal) for p, (normal, _, planarity) in planes if planarity >= 0.1]
+    t = np.zeros(3)
+    for _ in range(20):
+        rows, wanted = [], []
+        for p, normal in planes:
+            q = min(sim, key=lambda q: math.dist(q, p + t))
+            if math.dist(q, p + t) <= reach_m:
+                rows.append(normal)
+                wanted.append(normal @ (q - p))
+        before, t = t, np.linalg.lstsq(np.array(rows), np.array(wanted))[0]
+        if max(abs(t - before)) <= 1e-3:
+            break
+    return t
+
+
+def area_between(real, sim):
+    """Area between two empirical distribution functions, step by step."""
+    steps = sorted([*real, *sim])
+    return sum(
+        abs(np.mean([x <= low for x in real]) - np.mean([x <= low for x in sim])) * (high - low)
+        for low, high in itertools.pairwise(steps)
+    )
+
+
 def assigned(real, real_labels, sim, reach_m, min_points, groups_of):
     """Object of each simulated point; `groups_of(indices)` partitions those that no real point reaches."""
     labels, outside = [], []

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_PAIRS_FAILED, Assignments
+from .options import EXIT_PAIRS_FAILED, Assignments, Replace
 
 
 def synth(
@@ -26,10 +26,12 @@ def synth(
     workers: Annotated[
         int, typer.Option("--workers", min=1, help="Processes on this machine; they change nothing but the time.")
     ] = 1,
+    replace: Replace = False,
 ) -> None:
     """Make a dataset: scans of ray-cast streets, and of a flawed digital twin of each.
 
     The same seed gives the same bytes. Interrupted, it goes on where it stopped; asked for more pairs, it adds them.
+    Finished pairs of another seed, sensor or number of points are replaced only with --replace.
 
     For example:
 
@@ -47,7 +49,7 @@ def synth(
         raise typer.BadParameter(
             f"{sensor!r} is no sensor; one of {', '.join(SENSORS)} is wanted", param_hint="--sensor"
         )
-    make_dataset(SynthRequest(out, pairs, seed, sensor, points, workers), Reporter())
+    make_dataset(SynthRequest(out, pairs, seed, sensor, points, workers, replace), Reporter())
     print(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
 
 
@@ -105,7 +107,7 @@ def twin(
     workers: Annotated[
         int, typer.Option("--workers", min=1, help="Processes on this machine; they change nothing but the time.")
     ] = 1,
-    replace: Annotated[bool, typer.Option("--replace", help="Replace a dataset of another recipe.")] = False,
+    replace: Replace = False,
 ) -> None:
     """Make a dataset: posed real scans, and of each the place scanned again in a model of the other scans.
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Assignments, DatasetFolder, Preset, Scheduler, SettingsFile, Workers, check_machines
+from .options import Assignments, DatasetFolder, Preset, Replace, Scheduler, SettingsFile, Workers, check_machines
 from .output import print_outcome
 
 
@@ -53,12 +53,15 @@ def perturb(
         str | None,
         typer.Option("--pairs", metavar="PATTERN", help="Of a dataset all matching pairs, not the first one alone."),
     ] = None,
+    replace: Replace = False,
 ) -> None:
     """Alter a real scan in known ways and see how the scores answer: the paper's Table I and its figure.
 
     Noise, dropout, rigid motion, spurious clusters (hallucination) and local
     density, on all object points of the scan and on single objects. Of a dataset
-    the real side of the first pair is taken. Run again, it goes on where it stopped.
+    the real side of the first pair is taken. Run again, it goes on where it stopped;
+    finished levels, objects or settings that are not asked for again need --replace
+    or another --out.
 
     Examples
     --------
@@ -92,6 +95,7 @@ def perturb(
         objects=tuple(objects.split(",")) if objects else None,
         pattern=pairs,
         machines=Machines(workers, scheduler),
+        replace=replace,
     )
     outcome = perturb_source(request, Reporter())
     draw_perturbations(outcome)
@@ -122,12 +126,14 @@ def ablate(
     pairs: Annotated[
         str | None, typer.Option("--pairs", metavar="PATTERN", help="Only pairs whose name matches, such as '000*'.")
     ] = None,
+    replace: Replace = False,
 ) -> None:
     """See how match rate and r_lambda depend on k, tau, delta and t, and which setting the data prefer, if any.
 
     One setting is moved at a time, around those in force (--settings, --set), on all
     pairs. Graphs are made once for each k and tau. Run again, it goes on where it
-    stopped. --k with a single value leaves k alone.
+    stopped; further values are added, finished ones that are not asked for again
+    need --replace or another --out. --k with a single value leaves k alone.
 
     Examples
     --------
@@ -154,6 +160,7 @@ def ablate(
         grid=grid,
         pattern=pairs,
         machines=Machines(workers, scheduler),
+        replace=replace,
     )
     outcome = ablate_dataset(request, Reporter())
     draw_ablation(outcome)

@@ -43,6 +43,9 @@ Floor = Annotated[
         "--floor", metavar="RUN", help="Scores also over this floor, a run of fidpipe floor of the same real scans."
     ),
 ]
+Replace = Annotated[
+    bool, typer.Option("--replace", help="Replace finished results that were made with other settings.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]
 
 EXIT_WRONG_INPUT = 1

@@ -58,7 +58,9 @@ def show(
     over: JsonObject = {} if excess is None else {"excess": excess.as_dict()}
     if paper:
         claims = finished.record.claims
-        print_json([claim.as_dict() for claim in claims]) if as_json else print_view(claims_view(claims))
+        print_json([claim.as_dict() for claim in claims]) if as_json else print_view(
+            claims_view(finished.record.findings)
+        )
     elif pair is None:
         summary = summary_view(run, finished.rows, finished.record)
         print_json(run_facts(finished) | over) if as_json else print_view(

@@ -12,6 +12,7 @@ from .options import (
     Assignments,
     DatasetFolder,
     Preset,
+    Replace,
     RunFolder,
     Scheduler,
     SettingsFile,
@@ -65,9 +66,7 @@ def run(
             "--seeds", min=1, help="Repeat communities to metrics with so many seeds; tells how stable scores are."
         ),
     ] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Replace results of a finished run that was made with other settings.")
-    ] = False,
+    replace: Replace = False,
 ) -> None:
     """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
 
@@ -150,9 +149,7 @@ def floor(
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Replace a finished floor of other noise, dropout, seed or settings.")
-    ] = False,
+    replace: Replace = False,
 ) -> None:
     """Evaluate a perfect simulator: each real scan of a dataset against itself measured again.
 

@@ -78,7 +78,7 @@ def recall_frames(
     return FrameFacts(marks, settings_keys, facts["check"] and FrameCheck(**facts["check"]))
 
 
-def frame_warning(suspect: FrameSuspect) -> str:
+def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
     """One line with both figures and the setting that mends it."""
     return (
         f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as it lies and {suspect.coverage:.2f} "

@@ -23,6 +23,7 @@ MANIFEST = "pairs.csv"
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
 _ROTATION_TOLERANCE = 1e-3
+_IGNORED = "not a known scan format, ignored"
 
 
 @dataclass(frozen=True, order=True)
@@ -124,6 +125,8 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
         number = _frame_number(stem)
         if stem in unread[absent]:
             fault = f"{unread[absent][stem]}: not readable; known formats are {', '.join(FORMATS)}"
+            if not (real and sim):
+                warnings.remove(f"{unread[absent][stem]}: {_IGNORED}")  # the fault says it
         elif number is not None and number in by_number[absent]:
             other = by_side[absent][by_number[absent][number]].name
             fault += f"; {other} has the same number: a {MANIFEST} (pair_id,real,sim) pairs files of different names"
@@ -139,7 +142,16 @@ def _means(path: Path, side: str) -> bool:
 
 def _unread_by_stem(folder: Path) -> dict[str, Path]:
     """Files of unknown formats by stem."""
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.is_file() and suffix_of(path) is None}
+    return {path.stem: path for path in _files(folder) if suffix_of(path) is None}
+
+
+def _files(folder: Path) -> list[Path]:
+    """What may be a scan: no hidden file, folder, labels or settings."""
+    return [
+        path
+        for path in sorted(folder.iterdir())
+        if not path.name.startswith(".") and not path.is_dir() and path.suffix not in (".label", ".toml")
+    ]
 
 
 def _frame_number(stem: str) -> int | None:
@@ -150,11 +162,9 @@ def _frame_number(stem: str) -> int | None:
 
 def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
     scans: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.is_dir() or path.suffix in (".label", ".toml"):
-            continue
+    for path in _files(folder):
         if suffix_of(path) is None:
-            warnings.append(f"{path}: not a known scan format, ignored")
+            warnings.append(f"{path}: {_IGNORED}")
             continue
         stem = stem_of(path)
         if stem in scans:

@@ -343,11 +343,11 @@ class RunEngine(Engine):
                 yield schedule
         except DiskFullError as error:
             n_raw = sum(scan.n_raw for pair in survey.todo for scan in self.contents[pair.pair_id].values())
-            need = megabytes(self._machines.policy.costs.disk_bytes(n_raw))
-            raise DiskFullError(
-                f"{error}; the {len(survey.todo)} pairs of this run need about {need} in all; make room or give "
-                "another --out, then run the same command again: it goes on where it stopped"
-            ) from error
+            need, n_pairs = megabytes(self._machines.policy.costs.disk_bytes(n_raw)), len(survey.todo)
+            pairs = (
+                f"{n_pairs} pairs that were not finished need" if n_pairs > 1 else "pair that was not finished needs"
+            )
+            raise DiskFullError(f"{error}: it goes on where it stopped; the {pairs} about {need} in all") from error
         finally:
             self.folder.ledger.commit()
         if self.failures:

@@ -19,23 +19,33 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...schemas.columns import Row, Table
-from ...schemas.errors import DatasetError, ScanError
+from ...schemas.errors import DatasetError, RunError, ScanError
 from ...schemas.settings import Settings, to_toml
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import ScanPair, read_dataset, read_label_names
 from ..datasets.readers import stem_of, suffix_of
-from ..engine.engine import Machines, RunEngine, modules_of
-from ..engine.plan import PairPlan, Part, Planner, with_results
+from ..engine.engine import Machines, RunEngine, Survey, modules_of
+from ..engine.plan import OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import STAGES
 from ..run import check_folder, select_pairs
 from ..stage import Stage
 from ..storage.files import key_of, write_whole
 from ..storage.folder import RunFolder
-from ..storage.record import SETTINGS_TOML, read_run, run_header, what_changed, write_record
+from ..storage.record import (
+    SETTINGS_TOML,
+    changed_settings,
+    has_ended,
+    read_run,
+    run_header,
+    what_changed,
+    write_record,
+)
 from ..storage.tables import JobRecord
 
+_NOT_ASKED_FOR = "not asked for"
+_SEED = "seed"  # any other one is another experiment; of other numbers the larger holds the smaller
 _VERSIONS = {stage.name: stage.version for stage in STAGES}
 
 
@@ -64,6 +74,7 @@ class ExperimentRequest:
     settings : in force
     pattern : only pairs whose name matches (shell style)
     machines : where work is done
+    replace : whether results of a finished experiment may be replaced because something else is asked for
     """
 
     source: Path
@@ -71,6 +82,7 @@ class ExperimentRequest:
     settings: Settings
     pattern: str | None = None
     machines: Machines = field(default_factory=Machines)
+    replace: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,15 +135,25 @@ class Experiment:
     """An experiment while it is worked on; `experimenting` opens one."""
 
     def __init__(
-        self, name: str, engine: RunEngine, source: Source, stages: tuple[Stage, ...], sides: Sequence[str]
+        self,
+        name: str,
+        engine: RunEngine,
+        source: Source,
+        stages: tuple[Stage, ...],
+        sides: Sequence[str],
+        *,
+        replace: bool = False,
     ) -> None:
         self.engine, self.folder = engine, engine.folder
         self._start = perf_counter()
         self._name, self._source, self._own, self._sides = name, source, stages, sides
-        self._changes = what_changed(read_run(self.folder.folder), engine.settings, _VERSIONS)
+        before = read_run(self.folder.folder)
+        self._finished = before if has_ended(before) and not replace else {}
+        self._changes = what_changed(before, engine.settings, _VERSIONS)
         self._base = _needed(stages)
         self._planner = Planner(self._base, engine.settings, source.label_names, sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
+        self._facts: Mapping[str, Any] = {}
         self._has_head = False
 
     def prepare(self) -> list[PairPlan]:
@@ -148,15 +170,22 @@ class Experiment:
         self._make(STAGES)
         return [plan for plan in self._plans() if not plan.todo]
 
-    def make(self, parts: Mapping[str, Sequence[Part]]) -> None:
+    def make(self, parts: Mapping[str, Sequence[Part]], facts: Mapping[str, Any]) -> None:
         """Makes the wanted parts, by pair_id, that are not there under their key; removes all others.
+
+        Parameters
+        ----------
+        parts : wanted, by pair_id
+        facts : what was asked for, as `run.json` keeps it: lists of values, numbers of repeats, a seed
 
         Raises
         ------
+        RunError
+            Results of a finished experiment would go that `facts` do not ask for any more, unasked.
         ValueError
             Two parts have one name: they would write one file. Nothing is removed or made.
         """
-        self._parts = parts
+        self._parts, self._facts = parts, facts
         self._make(self._own)
 
     def rows(self, table: str) -> pa.Table:
@@ -173,14 +202,19 @@ class Experiment:
         self.folder.ledger.put_job(JobRecord(table.name, "", "", key, {path: stored}))
         return summary
 
-    def finish(self, facts: Mapping[str, Any]) -> dict[str, Any]:
-        """What an `ExperimentOutcome` says of any experiment; writes it into `run.json`, with other facts before it."""
+    def finish(self, facts: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """What an `ExperimentOutcome` says of any experiment; writes it into `run.json`.
+
+        Parameters
+        ----------
+        facts : what came out, to stand there besides what was asked for
+        """
         failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
         n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
         jobs = {"made": n_made, "reused": n_done - n_made}
         if not self._has_head:
             self._write_head()
-        self._write_record({**facts, "failures": failures, "jobs": jobs, "wall_s": wall_s})
+        self._write_record({**self._facts, **(facts or {}), "failures": failures, "jobs": jobs, "wall_s": wall_s})
         outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}
         return outcome | {f"n_{name}": n for name, n in jobs.items()}
 
@@ -215,16 +249,48 @@ class Experiment:
             self._plan,
             selected={pair.pair_id for pair in self._source.pairs},
             exhaustive=frozenset(stage.name for stage in stages),
-            why_absent="not asked for",
+            why_absent=_NOT_ASKED_FOR,
         )
+        self._refuse_replacing(survey)
         if survey.todo:
             self.engine.start()
-        if (survey.todo or survey.unwanted) and not self._has_head:
+        only_adds = stages is STAGES and self._finished and not survey.unwanted  # what stays is still as it was asked
+        if (survey.todo or survey.unwanted) and not self._has_head and not only_adds:
             self._write_head()
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
         if survey.todo:
             with self.engine.scheduling_missing(survey, self._plan) as schedule:
                 schedule.run()
+
+    def _refuse_replacing(self, survey: Survey) -> None:
+        """Refuses to replace or remove results of a finished experiment because something else is asked for.
+
+        Results that only grow, by further values, repeats or pairs, are no such thing; nor is what other input files,
+        libraries or a newer fidpipe make anew.
+
+        Raises
+        ------
+        RunError
+            They would be replaced; says which, and by what.
+        """
+        if not self._finished:
+            return
+        changed = changed_settings(self._finished, self.engine.settings)
+        groups = {group for stage in (*self._base, *self._own) for group in stage.settings}
+        why = [text for group, texts in changed.items() if group in groups for text in texts]
+        why += _dropped(self._finished, self._facts)
+        left_out = sorted(
+            {pair_id for _, pair_id, _ in survey.unwanted} - {pair.pair_id for pair in self._source.pairs}
+        )
+        why += [f"pair{'s' * (len(left_out) > 1)} {', '.join(left_out[:5])} not asked for"] if left_out else []
+        lost = [name for name, reason in survey.unwanted.items() if reason in (OUT_OF_DATE, _NOT_ASKED_FOR)]
+        if not lost or not why:
+            return
+        stages, pairs = dict.fromkeys(stage for stage, _, _ in lost), {pair_id for _, pair_id, _ in lost}
+        raise RunError(
+            f"{self._name} {self.folder.folder}: is finished, and {', '.join(stages)} of {len(pairs)} "
+            f"scan{'s' * (len(pairs) > 1)} would be replaced ({'; '.join(why)}); add --replace, or give another --out"
+        )
 
 
 @contextmanager
@@ -254,7 +320,7 @@ def experimenting(
     check_folder(request.out, source.path, name)
     folder, modules = RunFolder(request.out), modules_of((*STAGES, *stages))
     with folder.locked(), RunEngine(folder, request.settings, request.machines, reporter, modules) as engine:
-        yield Experiment(name, engine, source, stages, sides)
+        yield Experiment(name, engine, source, stages, sides, replace=request.replace)
 
 
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
@@ -262,6 +328,23 @@ def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
     for names, values in scores.groupby(keys, dropna=False, sort=False)["value"]:
         mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
         yield dict(zip(keys, names, strict=True)) | {"n": int(values.notna().sum()), "mean": mean, "std": std}
+
+
+def _dropped(before: Mapping[str, Any], now: Mapping[str, Any], name: str = "") -> Iterator[str]:
+    """In words, what was asked for before and is not now: values of a list, a number that was larger, another seed."""
+    for key in (key for key in now if key in before):
+        own, (old, new) = f"{name}.{key}".lstrip("."), (before[key], now[key])
+        if isinstance(new, Mapping):
+            yield from _dropped(old, new, own)
+        elif isinstance(new, Sequence):
+            gone = [each for each in old if each not in new]
+            words = [
+                " ".join(map(str, [*each.values()][:2])) if isinstance(each, Mapping) else str(each) for each in gone
+            ]
+            if gone:
+                yield f"{own} {', '.join(words[:5])}{' ...' * (len(words) > 5)} not asked for"
+        elif new != old if key == _SEED else new < old:
+            yield f"{own} was {old}, is {new}"
 
 
 def _needed(stages: Sequence[Stage]) -> tuple[Stage, ...]:

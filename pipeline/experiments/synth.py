@@ -43,6 +43,7 @@ class SynthRequest:
     sensor : a name in `SENSORS`
     n_points : about how many points a real scan has; by default what the sensor gives
     workers : processes; they change nothing but the time
+    replace : whether pairs of a finished dataset may be removed because another one is wanted
     """
 
     out: Path
@@ -51,6 +52,7 @@ class SynthRequest:
     sensor: str = "vlp32c"
     n_points: int | None = None
     workers: int = 1
+    replace: bool = False
 
     def recipe(self) -> str:
         """TOML text; of two datasets with the same recipe, pairs of the same name are the same."""
@@ -85,8 +87,8 @@ def prepare(request: SynthRequest) -> None:
     Raises
     ------
     FidpipeError
-        embreex is missing, the request makes no sense, or the folder holds something else than a synthetic dataset;
-        nothing is written then.
+        embreex is missing, the request makes no sense, or the folder holds something else than a synthetic dataset, or
+        a finished one whose pairs would go unasked; nothing is written then.
     """
     _check(request)
     need_ray_caster()
@@ -100,12 +102,15 @@ def prepare(request: SynthRequest) -> None:
             f"dataset {out}: the folder holds other things than a synthetic dataset (no {RECIPE} of ours in it); "
             "give the name of a new or empty folder"
         )
+    recipe = tomllib.loads(request.recipe())
+    if not request.replace:
+        _refuse_replacing(request, earlier_recipe or recipe, recipe)
     if earlier_recipe is None:
         write_whole(out / RECIPE, request.recipe().encode())  # first of all, so that the folder can be told as ours
     for side in SIDES:
         (out / side).mkdir(exist_ok=True)
     (out / MANIFEST).unlink(missing_ok=True)
-    is_same = earlier_recipe == tomllib.loads(request.recipe())
+    is_same = earlier_recipe == recipe
     wanted_names = {pair_name(index) for index in range(request.n_pairs)} if is_same else set()
     for side in SIDES:
         for path in (out / side).iterdir():
@@ -162,6 +167,26 @@ def _check(request: SynthRequest) -> None:
     ):
         if value is not None and value < least:
             raise FidpipeError(f"{name} {value}: at least {least} is wanted")
+
+
+def _refuse_replacing(request: SynthRequest, before: dict[str, object], now: dict[str, object]) -> None:
+    """Refuses with `FidpipeError` to remove pairs of a finished dataset; the manifest says that it is finished."""
+    out = request.out
+    if not (out / MANIFEST).exists():
+        return
+    names = {path.stem for path in (out / SIDES[0]).iterdir() if _OWN_FILE.fullmatch(path.name)}
+    why = [
+        f"{name} was {before.get(name, 'not given')}, is {now.get(name, 'not given')}"
+        for name in before | now
+        if before.get(name) != now.get(name)
+    ]
+    lost = names if why else names - {pair_name(index) for index in range(request.n_pairs)}
+    if lost:
+        raise FidpipeError(
+            f"dataset {out}: is finished, and {len(lost)} of its {len(names)} pairs would be removed "
+            f"({'; '.join(why) or f'pairs was {len(names)}, is {request.n_pairs}'}); add --replace, or name another "
+            "folder"
+        )
 
 
 def _read_recipe(out: Path) -> dict[str, object] | None:

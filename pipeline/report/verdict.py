@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from ...schemas.metrics import metric_of
+from ..storage.record import unmatched_worst
 from .aggregates import band_of, quadrants
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
 from .results import RunResults
@@ -22,7 +23,8 @@ class Verdict:
     """What a run says of the simulation.
 
     weakest : where it is weakest; "" where too few objects tell
-    numbers : six scores with name, mean and std over pairs (NaN where null), digits to show, and how to read them
+    numbers : six scores with name, mean and std over pairs (NaN where null), digits to show, how to read them, and of
+        object scores of how many pairs they are and what they are with unmatched objects as worst
     """
 
     sentence: str
@@ -95,7 +97,18 @@ def _numbers(results: RunResults) -> list[dict[str, Any]]:
             "name": metric_of(column).label,
             "digits": 1 if metric_of(column).is_count else 3,
             "reading": metric_of(column).reading + beside.get(column, ""),
+            "count": _count(results, column),
             **over_pairs[column],
         }
         for column in _NUMBERS
     ]
+
+
+def _count(results: RunResults, column: str) -> str:
+    """Of how many pairs the mean of an object score is, and what it is with unmatched objects as worst; else ""."""
+    worst = results.run.record.summary.get(unmatched_worst(metric_of(column).column))
+    if worst is None:
+        return ""
+    return (
+        f"{results.pairs[column].count()} of {len(results.pairs)} pairs; {number(worst.mean)} with unmatched as worst"
+    )

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
-from ...schemas.results import Findings, ScoreSummary
+from ...schemas.results import Findings
 from ...stages.arrays import IntArray
 from ...stages.statistics.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
@@ -23,7 +23,7 @@ from ..storage.files import key_of
 from ..storage.tables import TableFolder
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
-_VERSION = 3
+_VERSION = 4
 _FILES_AT_ONCE = 200
 
 
@@ -31,7 +31,7 @@ def run_findings(
     folder: TableFolder,
     pair_ids: list[str],
     timestamps_s: Mapping[str, float | None],
-    summary: Mapping[str, ScoreSummary],
+    hashes: Mapping[str, Mapping[str, str]],
     tables_key: str,
     before: Findings | None,
     *,
@@ -46,7 +46,7 @@ def run_findings(
     folder : the run
     pair_ids : the scored pairs
     timestamps_s : by pair
-    summary : mean and std over pairs by score
+    hashes : by pair, what it comes from: of its real scan (`real`) and of all (`content`)
     tables_key : hash of all that the tables were made of
     before : the findings of the last record
     by_reference : whether the real side fixed the objects
@@ -57,8 +57,10 @@ def run_findings(
     key = key_of(_VERSION, tables_key, pair_ids, times)
     if before is not None and before.key == key:
         return before
-    findings = summarise_objects(*read_objects(folder, pair_ids, by_reference=by_reference), pair_ids, times)
-    return Findings(key=key, **vars(findings), claims=tuple(check_claims(summary, findings)))
+    objects = read_objects(folder, pair_ids, by_reference=by_reference)
+    contents, real_scans = ([hashes[pair_id][name] for pair_id in pair_ids] for name in ("content", "real"))
+    claims = check_claims(*objects, contents, real_scans, times)
+    return Findings(key=key, **vars(summarise_objects(*objects, pair_ids, times)), claims=tuple(claims))
 
 
 def read_objects(

@@ -53,7 +53,7 @@ def write_whole(
         temporary.replace(path)
     except OSError as error:
         if error.errno in NO_SPACE:
-            raise DiskFullError(f"{path}: {error.strerror}, {space_words(path)}") from error
+            raise disk_full(path, error.strerror) from error
         raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
     finally:
         with suppress(OSError):  # it is gone, or its folder is what cannot be written
@@ -68,10 +68,11 @@ def free_bytes(path: Path) -> int | None:
     return None
 
 
-def space_words(path: Path) -> str:
-    """How much is free there, in words."""
+def disk_full(path: Path, reason: object) -> DiskFullError:
+    """The error of a file that finds no space, with what is free there and the next step."""
     free = free_bytes(path)
-    return "what is free is not known" if free is None else f"{megabytes(free)} free"
+    space = "what is free is not known" if free is None else f"{megabytes(free)} free"
+    return DiskFullError(f"{path}: {reason}, {space}; make room, then run the same command again")
 
 
 def megabytes(n_bytes: int) -> str:

@@ -18,8 +18,8 @@ from typing import Any
 
 import orjson
 
-from ...schemas.errors import DiskFullError, RunError
-from .files import space_words
+from ...schemas.errors import RunError
+from .files import disk_full
 from .tables import JobName, JobRecord, StoredFile
 
 LEDGER = "ledger.sqlite"
@@ -188,13 +188,15 @@ class Ledger:
     def _open(path: Path, is_writable: bool) -> sqlite3.Connection:
         if not is_writable:
             return _read_only(path) if path.exists() else _in_memory()
-        db = sqlite3.connect(path, timeout=_SECONDS_FOR_READERS, isolation_level=None)
+        db = _connect(path, timeout=_SECONDS_FOR_READERS)
         try:
             if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
                 db.executescript(_TABLES)
             _check(db)
         except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
             db.close()
+            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
+                raise disk_full(path, error) from error
             raise RunError(f"{path}: cannot be written ({error}); give another --out") from error
         except sqlite3.DatabaseError:
             db.close()
@@ -208,12 +210,18 @@ class Ledger:
         except sqlite3.OperationalError as error:
             self._begun = None
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
-                raise DiskFullError(f"{self._path}: {error}, {space_words(self._path)}") from error
+                raise disk_full(self._path, error) from error
             raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
 
 
+def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:
+    """A connection that begins no transaction by itself, and that whichever thread collects the ledger may close."""
+    db: sqlite3.Connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, **options)
+    return db
+
+
 def _in_memory() -> sqlite3.Connection:
-    db = sqlite3.connect(":memory:", isolation_level=None)
+    db = _connect(":memory:")
     db.executescript(_TABLES)
     return db
 
@@ -224,7 +232,7 @@ def _read_only(path: Path) -> sqlite3.Connection:
     One that does not know every finished job is copied into memory, where the others can be added.
     """
     for mode in ("mode=ro", "mode=ro&immutable=1"):
-        db = sqlite3.connect(f"{path.resolve().as_uri()}?{mode}", uri=True, isolation_level=None)
+        db = _connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
         try:
             _check(db)
         except sqlite3.OperationalError:
@@ -235,7 +243,7 @@ def _read_only(path: Path) -> sqlite3.Connection:
             raise
         if _is_complete(db):
             return db
-        copy = sqlite3.connect(":memory:", isolation_level=None)
+        copy = _connect(":memory:")
         db.backup(copy)
         db.close()
         return copy

@@ -246,8 +246,8 @@ def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str,
 
 
 def has_ended(record: Mapping[str, Any]) -> bool:
-    """Whether a record is that of a run which came to its end: its summary is written last."""
-    return "summary" in record
+    """Whether a record is that of a run or an experiment which came to its end: how long it took is written last."""
+    return "wall_s" in record
 
 
 def command_again(folder: Path, dataset: object) -> str:

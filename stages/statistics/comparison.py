@@ -28,7 +28,7 @@ FAR_STDS = 5.0
 #: A score of an object has changed if it moved by more than this.
 LEAST_CHANGE = 0.05
 #: Changes that agree to this share of their mean are those of copies, not of different scans.
-_ALIKE = 1e-9
+ALIKE = 1e-9
 
 KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
 
@@ -89,7 +89,7 @@ def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | 
         return Difference(*counts, std, 0.0, 0.0, 1.0)
     if n_blocks < LEAST_PAIRS:
         return Difference(*counts, std, None, None, None, _too_few(n, n_blocks))
-    if np.ptp(change) <= _ALIKE * np.abs(change).max():
+    if np.ptp(change) <= ALIKE * np.abs(change).max():
         return Difference(*counts, std, None, None, None, "all pairs change alike, so that nothing says what chance is")
     p, low, high = (float(value) for value in mean_test(change))
     return Difference(*counts, std, low, high, p)
@@ -124,7 +124,7 @@ def mean_test(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     ends = []
     for sign in (1.0, -1.0):
         cube = np.cbrt(1 + skew * (sign * reach - skew / (6 * n)))
-        is_skewed = np.abs(skew) > _ALIKE
+        is_skewed = np.abs(skew) > ALIKE
         hall = np.where(is_skewed, 3 * (cube - 1) / np.where(is_skewed, skew, 1.0), sign * reach)
         ends.append(mean - std * sign * np.maximum(sign * hall, reach))
     return 2 * student_t.sf(size, degrees), ends[0], ends[1]
@@ -207,7 +207,7 @@ def far_beyond_noise(differences: Sequence[Difference], seed_noise: Sequence[flo
     for one in differences:
         if one.difference is None or one.std is None:
             p_values.append(None)
-        elif one.std <= _ALIKE * abs(one.difference):  # integers that all fall alike; the sign test is what is left
+        elif one.std <= ALIKE * abs(one.difference):  # integers that all fall alike; the sign test is what is left
             p_values.append(2 * 0.5**one.n_blocks if one.difference else 1.0)
         else:
             size = abs(one.difference) / one.std * np.sqrt(one.n_blocks)

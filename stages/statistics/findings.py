@@ -118,8 +118,7 @@ def distribution(values: FloatArray) -> Distribution:
     """Number, quantiles, mean, standard deviation (n - 1), coefficient of variation and tallest bin of some values.
 
     The coefficient of variation is standard deviation / mean: a score that varies more relative to its mean tells
-    objects apart better (the paper, "Real experiments"). `peak_density` is the share of values in the fullest bin of
-    width 0.05, over that width: high for a sharp peak, low for a broad one. NaN is left out; None where too few stay.
+    objects apart better (the paper, "Real experiments"). NaN is left out; None where too few stay.
 
     Examples
     --------
@@ -128,15 +127,26 @@ def distribution(values: FloatArray) -> Distribution:
     """
     known = values[~np.isnan(values)]
     mean, std = mean_and_std(known)
-    bins = np.unique(np.floor(known / PEAK_BIN), return_counts=True)[1]
     return Distribution(
         n=len(known),
         **_quantiles(known),
         mean=mean,
         std=std,
         cv=std / mean if mean and std is not None else None,
-        peak_density=float(bins.max() / len(known) / PEAK_BIN) if len(known) else None,
+        peak_density=peak_density(known) if len(known) else None,
     )
+
+
+def peak_density(values: FloatArray) -> float:
+    """Share of some values in the fullest bin of width 0.05, over that width: high for a sharp peak, low for a broad.
+
+    Examples
+    --------
+    >>> peak_density(np.array([0.01, 0.02, 0.5, 0.9]))
+    10.0
+    """
+    counts = np.unique(np.floor(values / PEAK_BIN), return_counts=True)[1]
+    return float(counts.max() / len(values) / PEAK_BIN)
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
@@ -209,10 +219,21 @@ def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> tu
 
 def within_pairs(matched: MatchedObjects, n_pairs: int) -> WithinPairs:
     """In how many pairs r_lambda varies more than CDC over the objects of the pair (standard deviation)."""
-    spread = [_std_by_pair(scores, matched.pair, n_pairs) for scores in (matched.cdc, matched.r_lambda)]
+    spread = [std_by_pair(scores, matched.pair, n_pairs) for scores in (matched.cdc, matched.r_lambda)]
     both = ~(np.isnan(spread[0]) | np.isnan(spread[1]))
     wider = spread[1][both] > spread[0][both]
     return WithinPairs(n_pairs=int(np.count_nonzero(both)), n_r_lambda_wider=int(np.count_nonzero(wider)))
+
+
+def std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
+    """Standard deviation (n - 1) of the values of each pair, NaN where there are fewer than two."""
+    known = ~np.isnan(values)
+    values, pair = values[known], pair[known]
+    n = np.bincount(pair, minlength=n_pairs)
+    mean = np.bincount(pair, values, n_pairs) / np.maximum(n, 1)
+    squares = np.bincount(pair, (values - mean[pair]) ** 2, n_pairs)
+    found: FloatArray = np.where(n > 1, np.sqrt(squares / np.maximum(n - 1, 1)), np.nan)
+    return found
 
 
 def compare_scans(matched: MatchedObjects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
@@ -245,12 +266,17 @@ def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
     >>> scans_apart([0.0, 30.0, 61.0, None, 500.0])
     [0, 2, 4]
     """
+    return _evenly(chain_apart(timestamps_s))
+
+
+def chain_apart(timestamps_s: Sequence[float | None]) -> list[int]:
+    """A longest chain of scans, each more than a minute after the one before; empty without timestamps."""
     known = sorted((time, i) for i, time in enumerate(timestamps_s) if time is not None)
     chain: list[tuple[float, int]] = []
     for time, i in known:
         if not chain or time - chain[-1][0] > SCAN_GAP_S:
             chain.append((time, i))
-    return _evenly([i for _, i in chain])
+    return [i for _, i in chain]
 
 
 def _evenly(items: Sequence[int]) -> list[int]:
@@ -276,17 +302,6 @@ def _unmatched(real: SideObjects, sim: SideObjects, in_real: BoolArray, in_sim: 
 
 def _quantiles(values: FloatArray) -> dict[str, float | None]:
     return {name: float(np.quantile(values, q)) if len(values) else None for name, q in _QUANTILES.items()}
-
-
-def _std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
-    """Standard deviation (n - 1) of the values of each pair, NaN where there are fewer than two."""
-    known = ~np.isnan(values)
-    values, pair = values[known], pair[known]
-    n = np.bincount(pair, minlength=n_pairs)
-    mean = np.bincount(pair, values, n_pairs) / np.maximum(n, 1)
-    squares = np.bincount(pair, (values - mean[pair]) ** 2, n_pairs)
-    found: FloatArray = np.where(n > 1, np.sqrt(squares / np.maximum(n - 1, 1)), np.nan)
-    return found
 
 
 def _median(values: FloatArray) -> float | None:

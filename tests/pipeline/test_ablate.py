@@ -22,13 +22,13 @@ from fidpipe.pipeline.experiments.ablate.ablate import (
     parameter_sets,
 )
 from fidpipe.pipeline.report.figures.experiments import draw_ablation
-from fidpipe.schemas.errors import DatasetError, SettingsError
+from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from fidpipe.stages import method
 from fidpipe.stages.statistics.parameter_choice import ParameterSet
-from runs import command
+from runs import command, contents
 from scenes import write_dataset
 
 SETTINGS = load(None, ["graph.k=12"])
@@ -49,6 +49,48 @@ def dataset(tmp_path_factory):
 @pytest.fixture(scope="module")
 def done(dataset, tmp_path_factory):
     return ablated(dataset, tmp_path_factory.mktemp("ablate") / "run")
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"settings": load(None, ["graph.k=12", "communities.seed=3"])}, r"communities\.seed was 0, is 3"),
+        ({"values": VALUES | {"k": (12,)}}, r"values\.k 8 not asked for"),
+        ({"values": VALUES | {"t": (1.0, 2.0)}}, r"values\.t 0\.5 not asked for"),
+        ({"pattern": "000"}, "pair 001 not asked for"),
+    ],
+)
+def test_a_finished_ablation_is_not_replaced_unasked(done, dataset, tmp_path, options, why):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    before = contents(out)
+    with pytest.raises(RunError, match=rf"ablate .*run: is finished, .* would be replaced \({why}\); add --replace"):
+        ablated(dataset, out, **options)
+    assert contents(out) == before
+    replaced = ablated(dataset, out, replace=True, **options)
+    assert replaced.rows.equals(ablated(dataset, tmp_path / "fresh", **options).rows)
+
+
+def test_a_finished_ablation_takes_further_values_and_pairs_unasked(done, dataset, tmp_path):
+    more = {name: (*values, 2.0) if name != "k" else (*values, 10) for name, values in VALUES.items()}
+    out = tmp_path / "run"
+    ablated(dataset, out, pattern="000")
+    assert ablated(dataset, out).rows.equals(done.rows)
+    wider = ablated(dataset, out, values=more)
+    assert wider.values["k"] == (8, 10, 12)
+    assert wider.rows.equals(ablated(dataset, tmp_path / "fresh", values=more).rows)
+    assert ablated(dataset, out, values=more, grid=True).n_made > 0
+    with pytest.raises(RunError, match="grid was True, is False"):
+        ablated(dataset, out, values=more)
+
+
+def test_an_ablation_that_adds_a_pair_and_drops_a_value_is_still_finished_when_refused(dataset, tmp_path):
+    out = tmp_path / "run"
+    ablated(dataset, out, pattern="000")
+    record = (out / "run.json").read_bytes()
+    for _ in range(2):
+        with pytest.raises(RunError, match=r"values\.k 8 not asked for"):
+            ablated(dataset, out, values=VALUES | {"k": (12,)})
+        assert (out / "run.json").read_bytes() == record
 
 
 def test_one_setting_moves_at_a_time_or_all_of_them_do():

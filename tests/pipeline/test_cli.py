@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from runs import command
-from scenes import write_dataset
+from scenes import road, write_bin, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
     refused = command(*other, cwd=tmp_path)
     assert refused.returncode == 1
     assert one_line(refused.stderr) == (
-        "error: run runs/streets: is finished, and matching, selection, metrics of 2 pairs would be replaced "
+        "error: run runs/streets: is finished, and matching, coverage, selection, metrics of 2 pairs would be replaced "
         "(matching.delta_m was 5.0, is 3.0); add --replace, or give another --out"
     )
     changed = command(*other, "--replace", cwd=tmp_path)
@@ -63,8 +63,23 @@ def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):
     (data / "sim" / "001.bin").write_bytes(b"")
     result = command("run", data, "--workers", 1, "--out", tmp_path / "run")
     assert result.returncode == 3
-    assert "1 of 2 pairs failed" in result.stdout
-    assert "sim/001.bin: the file is empty, points are wanted" in result.stdout
+    assert "1 of 2 pairs failed, as told above; again with: fidpipe show" in result.stdout
+    reason = "sim/001.bin: the file is empty, points are wanted"
+    assert (result.stdout + result.stderr).count(reason) == result.stderr.count(reason) == 1
+    shown = command("show", tmp_path / "run").stdout
+    assert "1 of 2 pairs failed:\n" in shown
+    assert shown.count(reason) == 1
+
+
+def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dataset, tmp_path):
+    data, out, reason = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run", "object points after ground"
+    write_bin(data / "sim" / "000.bin", road(400) * [1, 1, 0] - [0, 0, 1.7])
+    assert command("run", data, "--workers", 1, "--out", out).returncode == 3
+    (data / "sim" / "001.bin").write_bytes(b"")
+    result = command("run", data, "--workers", 1, "--out", out, "--pairs", "001")
+    assert result.returncode == 3
+    assert "2 of 2 pairs failed, 1 of them as told above" in result.stdout
+    assert (result.stderr.count(reason), result.stdout.count(reason)) == (0, 1)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from plotly.offline import get_plotlyjs
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.report.page.compare import compare_page
-from fidpipe.pipeline.report.terminal.compare import remarks, verdict
+from fidpipe.pipeline.report.terminal.compare import remarks, score_table, verdict
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
@@ -111,6 +111,13 @@ def test_differences_are_those_of_the_tables(versions):
         assert of.of_pairs == pytest.approx(change.to_dict())
         assert of.difference.difference == pytest.approx(change.mean())
         assert of.difference.low <= change.mean() <= of.difference.high
+
+
+def test_a_score_says_of_how_many_pairs_its_means_are(versions):
+    found = compare_runs(versions)[0]
+    headings, *rows = score_table(found)
+    assert [row[headings.index("pairs")] for row in rows] == [str(one.difference.n_pairs) for one in found.scores]
+    assert by_name(found)["CDC"].difference.n_pairs == len(HOSTILE)
 
 
 def test_objects_are_followed_through_the_real_side(versions):

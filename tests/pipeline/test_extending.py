@@ -365,7 +365,9 @@ def test_the_experiment_makes_what_is_missing_on_any_number_of_workers(dataset, 
     spread = ("spread", dataset, "--out", tmp_path / "spread")
     assert "8 jobs done, 0 reused" in package.fidpipe(*spread, "--seeds", 2, "--workers", 1).stdout
     assert "4 jobs done, 8 reused" in package.fidpipe(*spread, "--seeds", 4, "--workers", 2).stdout
-    assert "0 jobs done, 10 reused" in package.fidpipe(*spread, "--seeds", 3, "--workers", 1).stdout
+    fewer = (*spread, "--seeds", 3, "--workers", 1)
+    assert "would be replaced (n_seeds was 4, is 3); add --replace" in package.fidpipe(*fewer, exit_code=1).stderr
+    assert "0 jobs done, 10 reused" in package.fidpipe(*fewer, "--replace").stdout
     rows = pd.read_parquet(tmp_path / "spread" / "spread").sort_values(["pair_id", "seed"])
     assert rows.seed.tolist() == [0, 1, 2] * 2
     package.fidpipe("run", dataset, "--out", tmp_path / "run", "--workers", 1)

@@ -1,6 +1,8 @@
 """Scans in different frames, equal files and swapped sides: what check, run and gate say of them."""
 
+import html
 import json
+import re
 import shutil
 from itertools import chain, pairwise
 
@@ -8,10 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import fidpipe
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.datasets.scan_checks import check_dataset
 from fidpipe.pipeline.engine import engine
+from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.results.measures import Measures
@@ -66,6 +70,31 @@ def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
     assert frames.keys() == {"0"}
     assert (frames["0"]["reading"], frames["0"]["setting"]) == ("mirrored in y", MENDED)
     assert frames["0"]["coverage"] > frames["0"]["as_it_lies"] + 0.15
+
+
+def test_show_and_report_repeat_the_warning_of_the_run(finished, tmp_path):
+    out, done = finished
+    last = done.stdout.rstrip().splitlines()[-1]
+    assert command("show", out).stdout.rstrip().splitlines()[-1] == last
+    page = write_report(out, out=tmp_path).page.read_text()
+    said = html.unescape(re.search('<p id="frames" class="note">(.*?)</p>', page)[1])
+    assert said == last.replace("warning", "Warning")
+
+
+def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_setting():
+    real, sim = scan(0), drifted(scan(0))
+    settings = {"graph": {"k": 10}}
+    with pytest.warns(
+        UserWarning, match=r"covers 0\.\d\d of .* and 0\.\d\d mirrored in y; .* set input.sim_flip_y=true"
+    ):
+        wrong = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings)
+    mended = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings | {"input": {"sim_flip_y": True}})  # warns: error
+    assert mended.summary["match_rate"] > wrong.summary["match_rate"]
+    turned = sim @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    with pytest.warns(UserWarning, match="turned by") as told:
+        fidpipe.evaluate_pair(real, turned, settings)
+    T = np.array(re.search('T_real_sim "(.*?)"', str(told[0].message))[1].split(), dtype=float).reshape(3, 4)
+    np.testing.assert_allclose(turned @ T[:, :3].T + T[:, 3], sim, atol=1e-9)
 
 
 def test_a_gate_fails_on_a_suspect_pair_unless_it_is_allowed(finished):

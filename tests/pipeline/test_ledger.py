@@ -4,6 +4,8 @@ import gc
 import resource
 import sqlite3
 import tracemalloc
+import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -186,3 +188,12 @@ def test_a_disk_that_takes_no_more_is_one_line_and_what_was_there_stays(ledger, 
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert again(tmp_path).jobs("a")
+
+
+def test_a_ledger_that_another_thread_collects_is_closed_without_a_word(tmp_path):
+    ledger = Ledger(tmp_path / "ledger.sqlite", is_writable=True)
+    (finalizer,) = (own for own in weakref.finalize._registry if own.peek() and own.peek()[0] is ledger)
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(finalizer).result()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        ledger.job_of_file("pairs.parquet")

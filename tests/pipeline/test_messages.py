@@ -56,8 +56,19 @@ def test_a_folder_of_nearly_the_right_name_is_pointed_at(dataset, tmp_path, made
 def test_a_file_of_an_unknown_format_is_not_called_a_missing_partner(dataset, tmp_path):
     data = shutil.copytree(dataset, tmp_path / "data")
     (data / "sim" / "000.bin").rename(data / "sim" / "000.las")
-    (pair,) = read_dataset(data).pairs
-    assert "sim/000.las: not readable; known formats are .pcd.bin, .bin" in pair.fault
+    found = read_dataset(data)
+    assert "sim/000.las: not readable; known formats are .pcd.bin, .bin" in found.pairs[0].fault
+    assert found.warnings == ()
+    shutil.copy(data / "real" / "000.bin", data / "sim" / "000.bin")
+    beside = read_dataset(data)
+    assert beside.pairs[0].fault is None
+    assert [text.rsplit(": ", 1)[1] for text in beside.warnings] == ["not a known scan format, ignored"]
+
+
+def test_labels_without_their_scan_are_a_missing_partner(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    (data / "sim" / "000.bin").rename(data / "sim" / "000.label")
+    assert "no partner; a scan named 000 is wanted" in read_dataset(data).pairs[0].fault
 
 
 def test_frames_of_the_same_number_and_other_names_suggest_a_manifest(dataset, tmp_path):

@@ -35,7 +35,7 @@ from fidpipe.stages.method import partition
 from fidpipe.stages.sensing.perturbations import Perturbation, perturb
 from fidpipe.stages.sensing.typical_objects import ScanObjects
 from fidpipe.stages.statistics.sweeps import react
-from runs import command
+from runs import command, contents
 from scenes import street, write_bin, write_dataset
 
 SETTINGS = load(None, ["graph.k=12"])
@@ -131,24 +131,46 @@ def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkey
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
     chosen, options = done.objects[0], {"levels": parse_levels(["rigid=0:7"]), "repeats": 1, "global_repeats": 0}
-    perturbed(scan, out, objects=(str(chosen.community_id),), **options)
+    perturbed(scan, out, objects=(str(chosen.community_id),), replace=True, **options)
     assert sizes == [chosen.n_points, chosen.n_points]
 
 
-def test_another_run_reuses_everything_and_another_seed_gives_other_numbers(done, scan, tmp_path):
+def test_another_run_reuses_everything_takes_more_and_another_seed_gives_other_numbers(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
     again = perturbed(scan, out)
     assert (again.n_made, again.n_reused) == (0, done.n_made)
     assert again.summary.equals(done.summary)
-    other = perturbed(scan, out, seed=1)
+    perturbed(scan, out, levels=(*LEVELS, Perturbation("noise", 0.1)), repeats=4)  # more is no replacement
+    assert len(rows(out).merge(rows(done.folder))) == len(rows(done.folder)) < len(rows(out))
+    other = perturbed(scan, out, seed=1, replace=True)
     assert other.n_reused == 3  # ground, graph, communities
     assert not other.summary.equals(done.summary)
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])}, r"graph\.tau_m was 0\.2, is 0\.3"),
+        ({"levels": LEVELS[1:]}, r"levels noise 0\.01 not asked for"),
+        ({"seed": 1}, "seed was 0, is 1"),
+        ({"repeats": 2}, r"repeats\.object was 3, is 2"),
+    ],
+)
+def test_a_finished_experiment_is_not_replaced_unasked(done, scan, tmp_path, options, why):
+    out = shutil.copytree(done.folder, tmp_path / "run")
+    before = contents(out)
+    with pytest.raises(RunError, match=rf"is finished, and .* of 1 scan would be replaced \({why}.*\); add --replace"):
+        perturbed(scan, out, **options)
+    assert contents(out) == before
+    perturbed(scan, out, replace=True, **options)
+    fresh = perturbed(scan, tmp_path / "fresh", **options)
+    assert rows(out).equals(rows(fresh.folder))
 
 
 def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
     (out / "perturb_global" / "street.noise-0.01.parquet").write_bytes(b"PAR1")
-    again = perturbed(scan, out, levels=LEVELS[:2])
+    again = perturbed(scan, out, levels=LEVELS[:2], replace=True)
     assert again.n_made == 1
     assert sorted(path.name for path in (out / "perturb_global").iterdir()) == [
         "street.dropout-0.1.parquet",
@@ -255,7 +277,7 @@ def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan
     with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",)) as experiment:
         experiment.prepare()
         with pytest.raises(ValueError, match=r"perturb_global street noise-1\.0 is there twice"):
-            experiment.make({"street": [part, replace(part, arguments=(Perturbation("noise", 1.0), [2]))]})
+            experiment.make({"street": [part, replace(part, arguments=(Perturbation("noise", 1.0), [2]))]}, {})
     assert len(rows(out, "perturb_global")) == 2 * len(LEVELS)
 
 

@@ -37,27 +37,8 @@ from runs import (
     read_only,
     run,
 )
-from scenes import write_dataset
 
 N_JOBS = 18
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
-
-
-@pytest.fixture
-def again(finished, tmp_path):
-    """A copy of the finished run that a test may spoil."""
-    return shutil.copytree(finished, tmp_path / "run")
 
 
 def lose_ledger(out):

@@ -4,12 +4,14 @@ import json
 import os
 import re
 import shutil
+from io import StringIO
 from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from rich.console import Console
 
 from fidpipe.pipeline.report.aggregates import histograms, quadrants
 from fidpipe.pipeline.report.charts import run_charts
@@ -18,7 +20,9 @@ from fidpipe.pipeline.report.page.data import page_data, thinned
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
 from fidpipe.pipeline.report.page.render import render
 from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.report.terminal.run import summary_view
 from fidpipe.pipeline.report.verdict import verdict_of
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from fidpipe.stages.metrics import IDENTICAL_CHANGE
@@ -174,6 +178,28 @@ def test_six_numbers_are_the_means_of_pairs_parquet(report_run):
     assert numbers["r_lambda"]["mean"] == pytest.approx(pairs.r_lambda_mean.mean())
     assert numbers["r_lambda"]["std"] == pytest.approx(pairs.r_lambda_mean.std(ddof=1))
     assert numbers["match rate"]["mean"] == pytest.approx(pairs.match_rate.mean())
+
+
+def test_an_object_score_says_of_how_many_pairs_it_is_and_what_it_is_with_unmatched_as_worst(report_run, written):
+    pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
+    n_unmatched = pairs.n_missing + pairs.n_hallucinated
+    worst = (pairs.cdc_mean.fillna(0) * pairs.n_matched + 2 * n_unmatched) / (pairs.n_matched + n_unmatched)
+    numbers = {of["name"]: of["count"] for of in verdict_of(read_results(report_run)).numbers}
+    assert (
+        numbers["CDC"] == f"{pairs.cdc_mean.count()} of {len(pairs)} pairs; {worst.mean():.3f} with unmatched as worst"
+    )
+    assert numbers["match rate"] == numbers["missing objects"] == ""
+    assert f"; {numbers['CDC']}</p>" in words(written.page)
+
+
+def test_a_class_says_of_how_many_objects_a_mean_is_where_some_have_no_score(report_run):
+    run = FinishedRun(report_run)
+    first, *others = run.record.findings.classes
+    fewer = first.model_copy(update={"r_lambda_n": first.n_matched - 1})
+    findings = run.record.findings.model_copy(update={"classes": (fewer, *others)})
+    console = Console(file=StringIO(), width=400)
+    console.print(summary_view(report_run, run.rows, run.record.model_copy(update={"findings": findings})))
+    assert f"{first.r_lambda_mean:.3f} (of {first.n_matched - 1})" in console.file.getvalue()
 
 
 def test_the_worst_stand_first_and_unmatched_objects_last(report_run):

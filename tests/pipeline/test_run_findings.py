@@ -1,15 +1,19 @@
 """What a run says of all its pairs together, against the tables that it wrote."""
 
 import json
+import shutil
+from io import StringIO
 
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
+from fidpipe.pipeline.report.terminal.run import summary_view
 from fidpipe.pipeline.results import findings as findings_of_run
 from fidpipe.pipeline.results.status import run_status
 from runs import command, run
-from scenes import write_dataset
+from scenes import street, write_bin, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +108,38 @@ def test_a_run_shows_findings_and_the_claims(finished):
     claims = command("show", folder, "--paper")
     assert claims.returncode == 0
     assert "0.37 ± 0.03" in claims.stdout
+    assert "3 of 6 pairs that are wanted" in claims.stdout
+    for claim in recorded(folder)["findings"]["claims"]:
+        if "above 0" in claim["rule"]:
+            assert claim["verdict"] == "not decided"
+            assert claim["n_pairs"] <= 3
+
+
+def test_copies_of_a_pair_count_once_in_the_claims(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    once = run(data, tmp_path / "once")
+    for side in ("real", "sim"):
+        for name in ("copy", "another"):
+            shutil.copy(data / side / "000.bin", data / side / f"{name}.bin")
+    copied = run(data, tmp_path / "copied")
+    assert copied.record.claims == once.record.claims
+    assert "3 pairs count as 1" in command("show", tmp_path / "copied", "--paper").stdout
+
+
+def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp_path):
+    data = write_dataset(tmp_path / "streets", 2)
+    write_bin(data / "sim" / "001.bin", street() + [60, 0, 0])
+    outcome = run(data, tmp_path / "run")
+    first = next(row for row in outcome.rows if row["pair_id"] == "000")
+    n_unmatched = first["n_missing"] + first["n_hallucinated"]
+    worst = (first["cdc_mean"] * first["n_matched"] + 2 * n_unmatched) / (first["n_matched"] + n_unmatched)
+    summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
+    assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
+    assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
+    console = Console(file=StringIO(), width=300)
+    console.print(summary_view(outcome.folder, [first], outcome.record))
+    (line,) = (line for line in console.file.getvalue().splitlines() if "geometry: 0 the same points" in line)
+    assert f"{n_scored - 1} of {n_scored} " in line
+    assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line
+    alone = run(data, tmp_path / "alone", pattern="000").record.summary["cdc_unmatched_worst_mean"].mean
+    assert alone == pytest.approx(worst)

@@ -195,9 +195,15 @@ def test_another_recipe_replaces_the_pairs_and_fewer_pairs_leave_fewer(dataset, 
     (out / "synth.toml").write_text(SynthRequest(out, seed=5, n_points=N_POINTS).recipe())
     for path in out.glob("*/0*"):
         path.write_bytes(b"of seed 5")
-    make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS))
+    before = content(out)
+    with pytest.raises(FidpipeError, match=r"is finished, and 2 of its 2 pairs would be removed \(seed was 5, is 0\)"):
+        make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS))
+    assert content(out) == before
+    make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS, replace=True))
     assert content(out) == content(dataset)
-    make_dataset(SynthRequest(out, n_pairs=1, n_points=N_POINTS))
+    with pytest.raises(FidpipeError, match=r"1 of its 2 pairs would be removed \(pairs was 2, is 1\); add --replace"):
+        make_dataset(SynthRequest(out, n_pairs=1, n_points=N_POINTS))
+    make_dataset(SynthRequest(out, n_pairs=1, n_points=N_POINTS, replace=True))
     assert sorted(path.name for path in out.glob("*/*")) == ["0000.bin", "0000.bin", "0000.label", "0000.label"]
     assert len(read_dataset(out).pairs) == 1
 

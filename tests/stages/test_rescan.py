@@ -49,7 +49,9 @@ def test_a_rough_plane_scanned_again_lies_in_its_middle_and_not_before_it():
 def test_rays_meet_the_nearer_of_two_walls_and_see_the_other_beside_it():
     near, _ = plane((1, 0, 0), 5.0, half_m=1.0)
     far, _ = plane((1, 0, 0), 12.0)
-    again = scan(np.vstack([near, far]), np.array([[1.0, 0, 0], [1, 0.02, 0.1], [1, 0.5, 0]]) / [[1.0], [1.005], [1.118]])
+    again = scan(
+        np.vstack([near, far]), np.array([[1.0, 0, 0], [1, 0.02, 0.1], [1, 0.5, 0]]) / [[1.0], [1.005], [1.118]]
+    )
     assert again.points[:, 0] == pytest.approx([5.0, 5.0, 12.0], abs=0.06)
 
 

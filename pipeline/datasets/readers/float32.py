@@ -31,7 +31,8 @@ def read(path: Path, columns: tuple[str, ...]) -> Scan:
     if n_bytes % (4 * len(columns)):
         raise ScanError(
             f"{path}: {n_bytes} bytes found, a multiple of {4 * len(columns)} wanted ({len(columns)} float32 columns: "
-            f"{' '.join(columns)}); the file is truncated, or has other columns: name them in input.columns"
+            f"{' '.join(columns)}); the file is truncated, or has other columns: name them in input.columns, "
+            "or of one side alone in input.real_columns or input.sim_columns"
         )
     rows = np.fromfile(path, dtype="<f4").reshape(-1, len(columns))
     return scan_from_columns(path, {name: rows[:, i] for i, name in enumerate(columns)})

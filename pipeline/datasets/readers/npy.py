@@ -31,7 +31,7 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     if array.ndim == 2 and array.shape[1] > 4:
         raise ScanError(
             f"{path}: array of shape {array.shape} found, (n, 3) or (n, 4) wanted; name its {array.shape[1]} columns "
-            "in input.columns"
+            "in input.columns, or of one side alone in input.real_columns or input.sim_columns"
         )
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         raise ScanError(

@@ -101,13 +101,13 @@ def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
     if source.is_scan:
         raise SettingsError(f"{request.source}: is a scan; ablate compares real and simulated scans of a dataset")
     with experimenting("ablate", source, request, reporter, stages=(STAGE,), sides=SIDES) as experiment:
-        experiment.make({plan.pair_id: _parts(plan, settings_of) for plan in experiment.prepare()})
+        facts = {"values": {name: list(tried) for name, tried in values.items()}, "grid": request.grid}
+        experiment.make({plan.pair_id: _parts(plan, settings_of) for plan in experiment.prepare()}, facts)
         rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
         scores = rows.to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
         means = ({"n_pairs": row.pop("n"), **row} for row in mean_rows(scores, [*_NAMES, "metric"]))
         experiment.write_summary(ABLATE_SUMMARY, list(means))
-        facts = {"values": {name: list(tried) for name, tried in values.items()}, "grid": request.grid}
-        return AblateOutcome(**experiment.finish(facts), base=base, values=values, grid=request.grid, rows=rows)
+        return AblateOutcome(**experiment.finish(), base=base, values=values, grid=request.grid, rows=rows)
 
 
 def choose(outcome: AblateOutcome) -> list[Verdict]:

@@ -113,17 +113,17 @@ def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcom
         for plan in experiment.prepare():
             scan = read_objects(experiment.folder, plan.pair_id)
             chosen[plan.pair_id] = choose_objects(scan, request.objects, request.settings.graph.k, reporter.say)
-        experiment.make({scan: _parts(request, experiment, scan, own) for scan, own in chosen.items()})
         objects = tuple(each for own in chosen.values() for each in own)
-        summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
         facts = {
             "seed": request.seed,
             "repeats": {"global": request.global_repeats, "object": request.repeats},
             "levels": [vars(level) for level in request.levels],
             "objects": [vars(each) for each in objects],
         }
+        experiment.make({scan: _parts(request, experiment, scan, own) for scan, own in chosen.items()}, facts)
+        summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
         return PerturbOutcome(
-            **experiment.finish(facts), scans=tuple(chosen), objects=objects, levels=request.levels, summary=summary
+            **experiment.finish(), scans=tuple(chosen), objects=objects, levels=request.levels, summary=summary
         )
 
 

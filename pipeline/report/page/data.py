@@ -16,6 +16,7 @@ import pandas as pd
 from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
 from ....stages.arrays import IndexArray
+from ...datasets.frame_checks import frames_summary
 from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
@@ -88,11 +89,13 @@ def page_data(results: RunResults) -> dict[str, Any]:
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
     """What the page's template shows of the whole run; versions by group, what made it; scores over a floor if any."""
     record = results.run.record
+    n_pairs = len(results.pairs) + len(results.failures)
     return {
         "title": results.run.folder.resolve().name,
         "verdict": verdict_of(results),
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
+        "frames": frames_summary(record.frames, n_pairs) if record.frames else "",
         "notes": _notes(results),
         "floor": excess
         and {

@@ -138,7 +138,7 @@ def changed(comparison: Comparison) -> list[ObjectChange]:
 
 
 def score_table(comparison: Comparison) -> list[list[str]]:
-    """Headings, then one row per score: name, verdict, before, after, change, its interval and p.
+    """Headings, then one row per score: name, verdict, pairs that have it, before, after, change, its interval and p.
 
     Where both runs were repeated under other seeds, also whether the change is more than they alone would make; with a
     floor, whether it is more than measuring again makes.
@@ -147,7 +147,7 @@ def score_table(comparison: Comparison) -> list[list[str]]:
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
     rows = [
         [
-            *("score", "verdict", "before", "after", "change", "from", "to", "p"),
+            *("score", "verdict", "pairs", "before", "after", "change", "from", "to", "p"),
             *["more than seeds make"] * with_seeds,
             *["more than the floor"] * with_floor,
         ]
@@ -163,7 +163,9 @@ def score_table(comparison: Comparison) -> list[list[str]]:
         )
         seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
         floor = beyond[score.beyond_floor].format(number(score.floor))
-        rows.append([score.name, score.verdict, *numbers, *[seeds] * with_seeds, *[floor] * with_floor])
+        rows.append(
+            [score.name, score.verdict, str(change.n_pairs), *numbers, *[seeds] * with_seeds, *[floor] * with_floor]
+        )
     return rows
 
 
@@ -188,9 +190,9 @@ def kind_table(comparison: Comparison) -> list[list[str]]:
 def _parts(comparison: Comparison) -> list[RenderableType]:
     headings, *scores = score_table(comparison)
     for row in (headings, *scores):
-        row.insert(7, row.pop(1))  # the verdict, behind the numbers that it is about
+        row.insert(8, row.pop(1))  # the verdict, behind the numbers that it is about
     title = f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, means and 95 % intervals"
-    parts: list[RenderableType] = [_table(f"{title} (paired t)", headings, scores, words=(0, 7, 8, 9))]
+    parts: list[RenderableType] = [_table(f"{title} (paired t)", headings, scores, words=(0, 8, 9, 10))]
     if comparison.excess:
         headings, *excesses = both_excesses_table(*comparison.excess)
         parts.append(_table(f"Over the floor {comparison.excess[0].floor}", headings, excesses))

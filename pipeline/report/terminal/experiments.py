@@ -13,7 +13,8 @@ from ....schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_lab
 from ....schemas.paper import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ....stages.sensing.perturbations import Perturbation
 from ....stages.statistics.parameter_choice import RULE
-from ....stages.statistics.sweeps import OWN_METRICS, Mean, Means, judge_claims, react, strongest_levels
+from ....stages.statistics.sweep_claims import judge_claims
+from ....stages.statistics.sweeps import OWN_METRICS, Mean, Means, react, strongest_levels
 from ...experiments.ablate.ablate import PARAMETERS, AblateOutcome, choose, influences
 from ...experiments.experiment import ExperimentOutcome
 from ...experiments.perturb.perturb import PerturbOutcome
@@ -35,7 +36,7 @@ _NARROW_LEVELS = {
     "hallucination": "added\n{:.0%}",
     "density": "dens.\nx {:g}",
 }
-_VERDICTS = {True: ("yes", "green"), False: ("NO", "red"), None: ("not checkable", "yellow")}
+_VERDICTS = {True: ("yes", "green"), False: ("NO", "red"), None: ("not decided", "yellow")}
 _ROUNDING = 1e-12
 #: What r_lambda is made of, and what else moves.
 _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
@@ -90,9 +91,10 @@ def ablate_view(outcome: AblateOutcome) -> RenderableType:
 
 
 def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Text]:
-    """Failures, jobs, and which files of the folder hold what."""
+    """How many failures were told of, jobs, and which files of the folder hold what."""
+    n_failed = len(outcome.failures)
     return [
-        *(Text(f"failed: {name}: {reason}", style="red") for name, reason in outcome.failures.items()),
+        *([Text(f"{n_failed} failed, as told above; see also failures in run.json", style="red")] if n_failed else []),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
         Text(f"results: {outcome.folder}/{results}"),
     ]

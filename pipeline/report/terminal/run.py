@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from operator import attrgetter
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from ....schemas.metrics import (
 from ....schemas.results import (
     BaselineSummary,
     Claim,
+    ClassFindings,
     Findings,
     RunRecord,
     SeedSummary,
@@ -32,7 +33,8 @@ from ....schemas.results import (
     Unmatched,
 )
 from ....schemas.settings import Settings, departures, parse, preset_of
-from ....stages.statistics.claim_rules import FAILS, HOLDS, UNKNOWN
+from ....stages.statistics.claim_rules import FAILS, HOLDS, UNDECIDED
+from ....stages.statistics.comparison import BLOCK_S
 from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...run import RunOutcome
@@ -45,55 +47,112 @@ _MOST_CLASSES = 8
 _BOXES = ("cdc", "r_lambda")
 #: The scores whose spread over seeds is shown of each pair; all headline scores would not fit.
 _SEED_SCORES = HEADLINE_SCORES[:4]
-_COLOURS = {HOLDS: "green", FAILS: "red", UNKNOWN: "yellow"}
+_COLOURS = {HOLDS: "green", FAILS: "red", UNDECIDED: "yellow"}
 
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The results of a run, as a newcomer should see them first."""
     record, folder = outcome.record, outcome.folder
-    suspects = record.frames or {}
     return Group(
-        summary_view(folder, outcome.rows, record),
+        _scores_view(folder, outcome.rows, record),
+        *_failures_parts(folder, outcome.rows, outcome.told_failures),
         Text(preset_line(parse(record.settings))),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
         Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
         *([Text(f"to look at them: fidpipe report {folder}")] if record.pairs.scored else ()),
-        *([Text(f"warning: {frames_summary(suspects, len(outcome.rows))}", style="yellow")] if suspects else []),
+        *_frames_parts(outcome.rows, record),
     )
 
 
 def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
-    """The pairs of a run, what they say together, and which failed."""
+    """The pairs of a run, what they say together, which failed, and which seem to lie in another frame."""
+    return Group(
+        _scores_view(folder, rows, record), *_failures_parts(folder, rows, frozenset()), *_frames_parts(rows, record)
+    )
+
+
+def _scores_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
+    """The pairs of a run, and what they say together."""
     parts: list[RenderableType] = []
     if record.findings:
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
         parts += [_coverage_table(record), *(Text(line) for line in unmatched_lines(record)), Text()]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
-        verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNKNOWN]} cannot be checked"
+        verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNDECIDED]} are not decided"
         parts.append(Text(f"the paper's claims: {verdicts}; see: fidpipe show {folder} --paper"))
     if record.baselines:
         parts.append(baselines_view(record.baselines))
     if record.seeds:
         parts.append(seeds_view(record.seeds))
-    failures = [row for row in rows if row["status"] == "failed"]
-    if failures:
-        parts.append(Text(f"{len(failures)} of {len(rows)} pairs failed:", style="red"))
-        parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in failures[:_MOST_PAIRS]]
-        if len(failures) > _MOST_PAIRS:
-            parts.append(Text(f"  and {len(failures) - _MOST_PAIRS} more, see pairs.parquet"))
     return Group(*parts)
 
 
-def claims_view(claims: Sequence[Claim]) -> RenderableType:
-    """The paper's claims, one per line, then the rule by which each is judged."""
+def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> list[RenderableType]:
+    """How many pairs failed, and why; of those that were told of already only where it can be read again."""
+    failures = [row for row in rows if row["status"] == "failed"]
+    if not failures:
+        return []
+    new = [row for row in failures if row["pair_id"] not in told]
+    count, n_told = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
+    above = (
+        f", {'' if n_told == len(failures) else f'{n_told} of them '}as told above; again with: fidpipe show {folder}"
+    )
+    parts: list[RenderableType] = [Text(f"{count}{above if n_told else ''}{':' if new else ''}", style="red")]
+    parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
+    if len(new) > _MOST_PAIRS:
+        parts.append(Text(f"  and {len(new) - _MOST_PAIRS} more, see pairs.parquet"))
+    return parts
+
+
+def _frames_parts(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
+    suspects = record.frames or {}
+    return [Text(f"warning: {frames_summary(suspects, len(rows))}", style="yellow")] if suspects else []
+
+
+def claims_view(findings: Findings | None) -> RenderableType:
+    """The paper's claims, one per line with the 95 % interval, then the rule by which each is judged."""
+    claims = findings.claims if findings else ()
     rows = [
-        (i, claim.claim, claim.paper, claim.here, Text(claim.verdict, style=_COLOURS.get(claim.verdict, "")))
-        for i, claim in enumerate(claims, 1)
+        (i, one.claim, one.paper, one.here, *_interval_cells(one), Text(one.verdict, style=_COLOURS[one.verdict]))
+        for i, one in enumerate(claims, 1)
     ]
-    table = plain_table("The paper's claims", ("", "claim", "paper", "here", "verdict"), rows, words=range(5))
-    rules = (Text(f"{i:>3}  {claim.rule}") for i, claim in enumerate(claims, 1))
-    return Group(table, Text("By which rule:"), *rules)
+    headings = ("", "claim", "paper", "here", "estimate and\n95 % interval", "pairs", "verdict")
+    table = plain_table("The paper's claims", headings, rows, words=range(7))
+    table.columns[1].min_width = 14
+    table.columns[4].no_wrap = True
+    undecided: dict[str, list[str]] = {}
+    for i, one in enumerate(claims, 1):
+        if one.why:
+            undecided.setdefault(one.why, []).append(str(i))
+    lines = [
+        "Estimate and interval are of what the rule names, over independent pairs: how far it would move if others had",
+        "been recorded. Where that leaves both open a claim is not decided; by chance under one in twenty holds.",
+        *_on_independence(findings),
+        *(f"not decided: {', '.join(numbers)}: {why}" for why, numbers in undecided.items()),
+    ]
+    rules = (Text(f"{i:>3}  {one.rule}") for i, one in enumerate(claims, 1))
+    return Group(table, *map(Text, lines), Text("By which rule:"), *rules)
+
+
+def _interval_cells(claim: Claim) -> tuple[str, int]:
+    if claim.low is None or claim.high is None:
+        return "-", claim.n_pairs
+    digits = 3 if max(abs(claim.low), abs(claim.high)) < 10 else 1
+    cells = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
+    return "{}\n{} to {}".format(*cells), claim.n_pairs
+
+
+def _on_independence(findings: Findings | None) -> list[str]:
+    """Which pairs count as one, or that this is not known."""
+    if findings is None or not findings.claims:
+        return []
+    n_pairs, n_independent = findings.n_pairs, max(claim.n_pairs for claim in findings.claims)
+    if n_independent < n_pairs:
+        return [f"{n_pairs} pairs count as {n_independent}: copies, and scans within {BLOCK_S:g} s, count once"]
+    if n_pairs > 1 and all(scan.timestamp_s is None for scan in findings.scans.scans):
+        return ["no timestamps: each pair counts as independent, which neighbouring frames of a drive are not"]
+    return []
 
 
 def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
@@ -252,10 +311,16 @@ def _classes(findings: Findings) -> Table:
     if len(classes) > _MOST_CLASSES:
         title = f"The {_MOST_CLASSES} most frequent of {len(classes)} classes (of the real object where both have it)"
     rows = (
-        (own.label, *_unmatched(own), own.n_matched, *(own.of_score(score).mean for score in DISTRIBUTED))
+        (own.label, *_unmatched(own), own.n_matched, *(_mean_of(own, score) for score in DISTRIBUTED))
         for own in classes[:_MOST_CLASSES]
     )
     return plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+
+
+def _mean_of(own: ClassFindings, score: str) -> str:
+    """A mean of a class; with its number of objects where that is not all which both sides have."""
+    mean = own.of_score(score)
+    return number(mean.mean) + f" (of {mean.n})" * (mean.n != own.n_matched)
 
 
 def _scans(findings: Findings) -> Table:

@@ -1,0 +1,203 @@
+"""Runs whose objects are fixed on the real side, from the command to the report."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fidpipe
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.results.compare import compare_runs
+from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
+from fidpipe.pipeline.results.gate import judge_run, parse_word
+from fidpipe.schemas.errors import SettingsError
+from fidpipe.schemas.settings import Settings, departures, load, preset_of
+from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
+from pools import WatchedPool
+from runs import assert_same_tables, changed_files, command, marks, run, tables
+from scenes import box, drifted, street, write_bin, write_dataset
+
+REFERENCE = load(None, preset="reference")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Three streets; in the first one a house is not simulated, and a box is invented."""
+    folder = write_dataset(tmp_path_factory.mktemp("data") / "streets", 3)
+    real = read_scan(folder / "real" / "000.bin").points
+    sim = drifted(real, seed=0)
+    lost = np.linalg.norm(real - real[real[:, 2].argmax()], axis=1) < 6
+    sim = np.vstack([drifted(real[~lost], seed=0), box([-30, -30, 2], [2, 2, 2], 40)])
+    write_bin(folder / "sim" / "000.bin", sim)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "run"
+    return out, run(dataset, out, REFERENCE)
+
+
+def test_a_second_run_makes_nothing_and_the_record_names_the_preset(dataset, finished):
+    out, outcome = finished
+    assert not outcome.failures
+    before = marks(out)
+    assert run(dataset, out, REFERENCE).n_made == 0
+    assert not changed_files(out, before)
+    assert FinishedRun(out).preset == "reference"
+
+
+def test_on_many_workers_the_tables_are_the_same(dataset, finished, tmp_path):
+    run(dataset, tmp_path / "run", REFERENCE, pool=WatchedPool())
+    assert_same_tables(tmp_path / "run", finished[0])
+
+
+def test_in_memory_the_numbers_are_those_of_the_run(dataset, finished):
+    scans = [read_scan(dataset / side / "000.bin").points for side in ("real", "sim")]
+    result = fidpipe.evaluate_pair(*scans, REFERENCE)
+    row = finished[1].rows[0]
+    assert {name: value for name, value in result.summary.items() if name != "pair_id"} == {
+        name: value for name, value in row.items() if name not in ("pair_id", "reason")
+    }
+
+
+def test_another_simulator_has_the_same_real_objects(dataset, finished, tmp_path):
+    out, _ = finished
+    scan = read_scan(dataset / "real" / "001.bin").points
+    write_bin(tmp_path / "data" / "real" / "001.bin", scan)
+    write_bin(tmp_path / "data" / "sim" / "001.bin", drifted(scan, seed=9, noise=0.2, keep=0.5))
+    run(tmp_path / "data", tmp_path / "other", REFERENCE)
+    for table in ("communities", "objects"):
+        a, b = (pd.read_parquet(folder / table / "001.real.parquet") for folder in (out, tmp_path / "other"))
+        pd.testing.assert_frame_equal(a, b)
+
+
+def test_missing_and_invented_objects_are_told_alike_everywhere(finished):
+    out, outcome = finished
+    row = outcome.rows[0]
+    matching = pd.read_parquet(out / "matching" / "000.parquet")
+    objects = {side: pd.read_parquet(out / "objects" / f"000.{side}.parquet") for side in ("real", "sim")}
+    counts = matching.status.value_counts()
+    assert counts.get("missing", 0) == row["n_missing"] > 0
+    assert counts.get("hallucinated", 0) == row["n_hallucinated"] > 0
+    n_real = len(objects["real"])
+    missing = matching.real_id[matching.status == "missing"].astype(int)
+    left = objects["sim"].n_points[missing]
+    assert (left < np.minimum(8, objects["real"].n_points[missing])).all()
+    assert (matching.sim_id[matching.status == "hallucinated"] >= n_real).all()
+    assert row["n_communities_sim"] == np.count_nonzero(objects["sim"].n_points)
+    empty = objects["sim"].n_points == 0
+    assert objects["sim"].loc[empty, ["cx", "range_m", "linearity"]].isna().all(axis=None)
+    facts = pair_facts(FinishedRun(out), "000")
+    assert [each.status for each in facts.objects].count("hallucinated") == row["n_hallucinated"]
+    findings = json.loads((out / "run.json").read_text())["findings"]
+    n_hallucinated = sum(band["n_hallucinated"] for band in findings["range_m"]["bands"])
+    assert n_hallucinated == sum(row["n_hallucinated"] for row in outcome.rows)
+
+
+def test_coverage_and_what_is_behind_the_unmatched_agree_with_the_points(finished):
+    out, outcome = finished
+    record = json.loads((out / "run.json").read_text())
+    states = dict.fromkeys(("missing", "hallucinated"), 0)
+    for row in outcome.rows:
+        name = row["pair_id"]
+        coverage = pd.read_parquet(out / "coverage" / f"{name}.parquet").set_index(["side", "community_id"])
+        clouds = {}
+        for side in ("real", "sim"):
+            ground = pd.read_parquet(out / "ground" / f"{name}.{side}.parquet").query("~is_ground")
+            clouds[side] = ground[["x", "y", "z"]].to_numpy()
+        distance_m = nearest_distances(clouds["real"], clouds["sim"])
+        whole = coverage.loc["real"].loc[np.nan]
+        shares = [(distance_m <= reach_m).mean() for reach_m in COVERAGE_DISTANCES_M]
+        for reach, share in zip(("0p1m", "0p3m", "1m"), shares, strict=True):
+            assert np.ravel(whole[f"covered_{reach}"])[0] == pytest.approx(share, abs=1e-15)
+            assert row[f"covered_real_{reach}"] == pytest.approx(share, abs=1e-15)
+        matching = pd.read_parquet(out / "matching" / f"{name}.parquet")
+        for status, side in (("missing", "real"), ("hallucinated", "sim")):
+            ids = matching[f"{side}_id"][matching.status == status]
+            states[status] += int((coverage.loc[side].covered_0p3m.reindex(ids) <= 0.2).sum())
+    assert {status: record["coverage"][status]["absent"] for status in states} == states
+
+
+def test_the_terminal_the_report_the_comparison_and_the_gate_take_it(dataset, finished, tmp_path):
+    out, _ = finished
+    shown = command("show", out)
+    assert shown.returncode == 0, shown.stderr
+    assert "Surface" in shown.stdout
+    report = command("report", out, "--out", tmp_path / "report")
+    assert report.returncode == 0, report.stderr
+    (comparison,) = compare_runs([out, out])
+    assert comparison.on_partition == ""
+    assert not comparison.unfollowed
+    result = judge_run(out, [parse_word("covered.real.0.3m.mean=0.1", "min"), parse_word("shift_m.max=9", "max")])
+    assert result.passed
+    assert not any("partition" in note for note in result.notes)
+
+
+def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
+    words = ["--preset", "reference", "--workers", 1]
+    seeds = command("run", dataset, "--out", tmp_path / "seeds", "--pairs", "001", "--seeds", 2, *words)
+    assert seeds.returncode == 0, seeds.stderr
+    table = pd.read_parquet(tmp_path / "seeds" / "seeds")
+    row = tables(tmp_path / "seeds")["pairs.parquet"].to_pylist()[0]
+    assert table.match_rate[0] == row["match_rate"]
+    sweep = ["--sweep", "dropout=0.3", "--repeats", 1, "--global-repeats", 1]
+    perturbed = command("perturb", dataset, "--out", tmp_path / "perturb", *sweep, *words)
+    assert perturbed.returncode == 0, perturbed.stderr
+    rows = pd.read_parquet(tmp_path / "perturb" / "perturb_global")
+    assert (rows.match_rate == 1).all()  # nothing is missing from a copy that has lost points
+    ablated = command("ablate", dataset, "--out", tmp_path / "ablate", "--pairs", "001", "--delta", "1,9", *words)
+    assert ablated.returncode == 0, ablated.stderr
+
+
+def test_labels_of_the_input_are_the_objects(tmp_path):
+    scan = street(seed=1)
+    labels = np.where(scan[:, 0] > 0, 1, 2).astype("<u4")
+    write_bin(tmp_path / "real" / "a.bin", scan)
+    write_bin(tmp_path / "sim" / "a.bin", drifted(scan))
+    (labels + (np.arange(len(scan)) % 2 << 16)).astype("<u4").tofile(tmp_path / "real" / "a.label")
+    settings = load(None, ["communities.reference=labels"], preset="reference")
+    outcome = run(tmp_path, tmp_path / "run", settings)
+    assert not outcome.failures
+    ground = pd.read_parquet(tmp_path / "run" / "ground" / "a.real.parquet").query("~is_ground")
+    assert set(ground.instance) == {0, 1}
+    own = ground.merge(pd.read_parquet(tmp_path / "run" / "communities" / "a.real.parquet"), on="point_id")
+    assert (own.groupby("community_id").label.nunique() == 1).all()
+    failed = run(tmp_path, tmp_path / "paper", Settings()).failures
+    assert not failed
+
+
+def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path):
+    settings = load(None, ["communities.reference=instances"], preset="reference")
+    (reason, *_) = run(dataset, tmp_path / "run", settings).failures.values()
+    assert "the real scan has no labels" in reason
+    assert 'reference = "louvain"' in reason
+
+
+@pytest.mark.parametrize(
+    ("preset", "words", "named", "departing"),
+    [
+        ("paper", [], "paper", []),
+        ("reference", [], "reference", []),
+        (
+            "reference",
+            ["graph.k=60", "communities.reach_m=0.5"],
+            "reference",
+            ["graph.k=60", "communities.reach_m=0.5"],
+        ),
+        ("paper", ["communities.objects=reference"], "reference", ["graph.ties=point_id"]),
+    ],
+)
+def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, named, departing):
+    settings = load(None, words, preset=preset)
+    assert (preset_of(settings), departures(settings)) == (named, departing)
+    if departing:
+        assert load(None, departures(settings), preset=named) == settings
+
+
+def test_a_preset_that_is_not_there_is_named():
+    with pytest.raises(SettingsError, match="preset 'papr': no such preset; known are paper, reference"):
+        load(None, preset="papr")
+    with pytest.raises(SettingsError, match='needs objects = "reference"'):
+        load(None, ["communities.reference=labels"])

@@ -1,0 +1,207 @@
+import numpy as np
+import pytest
+
+import textbook
+from fidpipe.schemas.settings import Settings
+from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.ground import remove_ground
+from fidpipe.stages.statistics.validation import double_validation_metric, paired_t
+from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
+from scenes import box, moved, rigid, street
+
+
+def room(rng, n=900, noise=0.0):
+    """Two walls and a floor that meet in a corner, the sensor in front of it."""
+    points = rng.uniform(-6, 0, (n, 3)) + [9, 8, 2]
+    axis = np.arange(n) % 3
+    points[np.arange(n), axis] = np.array([9.0, 8, -4])[axis]
+    return points + rng.normal(0, noise, points.shape)
+
+
+def wall(rng, n=400, angle_deg=0.0):
+    """A wall 8 m ahead, turned about z."""
+    points = np.column_stack([np.full(n, 8.0), rng.uniform(-4, 4, n), rng.uniform(-1, 3, n)])
+    return moved(points, rigid(angle_deg, [0, 0, 0]))
+
+
+def offset(real, sim, labels=None):
+    return measure_offsets(describe_surface(real), describe_surface(sim), labels)
+
+
+def test_the_offset_is_that_of_the_simulated_side_against_the_real_one(rng):
+    for shift in ([0.2, 0, 0], [0, -0.2, 0], [0.1, -0.05, 0.15]):
+        found = offset(room(rng), room(rng) + shift)  # other points of the same walls
+        assert found.shift_m[0] == pytest.approx(shift, abs=0.01)
+        assert found.distance_m[0] == pytest.approx(np.linalg.norm(shift), abs=0.01)
+        assert found.n_directions.tolist() == [3]
+
+
+def test_both_sides_alike_have_no_offset_at_all_and_the_same_roughness(rng):
+    scan = street()
+    labels = rng.integers(0, 5, len(scan)).astype(np.int32)
+    real, sim = describe_surface(scan), describe_surface(scan[::-1])
+    for found in (measure_offsets(real, sim), measure_offsets(real, sim, labels)):
+        assert np.all(found.shift_m == 0)
+        assert np.all(found.distance_m == 0)
+    validation = double_validation_metric(real.roughness_m, sim.roughness_m)
+    assert (validation.bias, validation.area) == (0, 0)
+
+
+def test_nothing_depends_on_the_order_of_rows(rng):
+    grid = np.stack(np.meshgrid(*[np.arange(14.0)] * 3), axis=-1).reshape(-1, 3) + [3, 0, 0]  # all distances tie
+    real, sim, labels = grid, grid + [0.1, 0.2, 0.3], (np.arange(len(grid)) % 7).astype(np.int32)
+    of_real, of_sim = rng.permutation(len(real)), rng.permutation(len(sim))
+    found = [offset(real, sim, labels), offset(real[of_real], sim[of_sim], labels[of_real])]
+    for one, other in zip(*(vars(each).values() for each in found), strict=True):
+        np.testing.assert_array_equal(one, other)
+    surface, again = describe_surface(real), describe_surface(real[of_real])
+    np.testing.assert_array_equal(surface.roughness_m, again.roughness_m)
+    np.testing.assert_array_equal(real[surface.rows], real[of_real][again.rows])
+
+
+def test_points_that_stay_are_drawn_again_when_others_are_lost(rng):
+    def drawn(points, seed=0):
+        surface = describe_surface(points, seed)
+        assert len(surface.normal) == len(surface.roughness_m) == 2000
+        return {tuple(point) for point in surface.points[:2000]}
+
+    scan = rng.uniform(-20, 20, (9000, 3))
+    kept = scan[rng.random(len(scan)) < 0.8]
+    assert drawn(scan) & {tuple(point) for point in kept} <= drawn(kept)
+    assert len(drawn(scan) & drawn(scan, seed=1)) < 700
+
+
+def test_offset_and_roughness_agree_with_the_textbook(rng):
+    real, sim = room(rng, 300, 0.02), room(rng, 300, 0.02) + [0.1, 0.05, -0.1]
+    surface = describe_surface(real)
+    slow = [textbook.local_plane(real, p) for p in surface.points]
+    assert surface.roughness_m == pytest.approx(np.array([roughness for _, roughness, _ in slow]))
+    assert surface.is_plane.tolist() == [planarity >= 0.1 for _, _, planarity in slow]
+    cosine = [abs(normal @ own) for (normal, _, _), own in zip(slow, surface.normal, strict=True)]
+    assert cosine == pytest.approx(np.ones(len(real)))
+    assert offset(real, sim).shift_m[0] == pytest.approx(textbook.offset(real, sim), abs=1e-9)
+
+
+def test_the_offset_turns_with_the_frame_and_roughness_stays(rng):
+    real, sim, T = room(rng, 900, 0.03), room(rng, 800, 0.05) + [0.2, 0.1, 0], rigid(35, [4, -2, 1])
+    before, after = offset(real, sim), offset(moved(real, T), moved(sim, T))
+    assert after.shift_m[0] == pytest.approx(T[:, :3] @ before.shift_m[0], abs=1e-6)
+    one, other = describe_surface(sim), describe_surface(moved(sim, T))
+    by_row = [surface.roughness_m[np.argsort(surface.rows)] for surface in (one, other)]
+    assert by_row[1] == pytest.approx(by_row[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("angle_deg", [0, 45])
+def test_a_wall_tells_how_far_it_is_displaced_across_itself_only(rng, angle_deg):
+    shift = moved(np.array([[0.2, 0.5, 0.3]]), rigid(angle_deg, [0, 0, 0]))[0]
+    found = offset(wall(rng, 400, angle_deg), wall(rng, 400, angle_deg) + shift)
+    assert found.n_directions.tolist() == [1]
+    assert found.distance_m[0] == pytest.approx(0.2, abs=0.01)
+    if angle_deg:
+        assert np.all(np.isnan(found.shift_m[0]))
+    else:
+        assert found.shift_m[0, 0] == pytest.approx(0.2, abs=0.01)
+        assert np.all(np.isnan(found.shift_m[0, 1:]))
+
+
+def test_each_object_has_its_own_offset(rng):
+    cars = [box(centre, [4, 1.8, 1.2], 400, seed) for seed, centre in enumerate([[8, 4, 0], [9, -6, 0], [-9, 0, 0]])]
+    shifts = np.array([[0.15, 0, 0], [0, -0.1, 0.1], [0, 0, 0]])
+    again = [
+        box(centre, [4, 1.8, 1.2], 400, 9 + seed) for seed, centre in enumerate([[8, 4, 0], [9, -6, 0], [-9, 0, 0]])
+    ]
+    real, sim = np.vstack(cars), np.vstack([car + shift for car, shift in zip(again, shifts, strict=True)])
+    labels = np.repeat([0, 1, 3], 400).astype(np.int32)
+    found = offset(real, sim, labels)
+    assert found.shift_m[[0, 1, 3]] == pytest.approx(shifts, abs=0.02)
+    assert (found.n_points[2], found.n_directions[2]) == (0, 0)
+    assert np.isnan(found.distance_m[2])
+    alone = offset(cars[1], sim)
+    assert alone.shift_m[0] == pytest.approx(found.shift_m[1], abs=0.02)
+
+
+def test_what_is_out_of_reach_or_of_few_points_has_no_offset(rng):
+    car = box([8, 4, 0], [4, 1.8, 1.2], 300)
+    far = offset(car, car + [0, 0, 9])
+    assert (far.n_points[0], far.n_directions[0]) == (0, 0)
+    assert np.all(np.isnan(far.shift_m))
+    few = np.where(np.arange(300) < 9, 1, 0).astype(np.int32)
+    assert np.isnan(offset(car, car, few).distance_m).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("n", [0, 1, 19])
+def test_fewer_points_than_a_neighbourhood_have_no_surface(rng, n):
+    few, car = rng.normal(0, 1, (n, 3)), box([8, 4, 0], [4, 1.8, 1.2], 300)
+    surface = describe_surface(few)
+    assert (len(surface.points), len(surface.roughness_m)) == (n, 0)
+    for real, sim in ((few, car), (car, few[:0]), (few, few)):
+        found = offset(real, sim)
+        assert found.n_points.tolist() == [0]
+        assert np.all(np.isnan(found.shift_m))
+    assert len(offset(few[:0], few, np.zeros(0, dtype=np.int32)).n_points) == 0
+
+
+def test_a_line_and_a_single_place_are_no_plane_and_not_rough(rng):
+    line = np.outer(np.arange(50.0), [1, 2, 0.5])
+    for points in (line, np.ones((30, 3))):
+        surface = describe_surface(points)
+        assert surface.roughness_m == pytest.approx(np.zeros(len(points)), abs=1e-7)
+        assert not surface.is_plane.any()
+        assert np.isnan(offset(points, points).distance_m[0])
+
+
+def test_the_roughness_of_a_noisy_plane_is_its_noise(rng):
+    floor = np.column_stack([rng.uniform(0, 20, (1500, 2)), np.zeros(1500)])
+    squares = [
+        np.mean(describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))).roughness_m ** 2)
+        for noise in (0.0, 0.02, 0.05, 0.1)
+    ]
+    assert np.sqrt(squares) == pytest.approx([0, 0.02, 0.05, 0.1], rel=0.05, abs=1e-7)
+
+
+def test_noise_is_a_bias_of_roughness_with_its_sign_and_a_side_without_planes_has_none(rng):
+    floor = np.column_stack([rng.uniform(0, 20, (1500, 2)), np.zeros(1500)])
+    real, sim = (describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))) for noise in (0.02, 0.1))
+    found, back = compare_roughness(real, sim), compare_roughness(sim, real)
+    assert found["roughness_bias_m"] == pytest.approx(0.08, rel=0.05)
+    assert found["roughness_real_m"] == pytest.approx(0.02, rel=0.05)
+    assert (back["roughness_bias_m"], back["roughness_area_m"]) == pytest.approx(
+        (-found["roughness_bias_m"], found["roughness_area_m"])
+    )
+    few = describe_surface(floor[:19])
+    assert set(compare_roughness(real, few).values()) == set(compare_roughness(few, real).values()) == {None}
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_two_halves_of_a_real_scan_lie_as_far_apart_as_they_are_moved(real_data, rng):
+    for name in ("000000", "000006"):
+        scan = _objects(real_data / f"kitti_twin/real/{name}.bin")
+        half = rng.random(len(scan)) < 0.5
+        for shift in ([0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, -0.2]):
+            assert offset(scan[half], scan[~half] + shift).shift_m[0] == pytest.approx(shift, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_five_real_pairs_show_an_offset_of_20_cm_and_noise_of_10_cm(real_data, rng):
+    shifts, noises = [], []
+    for path in sorted((real_data / "kitti_twin/real").glob("*.bin")):
+        real = describe_surface(_objects(path, 4))
+        sim = _objects(path.parents[1] / "sim" / path.name, 4)
+        plain, moved_, noisy = (
+            describe_surface(points) for points in (sim, sim + [-0.2, 0, 0], sim + rng.normal(0, 0.1, sim.shape))
+        )
+        shifts.append(measure_offsets(real, moved_).shift_m[0, 0] - measure_offsets(real, plain).shift_m[0, 0])
+        noises.append(np.median(noisy.roughness_m) - np.median(plain.roughness_m))
+    assert np.mean(shifts) == pytest.approx(-0.2, abs=0.02)
+    assert paired_t(np.array(shifts)) < -4
+    assert np.mean(noises) > 0.02
+    assert paired_t(np.array(noises)) > 4
+
+
+def _objects(path, every=1):
+    """Object points of a scan, every n-th row of the file."""
+    points = np.fromfile(path, dtype="<f4").reshape(-1, 4)[::every, :3].astype(np.float64)
+    points = clean_scan(points, Settings().input).points
+    return points[~remove_ground(points, Settings().ground).is_ground]
