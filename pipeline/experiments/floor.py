@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ...schemas.errors import DatasetError, RunError
+from ...schemas.errors import DatasetError, RunError, ScanError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
@@ -182,8 +182,8 @@ def _write_dataset(
         write_whole(folder / LABEL_NAMES, label_names.read_bytes())
     else:
         (folder / LABEL_NAMES).unlink(missing_ok=True)
-    failed = _make_all([task for name, task in tasks.items() if name in selected - current], reporter)
-    names = {name: f"sim/{task.path.name}" for name, task in tasks.items() if name not in failed}
+    _make_all([task for name, task in tasks.items() if name in selected - current], reporter)
+    names = {name: f"sim/{task.path.name}" for name, task in tasks.items() if task.path.exists()}
     rows = [pair for pair in dataset.pairs if pair.pair_id in selected | current]
     write_whole(folder / MANIFEST, _manifest(rows, partners, names).encode())
 
@@ -216,16 +216,17 @@ def _key_in(path: Path) -> str:
     return str(metadata.get(_KEY, b"").decode())
 
 
-def _make_all(tasks: list[_Task], reporter: Reporter) -> dict[str, str]:
-    """Makes the measurements, in this process: it takes a hundredth of what their run does. Gives why some failed."""
+def _make_all(tasks: list[_Task], reporter: Reporter) -> None:
+    """Makes the measurements, in this process: it takes a hundredth of what their run does."""
     if not tasks:
-        return {}
+        return
     plans = (PairPlan(ScanPair(task.pair_id, None, None), (_job(task),)) for task in tasks)
     with Engine(Settings(), Machines(workers=1), reporter, [__name__]) as engine:
         work = Work(len(tasks), _SECONDS * len(tasks), {_STAGE.name: (len(tasks), 0)})
         with engine.scheduling(plans, work) as schedule:
             schedule.run()
-        return engine.failures
+        if engine.failures:
+            raise RunError(next(iter(engine.failures.values())))
 
 
 def _job(task: _Task) -> Job:
@@ -235,7 +236,10 @@ def _job(task: _Task) -> Job:
 def _make(context: Context) -> Made:
     """Writes one measurement: x, y, z, and the labels and instances of the points where there are such."""
     (task,) = context.arguments
-    scan = read_scan(task.source, task.columns, task.label_names)
+    try:
+        scan = read_scan(task.source, task.columns, task.label_names)
+    except ScanError:  # the run reads it too, and says so
+        return Made({})
     clean, recipe = clean_scan(scan.points, _ALL), task.recipe
     rng = np.random.default_rng([recipe.seed, *task.pair_id.encode()])
     points, kept = measure_again(clean.points, recipe.noise_m, recipe.lost_share, rng)

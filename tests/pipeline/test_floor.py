@@ -122,7 +122,9 @@ def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
 def test_a_scan_that_cannot_be_read_fails_alone(tmp_path):
     data = write_dataset(tmp_path / "streets", 2)
     (data / "real" / "001.bin").write_bytes(b"123")
-    made = floor(data, tmp_path / "floor")
+    text = Console(record=True, width=500, file=StringIO())
+    made = floor(data, tmp_path / "floor", Reporter(text))
+    assert text.export_text().count("pair 001") == 1
     assert [row["status"] for row in made.rows] == ["scored", "failed"]
     assert "real/001.bin" in made.failures["001"]
 
