@@ -234,14 +234,20 @@ PAIR_SCORES = (
 #: How near the other side has to be for a point to count as covered, as it stands in names of columns: 0.1, 0.3, 1 m.
 COVERAGE_REACHES = ("0p1m", "0p3m", "1m")
 
+
+def reach_words(reach: str) -> str:
+    """A reach as people write it: `0.3 m` for `0p3m`."""
+    return f"{reach.replace('p', '.').removesuffix('m')} m"
+
+
 #: What is said of both surfaces of a pair, in the order of the columns of `pairs`.
 COVERAGE_SCORES = tuple(
     Metric(
         f"covered_{side}_{reach}",
-        f"{words} covered, {reach.replace('p', '.').removesuffix('m')} m",
-        f"share of {words} object points with {an_other} object point at most {reach.replace('p', '.')} away",
-        f"surface: share of the {words} points that the other side has within {reach.replace('p', '.')}; 1 is best",
-        short=f"{side} in {reach.replace('p', '.')}",
+        f"{words} covered, {reach_words(reach)}",
+        f"share of {words} object points with {an_other} object point at most {reach_words(reach)} away",
+        f"surface: share of the {words} points that the other side has within {reach_words(reach)}; 1 is best",
+        short=f"{side} in {reach_words(reach)}",
         high=1.0,
         better="higher",
         equal=1.0,

@@ -423,8 +423,8 @@ class RunRecord(RunHeader):
     ]
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
+    coverage: UnmatchedSurface
     frames: dict[str, FrameSuspect] | None = None
-    coverage: UnmatchedSurface | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
 

@@ -259,6 +259,12 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "reference": {"graph": {"ties": "coordinates"}, "communities": {"objects": "reference"}},
 }
 
+#: What the objects of each preset are.
+PRESET_OBJECTS = {
+    "paper": "each side divided by itself, objects matched by their centroids",
+    "reference": "objects of the real side, simulated points given to the nearest",
+}
+
 
 def preset_of(settings: Settings) -> str:
     """The preset that settings belong to: the one whose objects they have."""

@@ -33,6 +33,7 @@ from .metrics import (
     OBJECT_SCORES,
     PAIR_SCORES,
     SURFACE_SCORES,
+    reach_words,
 )
 
 GROUND = Table(
@@ -165,7 +166,7 @@ COVERAGE = Table(
                 column(
                     f"covered_{reach}",
                     FLOAT64,
-                    f"share of them with an object point of the other side at most {reach.replace('p', '.')} away",
+                    f"share of them with an object point of the other side at most {reach_words(reach)} away",
                     optional=True,
                 )
                 for reach in COVERAGE_REACHES

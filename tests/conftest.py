@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reports import finished_run
+from reports import finished_run, reference_run
 from runs import run
 from scenes import write_dataset
 
@@ -33,6 +33,12 @@ def real_data() -> Path:
 def report_run(tmp_path_factory) -> Path:
     """A small finished run whose pairs and classes have hostile names; not to be written to."""
     return finished_run(tmp_path_factory.mktemp("report"))
+
+
+@pytest.fixture(scope="session")
+def by_reference(tmp_path_factory) -> Path:
+    """A small finished run whose objects the real side fixes; not to be written to."""
+    return reference_run(tmp_path_factory.mktemp("reference"))
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,9 @@ import re
 
 import numpy as np
 
+from fidpipe.schemas.settings import load
 from runs import run
-from scenes import drifted, street, write_bin
+from scenes import box, drifted, street, write_bin
 
 HOSTILE_PAIRS = (
     "<script>alert(1)</script>",
@@ -35,6 +36,20 @@ def finished_run(folder):
     with (dataset / "pairs.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([["pair_id", "real", "sim"], *rows])
     run(dataset, folder / "run")
+    return folder / "run"
+
+
+def reference_run(folder):
+    """The folder of a run of two pairs under the preset `reference`.
+
+    Of a pole three points are simulated, and a box is invented.
+    """
+    for i in range(2):
+        real = street(seed=10 * i)
+        invented = box([14, 14, 1], [1, 1, 1], 40, i)
+        write_bin(folder / "dataset" / "real" / f"{i}.bin", real)
+        write_bin(folder / "dataset" / "sim" / f"{i}.bin", np.vstack([drifted(real, seed=i), real[-3:], invented]))
+    run(folder / "dataset", folder / "run", load(None, ["graph.k=20"], preset="reference"))
     return folder / "run"
 
 

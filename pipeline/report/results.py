@@ -1,7 +1,7 @@
 """A finished run as a report reads it: its tables in one frozen object, and the points and spectra of one pair.
 
-All is checked before anything is drawn. Spectra are the only thing that is computed anew, from the stored nodes, and
-only shown where their largest shift is the stored one.
+All is checked before anything is drawn. Two things are computed anew: spectra, from the stored nodes, and only shown
+where their largest shift is the stored one; and the distance of each point to the other side.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import pyarrow as pa
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...stages.arrays import FloatArray, IntArray
+from ...stages.coverage import nearest_distances
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
@@ -28,6 +29,8 @@ from .quadrants import quadrant_of
 
 SHAPES = ("linear", "planar", "scattered")
 _SHAPE_COLUMNS = ["linearity", "planarity", "scattering"]
+#: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
+OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
 MOST_SPECTRUM_NODES = 1500
 _AGREES = 1e-6
@@ -45,8 +48,8 @@ class RunResults:
     timings : `timings.parquet`
     class_is : "class" where the scans are labelled, else "shape"
 
-    Objects also have `pair`, the position of their pair among `pairs`, and `name`, such as "real 3" (a matched one that
-    of its real side).
+    Objects also have `pair`, the position of their pair among `pairs`, `name`, such as "real 3" (a matched one that of
+    its real side), and the columns `OBJECT_COVERAGE`, null for a side that does not have the object.
     """
 
     run: FinishedRun
@@ -96,7 +99,7 @@ def read_results(folder: Path) -> RunResults:
     names = pairs.pair_id.tolist()
     for name in names:
         run.check_tables(name)
-    objects = _with_class(_read(run, "objects", names, SIDES), names)
+    objects = _with_class(_with_coverage(_read(run, "objects", names, SIDES), _read(run, "coverage", names)), names)
     matched, unmatched = _matched_and_not(_read(run, "metrics", names), _read(run, "matching", names), objects)
     return RunResults(
         run=run,
@@ -162,6 +165,12 @@ class PairTables:
         return clouds
 
     @cached_property
+    def distances_m(self) -> dict[str, FloatArray]:
+        """The distance of each object point of a side to the nearest one of the other side, (n,), by side."""
+        real, sim = (self.clouds[side].points for side in SIDES)
+        return dict(zip(SIDES, (nearest_distances(real, sim), nearest_distances(sim, real)), strict=True))
+
+    @cached_property
     def selection(self) -> pd.DataFrame:
         """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
         return self._columns("selection", "", ["real_id", "real_point_id", "sim_point_id"])
@@ -199,6 +208,16 @@ def _read(run: FinishedRun, table: str, names: Iterable[str], sides: Iterable[st
     return rows
 
 
+def _with_coverage(objects: pd.DataFrame, coverage: pd.DataFrame) -> pd.DataFrame:
+    """Objects with how much of each the other side has, in the column of their own side."""
+    keys, own = ["pair_id", "side", "community_id"], coverage[coverage.community_id.notna()]
+    rows = objects.merge(own[[*keys, "covered_0p3m"]], on=keys, validate="1:1")
+    columns = {
+        name: rows.covered_0p3m.where(rows.side == side) for name, side in zip(OBJECT_COVERAGE, SIDES, strict=True)
+    }
+    return rows.drop(columns="covered_0p3m").assign(**columns)
+
+
 def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     """Objects with bearing (degrees, 0 ahead, 90 left), the class that the report goes by, their pair and name."""
     shape = np.array(SHAPES)[objects[_SHAPE_COLUMNS].fillna(0.0).to_numpy().argmax(axis=1)]
@@ -214,8 +233,13 @@ def _matched_and_not(
     metrics: pd.DataFrame, matching: pd.DataFrame, objects: pd.DataFrame
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Scores with what is known of the real objects, worst first; the objects without a partner, largest first."""
-    real = objects[objects.side == "real"].rename(columns={"community_id": "real_id"}).drop(columns="n_points")
+    of_real, of_sim = OBJECT_COVERAGE
+    real, sim = (
+        objects[objects.side == side].rename(columns={"community_id": f"{side}_id"}).drop(columns=["n_points", other])
+        for side, other in (("real", of_sim), ("sim", of_real))
+    )
     matched = metrics.merge(real, on=["pair_id", "real_id"], validate="1:1")
+    matched = matched.merge(sim[["pair_id", "sim_id", of_sim]], on=["pair_id", "sim_id"], validate="1:1")
     matched["quadrant"] = quadrant_of(matched.cdc.to_numpy(), matched.r_lambda.to_numpy(dtype=float))
     alone = [
         objects[objects.side == side].merge(

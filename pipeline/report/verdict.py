@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from .aggregates import band_of, quadrants
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
 from .results import RunResults
 from .terminal.layout import number
+from .terminal.run import coverage_rows, surface_line, unmatched_lines
 
 _FEWEST_TO_JUDGE = 20
 _NUMBERS = ["match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "n_missing", "n_hallucinated"]
@@ -23,18 +25,32 @@ class Verdict:
     """What a run says of the simulation.
 
     weakest : where it is weakest; "" where too few objects tell
+    unmatched : what is behind the objects that only one side has, a sentence for each side that has any
+    surface : how far the simulated surface is displaced, and how rough both are
+    coverage : headings, then a row for each side: which share of its surface the other side has
     numbers : six scores with name, mean and std over pairs (NaN where null), digits to show, how to read them, and of
         object scores of how many pairs they are and what they are with unmatched objects as worst
     """
 
     sentence: str
     weakest: str
+    unmatched: str
+    surface: str
+    coverage: list[list[str]]
     numbers: list[dict[str, Any]]
 
 
 def verdict_of(results: RunResults) -> Verdict:
     """What the run says of the simulation."""
-    return Verdict(_sentence(results), _weakest(results), _numbers(results))
+    record = results.run.record
+    return Verdict(
+        sentence=_sentence(results),
+        weakest=_weakest(results),
+        unmatched=_as_text(unmatched_lines(record)),
+        surface=_as_text([surface_line(record)]),
+        coverage=coverage_rows(record),
+        numbers=_numbers(results),
+    )
 
 
 def limits_in_words() -> str:
@@ -46,6 +62,11 @@ def limits_in_words() -> str:
         "not the paper's: each side about half a metre from the other on average, and the upper end of what is usual "
         "for a twin that was meshed from scans"
     )
+
+
+def _as_text(lines: Iterable[str]) -> str:
+    """Lines of the terminal as sentences of one paragraph."""
+    return " ".join(f"{line[0].upper()}{line[1:]}." for line in lines)
 
 
 def _sentence(results: RunResults) -> str:

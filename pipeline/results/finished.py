@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,12 @@ class PairObjects:
     matched: list[Row]
     missing: list[int]
     hallucinated: list[int]
+
+    def remnant(self, real_id: int) -> Row | None:
+        """The few simulated points of a missing object, where the real side fixes the objects: they bear its number."""
+        own = {*self.hallucinated, *(row["sim_id"] for row in self.matched)}
+        is_left = real_id in self.missing and real_id not in own and real_id < len(self.sides["sim"])
+        return self.sides["sim"][real_id] if is_left else None
 
 
 class FinishedRun:
@@ -200,7 +206,8 @@ class ObjectFacts:
     """One object of a pair; without the columns that name pair and side.
 
     status : matched, missing or hallucinated
-    real, sim : the rows of `objects`; None where the side does not have it
+    real, sim : the rows of `objects`, each with that of `coverage`; None where the side does not have it. Of a missing
+        object whose number the real side fixed, `sim` is what little of it is simulated
     scores : the row of `metrics`; None where it is not matched
     """
 
@@ -242,7 +249,7 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     row = run.row(pair_id)
     if row["status"] != "scored":
         return PairFacts(row, ())
-    pair = run.objects(pair_id)
+    pair = _covered(run, pair_id)
     worst_first = sorted(
         pair.matched, key=lambda scores: (scores["r_lambda"] is None, -(scores["r_lambda"] or 0.0), scores["real_id"])
     )
@@ -261,7 +268,7 @@ def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
     """
     side, _, number = name.rpartition(":")
     side = side or "real"
-    pair = run.objects(pair_id)
+    pair = _covered(run, pair_id)
     if side not in SIDES or not re.fullmatch("[0-9]{1,9}", number) or int(number) >= len(pair.sides[side]):
         counts = " and ".join(f"{len(pair.sides[s])} {s}" for s in SIDES)
         raise RunError(
@@ -279,10 +286,18 @@ def _matched(pair: PairObjects, scores: Row) -> ObjectFacts:
 
 
 def _alone(pair: PairObjects, side: str, i: int) -> ObjectFacts:
-    own = _own(pair.sides[side][i])
-    if side == "real":
-        return ObjectFacts("missing", own, None, None)
-    return ObjectFacts("hallucinated", None, own, None)
+    remnant = pair.remnant(i)
+    if side == "sim" and remnant is None:
+        return ObjectFacts("hallucinated", None, _own(pair.sides[side][i]), None)
+    return ObjectFacts("missing", _own(pair.sides["real"][i]), remnant and _own(remnant), None)
+
+
+def _covered(run: FinishedRun, pair_id: str) -> PairObjects:
+    """The objects of a pair, each with how much of it the other side has."""
+    pair = run.objects(pair_id)
+    covered = {(row["side"], row["community_id"]): row for row in run.read_table("coverage", pair_id).to_pylist()}
+    sides = {side: [row | covered[side, row["community_id"]] for row in pair.sides[side]] for side in SIDES}
+    return replace(pair, sides=sides)
 
 
 def _own(row: Row) -> Row:

@@ -1,5 +1,6 @@
 """The report of a run: what it reads and refuses, what it says, and that no name can break it."""
 
+import base64
 import json
 import os
 import re
@@ -15,8 +16,9 @@ from rich.console import Console
 
 from fidpipe.pipeline.report.aggregates import histograms, quadrants
 from fidpipe.pipeline.report.charts import run_charts
-from fidpipe.pipeline.report.look import SIDE_COLOURS
-from fidpipe.pipeline.report.page.data import page_data, thinned
+from fidpipe.pipeline.report.figures.run import draw_coverage
+from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
+from fidpipe.pipeline.report.page.data import page_data, page_words, pair_view, thinned
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
 from fidpipe.pipeline.report.page.render import render
 from fidpipe.pipeline.report.results import PairTables, read_results
@@ -30,7 +32,7 @@ from reports import HOSTILE_CLASS, HOSTILE_PAIRS, embedded
 from runs import assert_same_tables, command, run
 from scenes import street, write_bin, write_dataset
 
-FIGURES = {"overview", "unmatched", "distributions", "box_plots", "objects"}
+FIGURES = {"overview", "coverage", "unmatched", "distributions", "box_plots", "objects"}
 
 
 @pytest.fixture
@@ -44,13 +46,24 @@ def written(report_run, tmp_path_factory):
     return write_report(folder)
 
 
+def coverage_of(folder):
+    """The rows of objects in the table of coverage."""
+    coverage = pd.read_parquet(folder / "coverage")
+    return coverage[coverage.community_id.notna()].set_index(["pair_id", "side", "community_id"])
+
+
+def close_to(picture, colour):
+    rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    return np.abs(picture - rgb).max(axis=2) < 60
+
+
 def words(page):
     """What a reader sees of a page without its scripts."""
     return page.read_text("utf-8").partition('<script type="application/json"')[0]
 
 
 @pytest.mark.slow
-def test_the_report_is_one_page_and_five_figures_as_png_and_svg(written):
+def test_the_report_is_one_page_and_six_figures_as_png_and_svg(written):
     assert written.page.name == "report.html"
     assert written.page.stat().st_size < 15e6
     assert {path.name for path in written.figures} == {f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")}
@@ -66,8 +79,89 @@ def test_the_figure_of_objects_shows_points_of_both_sides(written):
     path = next(path for path in written.figures if path.name == "objects.png")
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
     for side, colour in SIDE_COLOURS.items():
-        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-        assert (np.abs(picture - rgb).max(axis=2) < 60).sum() > 200, side
+        assert close_to(picture, colour).sum() > 200, side
+
+
+@pytest.mark.slow
+def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right(by_reference, tmp_path):
+    results = read_results(by_reference)
+    path, _ = draw_coverage(results, results.pairs.pair_id[0], tmp_path)
+    picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    near, far = (close_to(picture, RAMPS["light"][end]) for end in (0, -1))
+    left, right = np.split(np.arange(int(0.85 * picture.shape[1])), [int(0.47 * picture.shape[1])])
+    assert near[:, left].sum() > 200
+    assert near[:, right].sum() > 200
+    assert far[:, left].sum() > 3 * far[:, right].sum() > 100, "seven objects are missing, one is invented"
+
+
+def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(report_run, by_reference):
+    paper, reference = (page_words(read_results(folder))["preset"] for folder in (report_run, by_reference))
+    assert paper.startswith("preset paper (")
+    assert "but" not in paper
+    assert reference.startswith("preset reference (")
+    assert reference.endswith("), but graph.k=20")
+
+
+@pytest.mark.parametrize("run_of", ["report_run", "by_reference"])
+def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(run_of, request):
+    folder = request.getfixturevalue(run_of)
+    matching, covered = pd.read_parquet(folder / "matching"), coverage_of(folder).covered_0p3m
+    pairs = pd.read_parquet(folder / "pairs.parquet").query("status == 'scored'")
+    said = verdict_of(read_results(folder)).unmatched
+    for status, side in (("missing", "real"), ("hallucinated", "sim")):
+        alone = matching[matching.status == status]
+        shares = covered.loc[[(row.pair_id, side, row[f"{side}_id"]) for _, row in alone.iterrows()]]
+        there, absent = ((shares > 0.8).sum() / len(pairs), (shares <= 0.2).sum() / len(pairs))
+        total = len(alone) / len(pairs)
+        assert total > 0
+        if absent == total:
+            assert f"The {total:.1f} {status} objects a pair are all absent" in said
+        else:
+            assert f"Of {total:.1f} {status} objects a pair, {there:.1f} are there" in said
+            assert f"{total - there - absent:.1f} partly, {absent:.1f} absent." in said
+
+
+def test_the_verdict_has_the_coverage_of_both_sides_over_pairs(by_reference):
+    pairs = pd.read_parquet(by_reference / "pairs.parquet")
+    headings, real, sim = verdict_of(read_results(by_reference)).coverage
+    assert headings[1:] == ["within 0.1 m", "within 0.3 m", "within 1 m"]
+    for side, row in (("real", real), ("sim", sim)):
+        for cell, reach in zip(row[1:], ("0p1m", "0p3m", "1m"), strict=True):
+            column = pairs[f"covered_{side}_{reach}"]
+            assert cell == f"{column.mean():.3f} ± {column.std(ddof=1):.3f}"
+
+
+@pytest.mark.parametrize("run_of", ["report_run", "by_reference"])
+def test_every_object_of_the_table_has_its_coverage(run_of, request):
+    folder = request.getfixturevalue(run_of)
+    stored = coverage_of(folder).covered_0p3m
+    table = page_data(read_results(folder))["objects"]
+    assert next(own for own in table["columns"] if own["key"] == "covered_real_0p3m")["about"].startswith(
+        "covered_real"
+    )
+    rows = [dict(zip((own["key"] for own in table["columns"]), row, strict=True)) for row in table["rows"]]
+    for row in rows:
+        ids = dict(name.split() for name in row["object"].split(", "))
+        for side in ("real", "sim"):
+            found = row[f"covered_{side}_0p3m"]
+            assert (found is None) == (side not in ids)
+            if side in ids:
+                assert found == pytest.approx(stored[row["pair_id"], side, int(ids[side])], abs=1e-6)
+    objects = pd.read_parquet(folder / "matching")
+    assert len(rows) == len(objects) > 0
+
+
+@pytest.mark.parametrize("run_of", ["report_run", "by_reference"])
+def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(run_of, request):
+    results = read_results(request.getfixturevalue(run_of))
+    pair = results.pairs.iloc[0]
+    tables, view = PairTables(results, pair.pair_id), pair_view(results, pair.pair_id)
+    for side, distance_m in tables.distances_m.items():
+        for reach_m, reach in ((0.1, "0p1m"), (0.3, "0p3m"), (1.0, "1m")):
+            assert (distance_m <= reach_m).mean() == pytest.approx(pair[f"covered_{side}_{reach}"], abs=1e-12)
+        shown = np.frombuffer(base64.b64decode(view["sides"][side]["distance"]), np.uint8) / 255
+        kept = thinned(tables.clouds[side].community, 9000)
+        assert np.abs(shown - np.minimum(distance_m[kept], 1)).max() <= 0.5 / 255 + 1e-12
 
 
 @pytest.mark.slow

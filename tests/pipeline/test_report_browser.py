@@ -13,6 +13,7 @@ from PIL import Image
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
 from fidpipe.pipeline.report.page.compare import compare_page
 from fidpipe.pipeline.report.page.page import write_report
+from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.results.compare import compare_runs
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
@@ -20,6 +21,7 @@ pytestmark = pytest.mark.slow
 
 WIDTHS = (1280, 390)
 BLUE, VERMILLION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
+FARTHEST = "rgb(252,166,54)"  # the end of the light ramp
 FIRST_PAIR = HOSTILE_PAIRS[0]
 NO_SCORE = "\N{EN DASH}"
 
@@ -282,6 +284,42 @@ def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, 
     drawn = pixels(browser, "changes_0").mean(axis=2)
     assert (drawn.mean() < 100) == dark
     assert drawn.std() > 2, "an empty chart"
-    assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == 10
+    assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == 12
     assert complaints(browser) == []
     assert requests(browser) == [path.as_uri()]
+
+
+def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_reference, tmp_path):
+    results = read_results(by_reference)
+    pair_id = results.pairs.pair_id[0]
+    resize(browser, WIDTHS[0])
+    open_page(browser, write_report(by_reference, out=tmp_path).page)
+    choose(browser, "colour", "distance")
+    tables = PairTables(results, pair_id)
+    sims = tables.clouds["sim"]
+    traces = browser.execute_script(
+        "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"
+    )
+    for (side, distance_m), (texts, colours) in zip(tables.distances_m.items(), traces, strict=True):
+        assert len(texts) == len(colours) == len(distance_m), "few points, of which none is left out"
+        for text, colour, value_m in zip(texts, colours, distance_m, strict=True):
+            shown = text.rpartition("<br>")[2]
+            assert shown.endswith("to the other side"), side
+            is_far = value_m >= 1 - 0.5 / 255
+            assert ("1 m or more" in shown) == is_far
+            assert is_far or float(shown.split()[0]) == pytest.approx(value_m, abs=0.008)
+            assert (colour == FARTHEST) == is_far
+    assert near(pixels(browser, "scene"), (252, 166, 54)).sum() > 200
+    assert "1 m or more to the nearest point of the other side" in by_id(browser, "legend").text
+    browser.find_element("css selector", "#objects_table input").send_keys("missing covered_real_0p3m > 0.2")
+    covered = pd.read_parquet(by_reference / "coverage").merge(
+        results.unmatched[["pair_id", "side", "community_id"]], on=["pair_id", "side", "community_id"]
+    )
+    assert len(table(browser, "objects_table")) == (covered.covered_0p3m > 0.2).sum() == 2
+    # The few simulated points of a missing object belong to it, not to any other.
+    lone = {f"real {own.community_id}:" for own in tables.unmatched.itertuples() if own.side == "real"}
+    few = [text for text, i in zip(traces[1][0], sims.community, strict=True) if f"real {i}:" in lone]
+    assert len(few) == 3 or pair_id == "1"
+    assert few
+    assert all(any(text.startswith(name) for name in lone) for text in few)
+    assert complaints(browser) == []

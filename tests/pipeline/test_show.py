@@ -81,6 +81,41 @@ def test_an_object_that_is_not_there_is_named_with_what_is(finished, name):
         object_facts(FinishedRun(finished), HOSTILE[0], name)
 
 
+def test_a_pair_and_its_objects_have_their_coverage(finished):
+    coverage = pd.read_parquet(finished / "coverage").query("pair_id == @HOSTILE[0]")
+    stored = coverage.dropna(subset="community_id").set_index(["side", "community_id"])
+    found = json.loads(shown(finished, HOSTILE[0], "--json"))
+    whole = coverage[coverage.community_id.isna()].set_index("side")
+    assert found["pair"]["covered_real_0p3m"] == whole.covered_0p3m["real"]
+    for of in found["objects"]:
+        for side in ("real", "sim"):
+            if of[side]:
+                row = stored.loc[(side, of[side]["community_id"])]
+                assert [of[side][name] for name in row.index[2:]] == row.tolist()[2:]
+    text = shown(finished, HOSTILE[0])
+    assert f"{whole.covered_0p3m['sim']:.3f}" in text
+    assert "Surface of the matched objects" in text
+    first = shown(finished, HOSTILE[0], "0")
+    assert f"{stored.covered_1m['real', 0]:.3f}" in first
+
+
+def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_reference):
+    run_ = FinishedRun(by_reference)
+    matching = pd.read_parquet(by_reference / "matching").query("pair_id == '0'")
+    found = pair_facts(run_, "0").objects
+    assert sorted(of.real["community_id"] for of in found if of.real) == sorted(matching.real_id.dropna())
+    missing = [of for of in found if of.status == "missing"]
+    assert {of.sim["n_points"] for of in missing} == {0, 3}, "three points of the pole, nothing of the others"
+    pole = next(of for of in missing if of.sim["n_points"])
+    assert object_facts(run_, "0", f"sim:{pole.sim['community_id']}") == pole
+    text = shown(by_reference, "0", pole.real["community_id"])
+    assert "3 points of this object are simulated, too few to match it" in text
+    assert "its surface is there in part: 54 % of its points" in text
+    invented = [of for of in found if of.status == "hallucinated"]
+    assert sorted(of.sim["community_id"] for of in invented) == sorted(matching.query("real_id.isna()").sim_id)
+    assert all(of.real is None for of in invented)
+
+
 def test_a_failed_pair_shows_why_and_has_no_objects(finished):
     assert "empty.bin: the file is empty" in shown(finished, "failed")
     assert json.loads(shown(finished, "failed", "--json"))["objects"] == []

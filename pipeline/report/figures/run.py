@@ -10,6 +10,7 @@ import numpy as np
 from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC
 from ....stages.arrays import FloatArray
+from ....stages.coverage import COVERAGE_DISTANCES_M
 from ...storage.files import remove_stale
 from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
@@ -17,14 +18,20 @@ from ..quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..results import SHAPES, PairTables, RunResults
 from . import style
 
-NAMES = ("overview", "unmatched", "distributions", "box_plots", "objects")
+NAMES = ("overview", "coverage", "unmatched", "distributions", "box_plots", "objects")
 _MOST_CLASSES = 8
 _MOST_LETTERS = 70  # that fit side by side under the boxes
+_UNCOVERED = (
+    "(A) missing surface: {:.0f} % of the real points\nhave no simulated one within 0.3 m",
+    "(B) invented surface: {:.0f} % of the simulated points\nhave no real one within 0.3 m",
+)
 _CLASSES = ("car", "vegetation", "tree", "wall")
 
 
 def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[Path]:
     """Draws all figures; those of one scan show the pair in the middle of the order from worst to best.
+
+    The map of distances shows the worst pair.
 
     A figure that is not drawn this time does not stay from an earlier report.
 
@@ -36,6 +43,7 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
     pair_id = chosen[len(chosen) // 2]
     drawn = [
         *draw_overview(results, pair_id, folder),
+        *draw_coverage(results, chosen[0], folder),
         *draw_unmatched(results, pair_id, folder),
         *draw_distributions(results, folder),
         *draw_boxes(results, folder),
@@ -81,6 +89,27 @@ def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
         for axis in (objects, sides, fidelity):
             style.from_above(axis, frame)
         return style.save(figure, folder, "overview")
+
+
+def draw_coverage(results: RunResults, pair_id: str, folder: Any) -> Any:
+    """Seen from above: the points of each side by their distance to the other one, far ones on top."""
+    tables = PairTables(results, pair_id)
+    pair = results.pairs.set_index("pair_id").loc[pair_id]
+    frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
+    is_worst = len(results.pairs) > 1 and pair_id == results.pairs.pair_id[0]
+    title = f"pair {style.shown_name(pair_id)}{', the worst' if is_worst else ''}"
+    with style.new_figure(9.6, _height(frame, 3.9), title) as figure:
+        axes = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axis, (side, cloud), words in zip(axes, tables.clouds.items(), _UNCOVERED, strict=True):
+            order = np.argsort(tables.distances_m[side], kind="stable")
+            look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
+            coloured = style.dots(axis, cloud.points[order], 1.2, tables.distances_m[side][order], **look)
+            share = 100 * (1 - pair[f"covered_{side}_0p3m"])
+            axis.set_title(words.format(share))
+            style.from_above(axis, frame)
+        label = "distance to the other side (m)"
+        figure.colorbar(coloured, cax=axes[-1].inset_axes((1.03, 0, 0.04, 1)), label=label, extend="max")
+        return style.save(figure, folder, "coverage")
 
 
 def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:

@@ -7,6 +7,7 @@ file.
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -15,14 +16,17 @@ import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
+from ....schemas.settings import parse
 from ....stages.arrays import IndexArray
+from ....stages.coverage import COVERAGE_DISTANCES_M
 from ...datasets.frame_checks import frames_summary
 from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
-from ..results import PairTables, RunResults, Spectra
+from ..results import OBJECT_COVERAGE, PairTables, RunResults, Spectra
 from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
+from ..terminal.run import preset_line
 from ..verdict import limits_in_words, verdict_of
 
 #: More rows would make the page slow; the table then says what part it shows.
@@ -37,14 +41,18 @@ _SCORES = (
 _PAIR_COLUMNS = (
     *("pair_id", "n_matched", "n_missing", "n_hallucinated", "match_rate"),
     *(METRIC[score].mean_column for score in _SCORES),
+    *OBJECT_COVERAGE,
 )
 _OBJECT_COLUMNS = (
-    "object", "pair_id", "group", "quadrant", "status", "range_m", "n_real", "n_sim", "n_keep", *_SCORES
-)  # fmt: skip
+    *("object", "pair_id", "group", "quadrant", "status", "range_m", "n_real", "n_sim", "n_keep"),
+    *(*_SCORES, *OBJECT_COVERAGE),
+)
 #: About so many points of a side are drawn at most, and of each object at least `_FEWEST`, if it has them.
 _POINTS_PER_SIDE = 9000
 _FEWEST = 80
 _CURVE_POINTS = 200
+#: The distance of a point to the other side is a byte, the largest for this many metres and more.
+_FAR_M, _FAR = COVERAGE_DISTANCES_M[-1], 255
 _STEPS = 32767
 
 #: Headings of the columns that are no scores; other words stand for themselves.
@@ -57,11 +65,14 @@ _HEADINGS = {
 _FACTS = (
     "quadrant", "status", "reason", "group", "range_m", "bearing_deg", "n_points", "n_real", "n_sim", "n_keep", "cdc",
     "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim",
-    "alignment_rms_m", "centroid_distance_m",
+    "alignment_rms_m", "centroid_distance_m", *OBJECT_COVERAGE,
 )  # fmt: skip
 #: Columns of the objects, in the order of their rows in the page.
 _MATCHED_COLUMNS = ("real_id", "sim_id", *(name for name in _FACTS if name != "n_points"))
-_UNMATCHED_COLUMNS = ("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points")
+_UNMATCHED_COLUMNS = (
+    *("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points"),
+    *OBJECT_COVERAGE,
+)
 
 
 def page_data(results: RunResults) -> dict[str, Any]:
@@ -77,6 +88,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "ramps": RAMPS,
             "none": GREY,
         },
+        "far_m": _FAR_M,
         "scores": {score: {"name": METRIC[score].label, "bound": METRIC[score].high} for score in SCORES},
         "pairs": _table(results, results.pairs, _PAIR_COLUMNS, pairs_note),
         "objects": _objects(results),
@@ -92,6 +104,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     n_pairs = len(results.pairs) + len(results.failures)
     return {
         "title": results.run.folder.resolve().name,
+        "preset": preset_line(parse(record.settings)),
         "verdict": verdict_of(results),
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
@@ -150,21 +163,25 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
 def _headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
     """By column of a table of pairs or objects, its heading: of scores that of the catalogue, class or shape by run."""
     known = {**_HEADINGS, "group": results.class_is}
-    return {column: known.get(column) or metric_of(column).label for column in columns}
+    headings = {column: known.get(column) or metric_of(column).label for column in columns}
+    return {column: re.sub(r"(?<=\d) (?=m\b)", "\N{NO-BREAK SPACE}", heading) for column, heading in headings.items()}
 
 
 def _table(results: RunResults, rows: pd.DataFrame, columns: Sequence[str], note: str) -> dict[str, Any]:
-    """A table with its columns; `up` is set where the lowest values are the worst."""
-    described = [
-        {
-            "key": key,
-            "title": title,
-            "text": key in _WORDS,
-            "up": key in METRIC and METRIC[key].higher_is_better,
-            "digits": 1 if key == "range_m" else 3,
-        }
-        for key, title in _headings(results, columns).items()
-    ]
+    """A table with its columns; `up` is set where the lowest values are the worst, `about` what a score tells."""
+    described = []
+    for key, title in _headings(results, columns).items():
+        metric = METRIC.get(key.removesuffix("_mean"))
+        described.append(
+            {
+                "key": key,
+                "title": title,
+                "about": f"{key}: {metric.reading or metric.meaning}" if metric else "",
+                "text": key in _WORDS,
+                "up": metric is not None and metric.higher_is_better,
+                "digits": 1 if key == "range_m" else 3,
+            }
+        )
     return {"columns": described, "rows": plain_rows(rows.round(_DIGITS), columns), "note": note}
 
 
@@ -215,6 +232,7 @@ def _encoded(tables: PairTables, side: str, step_m: float) -> dict[str, Any]:
         "xyz": _base64(np.rint(cloud.points[shown].T / step_m), "<i2"),
         "community": _base64(cloud.community[shown], "<i4"),
         "kept": _base64(is_kept, "u1"),
+        "distance": _base64(np.rint(np.minimum(tables.distances_m[side][shown] / _FAR_M, 1) * _FAR), "u1"),
     }
 
 

@@ -20,6 +20,7 @@ from ....schemas.metrics import (
     labels,
     metric_of,
     narrow_labels,
+    reach_words,
     unit_words,
 )
 from ....schemas.results import (
@@ -32,7 +33,8 @@ from ....schemas.results import (
     SurfaceStates,
     Unmatched,
 )
-from ....schemas.settings import Settings, departures, parse, preset_of
+from ....schemas.settings import PRESET_OBJECTS, Settings, departures, parse, preset_of
+from ....stages.coverage import ABSENT, THERE
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNDECIDED
 from ....stages.statistics.comparison import BLOCK_S
 from ...datasets.frame_checks import frames_summary
@@ -76,7 +78,10 @@ def _scores_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
     parts: list[RenderableType] = []
     if record.findings:
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
-        parts += [_coverage_table(record), *(Text(line) for line in unmatched_lines(record)), Text()]
+        headings, *sides = coverage_rows(record)
+        title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
+        lines = (surface_line(record), *unmatched_lines(record))
+        parts += [plain_table(title, headings, sides), *map(Text, lines), Text()]
         parts += _findings_parts(record.findings)
         count = Counter(claim.verdict for claim in record.claims)
         verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNDECIDED]} are not decided"
@@ -226,42 +231,49 @@ def _dataset_table(record: RunRecord) -> Table:
     return plain_table(title, headings, rows, words=(0, 5))
 
 
-def _coverage_table(record: RunRecord) -> Table:
-    """Which share of each side's surface the other side has."""
-    rows = []
-    for side, words in (("real", "real, simulated as well"), ("sim", "simulated, real as well")):
+def coverage_rows(record: RunRecord) -> list[list[str]]:
+    """Headings, then one row per side: which share of its surface the other side has, mean and deviation over pairs."""
+    rows = [["share of", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES)]]
+    for side, words in (("real", "real points with a simulated one"), ("sim", "simulated points with a real one")):
         scores = (record.summary[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)
-        rows.append((words, *(mean_and_spread(score.mean, score.std) for score in scores)))
-    headings = (
-        "share of points",
-        *(f"within {reach.replace('p', '.').removesuffix('m')} m" for reach in COVERAGE_REACHES),
-    )
-    return plain_table(
-        "Surface (mean and standard deviation over pairs; the rest is missing or invented)", headings, rows
+        rows.append([words, *(mean_and_spread(score.mean, score.std) for score in scores)])
+    return rows
+
+
+def surface_line(record: RunRecord) -> str:
+    """How far the simulated surface is displaced, and how rough both are: means over pairs."""
+    scores = ("shift_m", "shift_x_m", "shift_y_m", "shift_z_m", "roughness_real_m", "roughness_sim_m")
+    length, x, y, z, real, sim = (number(record.summary[score].mean) for score in scores)
+    return (
+        f"the simulated surface is displaced by {length} m a pair (with its sign: x {x}, y {y}, z {z} m); "
+        f"its roughness is {sim} m, that of the real one {real} m"
     )
 
 
 def unmatched_lines(record: RunRecord) -> list[str]:
-    """What is behind the unmatched objects, a line for each side."""
-    if record.coverage is None or not record.pairs.scored:
-        return []
+    """What is behind the unmatched objects, a line for each side that has some."""
     lines = []
     for status, other in (("missing", "simulated"), ("hallucinated", "real")):
         states: SurfaceStates = getattr(record.coverage, status)
-        there, partly, absent = (count / record.pairs.scored for count in vars(states).values())
-        total = there + partly + absent
-        if total:
+        there, partly, absent = (count / max(1, record.pairs.scored) for count in vars(states).values())
+        total, near = there + partly + absent, f"of their points have a {other} one within 0.3 m"
+        if there or partly:
             lines.append(
                 f"of {total:.1f} {status} objects a pair, {there:.1f} are there and only divided differently (over "
-                f"80 % of the points have a {other} one within 0.3 m), {partly:.1f} partly, {absent:.1f} absent"
+                f"{100 * THERE:.0f} % {near}), {partly:.1f} partly, {absent:.1f} absent"
+            )
+        elif absent:
+            lines.append(
+                f"the {total:.1f} {status} objects a pair are all absent from the {other} side (at most "
+                f"{100 * ABSENT:.0f} % {near})"
             )
     return lines
 
 
 def preset_line(settings: Settings) -> str:
-    """The preset of a run, and the settings in which it departs from it."""
-    differing = departures(settings)
-    return f"preset {preset_of(settings)}" + (f", but {' '.join(differing)}" if differing else "")
+    """The preset of a run, what its objects are, and the settings in which it departs from it."""
+    preset, differing = preset_of(settings), departures(settings)
+    return f"preset {preset} ({PRESET_OBJECTS[preset]})" + (f", but {' '.join(differing)}" if differing else "")
 
 
 def _findings_parts(findings: Findings) -> list[RenderableType]:

@@ -8,6 +8,7 @@ const SIDES = ["real", "sim"];
 const scene = { pair: null, points: null, objects: [], chosen: null, hovered: null };
 const communityColour = (i) => `hsl(${Math.round((i * 137.508) % 360)}, 65%, ${[48, 62, 38][i % 3]}%)`;
 const ramp = () => report.colours.ramps[isDark() ? "dark" : "light"];
+const FAR = 255; // the distance to the other side is a byte, this one for report.far_m and more
 const PLACE = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>";
 const AXES = { x: "x forward (m)", y: "y left (m)", z: "z up (m)" };
 const say = (id, text) => {
@@ -56,15 +57,18 @@ export function openPair(pair) {
   return true;
 }
 
-// The points of a side, each with the place of its object in scene.objects.
-function unpacked(side, { xyz, community, kept, n_shown: n }, step_m) {
+// The points of a side, each with the place of its object in scene.objects, and its distance to the other side. Where
+// the real side fixes the objects, the few simulated points of a missing one bear its number and belong to it.
+function unpacked(side, { xyz, community, kept, distance, n_shown: n }, step_m) {
   const steps = decode(xyz, Int16Array);
   const [x, y, z] = [0, 1, 2].map((k) =>
     Float32Array.from(steps.subarray(k * n, (k + 1) * n), (step) => step * step_m),
   );
-  const owner = new Map(scene.objects.map((object, i) => [object.owns[side], i]));
+  const places = scene.objects.map((object, i) => [object, i]);
+  const missing = places.filter(([object]) => object.fate === "missing").map(([object, i]) => [object.owns.real, i]);
+  const owner = new Map([...missing, ...places.map(([object, i]) => [object.owns[side], i])]);
   const object = Int32Array.from(decode(community, Int32Array), (id) => owner.get(id));
-  return { x, y, z, object, kept: decode(kept, Uint8Array) };
+  return { x, y, z, object, kept: decode(kept, Uint8Array), distance: decode(distance, Uint8Array) };
 }
 
 function objectTitle(object) {
@@ -96,6 +100,20 @@ function rampColour(share) {
 
 const sideColour = (side) => paint(report.colours.sides[side]);
 
+// By side, the colour of its points, one for all or one each.
+function pointColours(by) {
+  if (by === "side") return sideColour;
+  if (by === "distance") {
+    const shades = Array.from({ length: FAR + 1 }, (_, step) => rampColour(step / FAR));
+    return (side) => Array.from(scene.points[side].distance, (step) => shades[step]);
+  }
+  const colours = scene.objects.map((object, i) => objectColour(object, i, by));
+  return (side) => Array.from(scene.points[side].object, (i) => colours[i]);
+}
+
+const distanceWords = (step) =>
+  step === FAR ? `${report.far_m} m or more to the other side` : `${number((step / FAR) * report.far_m, 2)} m to the other side`;
+
 function dots(name, color, size, { symbol = "circle", ...more }) {
   const marker = { color, size, symbol, line: { width: 0 } };
   return { type: "scatter3d", mode: "markers", name, marker, ...more };
@@ -111,13 +129,14 @@ function drawInSpace(id, data, camera, { axisOf = () => ({}), uirevision, config
 function drawScene() {
   const by = byId("colour").value;
   const titles = scene.objects.map((object) => plotText(objectTitle(object)));
-  const colours = by === "side" ? null : scene.objects.map((object, i) => objectColour(object, i, by));
+  const coloursOf = pointColours(by);
   const traces = SIDES.map((side) => {
-    const { object, kept, ...points } = scene.points[side];
-    return dots(side, colours ? Array.from(object, (i) => colours[i]) : sideColour(side), 1.8, {
-      ...points,
+    const { x, y, z, object, distance } = scene.points[side];
+    const more = (k) => (by === "distance" ? `<br>${distanceWords(distance[k])}` : "");
+    return dots(side, coloursOf(side), 1.8, {
+      ...{ x, y, z },
       visible: byId(`show_${side}`).checked,
-      text: Array.from(object, (i) => titles[i]),
+      text: Array.from(object, (i, k) => titles[i] + more(k)),
       hovertemplate: `${side}: %{text}<extra></extra>`,
     });
   });
@@ -152,6 +171,10 @@ function drawLegend(by) {
     community: () => [
       element("span", "One colour per object; matched objects have the same on both sides."),
       entry(none, "unmatched"),
+    ],
+    distance: () => [
+      element("span", null, {}, "0", bar, `${report.far_m} m or more to the nearest point of the other side`),
+      element("span", "Far real points are missing surface, far simulated ones invented surface."),
     ],
   }[by];
   const bar = element("span", null, {
@@ -228,7 +251,7 @@ function chooseObject(name) {
 function drawPanel(place) {
   const object = scene.objects[place];
   say("panel_title", `Pair ${shorten(scene.pair, 60)}, object ${objectTitle(object)}`);
-  const isTold = (key) => key in object && (key !== "reason" || object.reason !== null);
+  const isTold = (key) => key in object && (object[key] !== null || !(object.side || key === "reason"));
   const facts = Object.entries(report.facts)
     .filter(([key]) => isTold(key))
     .map(([key, title]) => {

@@ -38,7 +38,7 @@ const COMPARE = {
 // What rows a filter such as "wall r_lambda > 0.5" wants: all its words and all its bounds hold.
 function wantedBy(filter, columns) {
   const bounds = [];
-  const rest = filter.replace(/([a-z_]+)\s*(<=|>=|<|>|=)\s*(-?[\d.]+)/gi, (whole, name, sign, value) => {
+  const rest = filter.replace(/([a-z]\w*)\s*(<=|>=|<|>|=)\s*(-?[\d.]+)/gi, (whole, name, sign, value) => {
     const column = columns.find(({ key, title }) => [key, title.toLowerCase()].includes(name.toLowerCase()));
     if (!column) return whole;
     bounds.push((row) => typeof row[column.key] === "number" && COMPARE[sign](row[column.key], Number(value)));
@@ -64,7 +64,7 @@ function order(a, b, isUp) {
   return isUp ? step : -step;
 }
 
-// table: {columns: [{key, title, text, up, digits}], rows, note}
+// table: {columns: [{key, title, about, text, up, digits}], rows, note}
 // action(row): the address that the row's first cell leads to, a function that it calls, or null
 export function makeTable(place, what, { columns, rows: lists, note }, action) {
   const rows = records(
@@ -80,7 +80,7 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
   const count = element("p", null, { class: "note", role: "status" });
   const body = element("tbody");
   const heads = columns.map((column) => {
-    const button = element("button", column.title, { type: "button" });
+    const button = element("button", column.title, { type: "button", title: column.about });
     button.addEventListener("click", () => {
       state.isUp = state.sort === column.key ? !state.isUp : column.text || column.up;
       state.sort = column.key;
