@@ -253,9 +253,9 @@ def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, 
     floor_mean = pd.read_parquet(folder / "floor" / "pairs.parquet").covered_real_0p3m.mean()
     covered = scores["real covered, 0.3 m"]
     assert covered.floor == pytest.approx(1 - floor_mean)
-    below = [score.name for score in found.scores if score.beyond_floor is False]
+    below = [score.name for score in found.scores if score.beyond_floor is False and score.direction]
     assert below
-    (line,) = [line for line in remarks(found) if line.startswith("smaller than the floor")]
+    (line,) = [line for line in remarks(found) if line.startswith("no more than the floor")]
     assert all(name in line for name in below)
     assert scores["CDC (objects in both)"].floor is None
     assert replace(covered, floor=2.0).beyond_floor is False

@@ -100,10 +100,10 @@ def _on_chance(comparison: Comparison) -> list[str]:
     by_seeds = [score.name for score in comparison.scores if score.beyond_seeds is False]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    below = [score for score in comparison.scores if score.beyond_floor is False]
+    below = [score for score in comparison.scores if score.beyond_floor is False and score.direction]
     if below:
         lines.append(
-            "smaller than the floor, what a second measurement of the real scan alone is off by: "
+            "no more than the floor, what a second measurement of the real scan alone is off by: "
             + ", ".join(
                 f"{score.name} ({signed(score.difference.difference)}, floor {number(score.floor)})" for score in below
             )
