@@ -121,9 +121,12 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ru
             assert f"{total - there - absent:.1f} partly, {absent:.1f} absent." in said
 
 
-def test_the_verdict_has_the_coverage_of_both_sides_over_pairs(by_reference):
+def test_the_verdict_has_coverage_displacement_and_roughness_over_pairs(by_reference):
     pairs = pd.read_parquet(by_reference / "pairs.parquet")
-    headings, real, sim = verdict_of(read_results(by_reference)).coverage
+    verdict = verdict_of(read_results(by_reference))
+    assert f"displaced by {pairs.shift_m.mean():.3f} m a pair" in verdict.surface
+    assert f"roughness is {pairs.roughness_sim_m.mean():.3f} m, that of the real one" in verdict.surface
+    headings, real, sim = verdict.coverage
     assert headings[1:] == ["within 0.1 m", "within 0.3 m", "within 1 m"]
     for side, row in (("real", real), ("sim", sim)):
         for cell, reach in zip(row[1:], ("0p1m", "0p3m", "1m"), strict=True):
@@ -347,9 +350,10 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
     assert "a folder written by fidpipe run is wanted" in found.stderr
 
 
-def test_a_run_that_has_not_ended_is_refused(copied_run):
+@pytest.mark.parametrize("gone", ["summary", "coverage"])
+def test_a_run_that_has_not_ended_or_is_of_an_older_version_is_refused(copied_run, gone):
     record = json.loads((copied_run / "run.json").read_text())
-    del record["summary"]
+    del record[gone]
     (copied_run / "run.json").write_text(json.dumps(record))
     with pytest.raises(RunError, match="has not ended"):
         read_results(copied_run)

@@ -112,7 +112,9 @@ function pointColours(by) {
 }
 
 const distanceWords = (step) =>
-  step === FAR ? `${report.far_m} m or more to the other side` : `${number((step / FAR) * report.far_m, 2)} m to the other side`;
+  step === FAR
+    ? `${report.far_m} m or more to the other side`
+    : `${number((step / FAR) * report.far_m, 2)} m to the other side`;
 
 function dots(name, color, size, { symbol = "circle", ...more }) {
   const marker = { color, size, symbol, line: { width: 0 } };
