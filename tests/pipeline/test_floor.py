@@ -265,3 +265,14 @@ def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, 
     assert "Over the floor" in text
     assert "Over the floor" in page.read_text()
     assert len(json.loads(shown(*words, "--json"))[0]["excess"]) == 2
+
+
+def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
+    words = ("floor", folder / "streets", "--preset", "reference", "--workers", 1, "--pairs", "000")
+    text = shown(*words, "--noise-m", 0, "--dropout", 0, "--out", tmp_path / "floor")
+    assert "preset reference" in text
+    assert pd.read_parquet(tmp_path / "floor" / "pairs.parquet").cdc_mean.tolist() == [0]
+    shown(*words, "--neighbours", "--noise-m", 0.1, "--out", tmp_path / "other", code=2)
+    help_text = " ".join(shown("floor", "--help").split())
+    for option, default in (("--noise-m", FloorRequest.noise_m), ("--dropout", FloorRequest.lost_share)):
+        assert f"[default: ({default:g})]" in help_text.partition(option)[2]
