@@ -104,8 +104,8 @@ def run_floor(request: FloorRequest, reporter: Reporter) -> RunOutcome:
     dataset = read_dataset(request.dataset)
     selected = {pair.pair_id for pair in select_pairs(dataset, request.pattern)}
     partners = _neighbours(dataset) if request.neighbours else {pair.pair_id: pair for pair in dataset.pairs}
-    check_folder(request.out, request.out / FLOOR_DATASET)
     _refuse_other_recipe(request)
+    check_folder(request.out, request.out / FLOOR_DATASET)
     folder = RunFolder(request.out)
     with folder.locked():
         _write_dataset(request, dataset, partners, selected, folder.ledger, reporter)
@@ -141,15 +141,17 @@ def _neighbours(dataset: Dataset) -> dict[str, ScanPair]:
 
 
 def _refuse_other_recipe(request: FloorRequest) -> None:
-    """Raises `RunError` where a finished floor of another recipe would be replaced, unless that was asked for."""
-    before = read_recipe(request.out)
+    """Raises `RunError` where another run, or unasked a finished floor of another recipe, would be replaced."""
+    before, record = read_recipe(request.out), read_run(request.out)
+    if before is None and record:
+        raise RunError(f"run {request.out}: holds a run of {record.get('dataset')}, no floor; give another --out")
     if before is None or before == request.recipe:
         return
     if before.dataset != request.recipe.dataset and Path(before.dataset).exists():
         raise RunError(
             f"run {request.out}: holds the floor of {before.dataset}, not of {request.dataset}; give another --out"
         )
-    if before.words != request.recipe.words and has_ended(read_run(request.out)) and not request.replace:
+    if before.words != request.recipe.words and has_ended(record) and not request.replace:
         raise RunError(
             f"run {request.out}: is finished, and its scans would be replaced ({before.words}; asked for: "
             f"{request.recipe.words}); add --replace, or give another --out"
@@ -200,7 +202,7 @@ def _task(
             hashes = known["sha256"], known["label_sha256"]
         else:
             hashes = hash_scan(source.real)
-    except OSError:  # its own job says so
+    except OSError:  # the run that follows says so
         pass
     columns, names = request.settings.input.columns_of("real"), dataset.label_names
     key = key_of(RECIPE_VERSION, request.recipe.words, pair.pair_id, hashes, sorted(names.items()), columns)

@@ -138,6 +138,8 @@ def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, t
         floor(data, out, settings=load(assignments=["graph.k=20"]))
     with pytest.raises(RunError, match=r"holds the floor of .*streets, not of .*streets"):
         floor(folder / "streets", out)
+    with pytest.raises(RunError, match=r"run .*run: holds a run of .*streets, no floor; give another --out"):
+        floor(folder / "streets", folder / "run")
     assert floor(data, out, noise_m=0.1, replace=True).n_made == n_made - 3  # all but those of the real side
 
 

@@ -13,7 +13,7 @@ from ...results.floor import RunExcess, ScoreExcess
 from .layout import number, plain_table, signed
 
 EXCESS_NOTE = (
-    "Floor: what a perfect simulator scores, each real scan against itself measured again. Excess: score less floor of "
+    "Floor: what a perfect simulator scores, a second measurement of each real scan. Excess: score less floor of "
     "the same pair, mean and standard deviation over pairs. Bias and area: double validation metric of both "
     "distributions, over matched objects where a score has them, else over pairs; the shift of the values, and what is "
     "left between the distributions without it."
