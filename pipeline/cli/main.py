@@ -18,7 +18,7 @@ from .datasets import synth, twin
 from .experiments import ablate, perturb
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .results import compare, gate, report, show
-from .running import check, run, status
+from .running import check, floor, run, status
 
 _SECONDS_TO_STOP = 10.0
 _REFUSALS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)  # by the system, not our bugs
@@ -101,5 +101,5 @@ def _root(
     pass
 
 
-for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, twin):
+for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, floor, twin):
     app.command()(_command)

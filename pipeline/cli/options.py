@@ -38,6 +38,12 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
 ]
+Floor = Annotated[
+    Path | None,
+    typer.Option(
+        "--floor", metavar="RUN", help="Scores also over this floor, a run of fidpipe floor of the same real scans."
+    ),
+]
 Replace = Annotated[
     bool, typer.Option("--replace", help="Replace finished results that were made with other settings.")
 ]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_GATE_FAILED, AsJson, RunFolder
+from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder
 from .output import print_json, print_view
 
 
@@ -21,6 +21,7 @@ def show(
     paper: Annotated[
         bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
     ] = False,
+    floor: Floor = None,
     as_json: AsJson = False,
 ) -> None:
     """Show a finished run, one of its pairs, or one object; computes nothing.
@@ -35,25 +36,41 @@ def show(
 
     fidpipe show runs/dataset 0007 12          real object 12 and its simulated partner; sim:3 for a simulated one
 
+    fidpipe show runs/dataset --floor runs/dataset-floor    each score over what a perfect simulator would score
+
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
     """
+    from rich.console import Group
+
+    from ...schemas.results import JsonObject
+    from ..report.terminal.floor import excess_view, pair_excess_view
     from ..report.terminal.run import claims_view, summary_view
     from ..report.terminal.show import object_view, pair_view
     from ..results.finished import FinishedRun, object_facts, pair_facts, run_facts
+    from ..results.floor import excess_over
 
     if paper and pair is not None:
         raise typer.BadParameter("--paper is about the whole run; leave out the pair")
+    if floor is not None and (paper or object_ is not None):
+        raise typer.BadParameter("--floor is about the scores of a run or of a pair; leave out --paper and the object")
     finished = FinishedRun(run)
+    excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
+    over: JsonObject = {} if excess is None else {"excess": excess.as_dict()}
     if paper:
         claims = finished.record.claims
         print_json([claim.as_dict() for claim in claims]) if as_json else print_view(
             claims_view(finished.record.findings)
         )
     elif pair is None:
-        print_json(run_facts(finished)) if as_json else print_view(summary_view(run, finished.rows, finished.record))
+        summary = summary_view(run, finished.rows, finished.record)
+        print_json(run_facts(finished) | over) if as_json else print_view(
+            summary if excess is None else Group(summary, excess_view(excess))
+        )
     elif object_ is None:
         facts = pair_facts(finished, pair)
-        print_json(facts.as_dict()) if as_json else print_view(pair_view(facts))
+        print_json(facts.as_dict() | over) if as_json else print_view(
+            pair_view(facts) if excess is None else Group(pair_view(facts), pair_excess_view(excess, pair))
+        )
     else:
         one = object_facts(finished, pair, object_)
         print_json({"pair_id": pair, **one.as_dict()}) if as_json else print_view(object_view(pair, one))
@@ -66,6 +83,7 @@ def report(
         typer.Option("--pairs", metavar="PATTERN", help="Show pairs whose name matches in 3D, such as '0000*'."),
     ] = None,
     folder: Annotated[bool, typer.Option("--folder", help="One page per pair and an index, in RUN/report.")] = False,
+    floor: Floor = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder for page and figures.", show_default="the run's own")
     ] = None,
@@ -82,10 +100,12 @@ def report(
     fidpipe report runs/dataset --pairs '0007'
 
     fidpipe report runs/dataset --folder
+
+    fidpipe report runs/dataset --floor runs/dataset-floor
     """
     from ..report.page.page import write_report
 
-    made = write_report(run, pairs, one_page_a_pair=folder, out=out)
+    made = write_report(run, pairs, one_page_a_pair=folder, out=out, floor=floor)
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
     print(f"figures: {made.figures[0].parent} ({', '.join(path.stem for path in made.figures[::2])}; PNG and SVG)")
@@ -104,6 +124,7 @@ def gate(
     criteria: Annotated[
         Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
     ] = None,
+    floor: Floor = None,
     junit: Annotated[
         Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
     ] = None,
@@ -121,7 +142,8 @@ def gate(
     Where the run's folder may not be written (a read-only medium), the verdict is printed alone.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
-    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; a wrong name lists all.
+    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
+    excess.r_lambda.mean and excess.cdc.area; a wrong name lists all.
 
     Examples
     --------
@@ -130,6 +152,8 @@ def gate(
     fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
 
     fidpipe gate runs/dataset --criteria acceptance.toml
+
+    fidpipe gate runs/dataset --floor runs/dataset-floor --max excess.cdc.mean=0.1
     """
     from ...schemas.errors import RunError
     from ..engine.progress import Reporter
@@ -143,7 +167,7 @@ def gate(
     wanted += [parse_word(word, "min") for word in at_least or []]
     if not wanted:
         raise typer.BadParameter("no criterion is given; --max, --min or --criteria is wanted")
-    result = judge_run(run, wanted)
+    result = judge_run(run, wanted, floor)
     for asked, name, content in (
         (junit, "gate.xml", junit_xml(result)),
         (json_, "gate.json", dumps(result.as_dict())),
@@ -167,6 +191,7 @@ def compare(
     ],
     html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write compare.html to this folder.")] = None,
+    floor: Floor = None,
     as_json: AsJson = False,
     allow_different_settings: Annotated[
         bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
@@ -182,6 +207,8 @@ def compare(
     fidpipe compare runs/build41 runs/build42
 
     fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
+
+    fidpipe compare runs/build41 runs/build42 --floor runs/build41-floor    says which differences are smaller than it
     """
     from ..report.page.compare import compare_page
     from ..report.terminal.compare import compare_view
@@ -190,7 +217,7 @@ def compare(
 
     if len(runs) < 2:
         raise typer.BadParameter("one run is given, two or more are wanted")
-    comparisons = compare_runs(runs, allow_different_settings=allow_different_settings)
+    comparisons = compare_runs(runs, allow_different_settings=allow_different_settings, floor=floor)
     if page := html or (out and out / "compare.html"):
         write_whole(page, compare_page(comparisons).encode())
     print_json([each.as_dict() for each in comparisons]) if as_json else print_view(compare_view(comparisons))

@@ -1,4 +1,4 @@
-"""The commands around a run: check what it would read, make it, ask how far it is."""
+"""The commands around a run: check what it would read, make it or its floor, ask how far it is."""
 
 from __future__ import annotations
 
@@ -119,6 +119,82 @@ def run(
         replace=replace,
     )
     outcome = run_dataset(request, Reporter())
+    print_outcome(outcome_view(outcome), outcome.failures)
+
+
+def floor(
+    dataset: DatasetFolder,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the run.", show_default="runs/NAME_OF_DATASET-floor")
+    ] = None,
+    preset: Preset = "paper",
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    noise_m: Annotated[
+        float | None,
+        typer.Option("--noise-m", min=0, max=10, help="Std of the noise along the ray, metres.", show_default="0.03"),
+    ] = None,
+    dropout: Annotated[
+        float | None,
+        typer.Option("--dropout", min=0, max=0.99, help="Share of the points that are lost.", show_default="0.03"),
+    ] = None,
+    neighbours: Annotated[
+        bool,
+        typer.Option("--neighbours", help="Against the next real scan, by the poses T_world_sensor in pairs.csv."),
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other noise and losses.")] = 0,
+    pairs: Annotated[
+        str | None,
+        typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    replace: Replace = False,
+) -> None:
+    """Evaluate a perfect simulator: each real scan of a dataset against itself measured again.
+
+    What it scores is what no simulator can do better: the floor. The simulated side of the dataset is not read. A run
+    as any other, which show, report, gate and compare take as --floor; give it the settings of the run that it is for.
+    Each point gets noise along its ray and is lost with a small probability, or, with --neighbours, the next scan of
+    the drive stands for the second measurement. How to read it: docs/fidelity.md.
+
+    Examples
+    --------
+    fidpipe floor dataset/                       results go to runs/dataset-floor
+
+    fidpipe show runs/dataset --floor runs/dataset-floor    each score less what a perfect simulator would score
+
+    fidpipe floor dataset/ --preset reference --out runs/dataset-reference-floor
+
+    fidpipe floor dataset/ --noise-m 0.02 --dropout 0.005 --out runs/hdl64-floor    another sensor
+
+    fidpipe floor twins/ --neighbours --out runs/twins-neighbours    real against real
+    """
+    from ...schemas.settings import load
+
+    check_machines(workers, scheduler)
+    if neighbours and (noise_m is not None or dropout is not None):
+        raise typer.BadParameter("--noise-m and --dropout are of a scan measured again; --neighbours measures nothing")
+    in_force = load(settings, assignments or [], preset=preset)
+
+    from ..engine.engine import Machines
+    from ..engine.progress import Reporter
+    from ..experiments.floor import FloorRequest, run_floor
+    from ..report.terminal.run import outcome_view
+
+    request = FloorRequest(
+        dataset=dataset,
+        out=out or Path("runs") / f"{dataset.resolve().name or 'dataset'}-floor",
+        settings=in_force,
+        noise_m=FloorRequest.noise_m if noise_m is None else noise_m,
+        lost_share=FloorRequest.lost_share if dropout is None else dropout,
+        seed=seed,
+        neighbours=neighbours,
+        pattern=pairs,
+        machines=Machines(workers, scheduler),
+        replace=replace,
+    )
+    outcome = run_floor(request, Reporter())
     print_outcome(outcome_view(outcome), outcome.failures)
 
 

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,9 +30,9 @@ from ...stages.statistics.comparison import (
 )
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
-from ..jobs import STAGES
 from ..storage.tables import table_name
-from .finished import FinishedRun, PairObjects, partition_note
+from .finished import FinishedRun, PairObjects, differences, partition_note, settings_changes
+from .floor import RunExcess, excess_over
 
 #: What is compared: columns of `pairs`.
 SCORES = (
@@ -60,6 +59,7 @@ class ScoreChange:
     of_pairs : by pair, after less before; None where a value is null
     verdict : better, worse, same or undecided; over all scores together it is by chance in under 5 % of the cases
     p : how often chance makes so large a difference of one of all the scores (Holm); None without an interval
+    floor : what measuring again does to the score: how far the floor's mean is from equal scans; None where unknown
     is_far : whether it moved farther than any noise that is known, however few pairs there are
     seed_noise : by so much the two means differ at most in 95 % of the cases through Louvain seeds alone; where both
         runs have `seeds`. Too large rather than too small, for the runs share the real side's communities
@@ -73,6 +73,7 @@ class ScoreChange:
     seed_noise: float | None = None
     p: float | None = None
     is_far: bool = False
+    floor: float | None = None
 
     @property
     def direction(self) -> str:
@@ -86,6 +87,13 @@ class ScoreChange:
         if self.seed_noise is None or self.difference.difference is None:
             return None
         return abs(self.difference.difference) > self.seed_noise
+
+    @property
+    def beyond_floor(self) -> bool | None:
+        """Whether the difference is more than measuring again makes; None where that is not known."""
+        if self.floor is None or self.difference.difference is None:
+            return None
+        return abs(self.difference.difference) > self.floor
 
 
 @dataclass(frozen=True)
@@ -126,6 +134,7 @@ class Comparison:
     n_blocks : independent pairs: copies of a scan, and scans within 10 s, count once
     has_times : whether the dataset says when its scans were taken
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
+    excess : of the base and of the other run over the floor; None without one
     """
 
     base: Path
@@ -140,6 +149,7 @@ class Comparison:
     n_blocks: int
     has_times: bool
     on_partition: str
+    excess: tuple[RunExcess, RunExcess] | None = None
 
     @property
     def kinds(self) -> dict[str, int]:
@@ -149,31 +159,40 @@ class Comparison:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
-        return asdict(self) | {"base": str(self.base), "other": str(self.other), "kinds": self.kinds}
+        excess = None if self.excess is None else [each.as_dict() for each in self.excess]
+        own = asdict(replace(self, excess=None))
+        return own | {"base": str(self.base), "other": str(self.other), "kinds": self.kinds, "excess": excess}
 
 
-def compare_runs(folders: Sequence[Path], *, allow_different_settings: bool = False) -> list[Comparison]:
+def compare_runs(
+    folders: Sequence[Path], *, allow_different_settings: bool = False, floor: Path | None = None
+) -> list[Comparison]:
     """Each run but the first against the first.
+
+    Parameters
+    ----------
+    floor : the run of fidpipe floor of the same real scans; all runs then need its settings
 
     Raises
     ------
     RunError
-        A folder is no finished run, settings that change scores differ and that is not allowed, or no pair is common.
+        A folder is no finished run, settings that change scores differ and that is not allowed, no pair is common, or
+        the floor is another's.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
     comparisons = []
     for other in others:
-        differing = _settings_changes(base, other)
+        differing = settings_changes(base, other)
         if differing and not allow_different_settings:
             raise RunError(
                 f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(differing)}), so that a "
                 "difference need not be the simulator's; evaluate both alike, or give --allow-different-settings"
             )
-        comparisons.append(_compare(base, other, differing))
+        comparisons.append(_compare(base, other, differing, floor))
     return comparisons
 
 
-def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Comparison:
+def _compare(base: FinishedRun, other: FinishedRun, differing: list[str], floor: Path | None) -> Comparison:
     left_out = _not_comparable(base, other)
     names = tuple(row["pair_id"] for row in base.scored if row["pair_id"] not in left_out)
     if not names:
@@ -184,10 +203,11 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
         before, after = base.objects(name), other.objects(name)
         if _same_real_side(before, after):
             changes[name] = _follow(name, before, after)
+    excess = None if floor is None else (excess_over(base, floor, names), excess_over(other, floor, names))
     times_s = _times_s(base, other)
     blocks = blocks_of([base.record.inputs[name]["real"] for name in names], [times_s.get(name) for name in names])
     scores = [
-        *(_score_change(base, other, names, column, blocks) for column in SCORES),
+        *(_score_change(base, other, names, column, blocks, excess and excess[0]) for column in SCORES),
         *(_shared_change(score, {name: changes.get(name, []) for name in names}, blocks) for score in SHARED_SCORES),
     ]
     return Comparison(
@@ -203,6 +223,7 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str]) -> Com
         n_blocks=len(np.unique(blocks)),
         has_times=bool(times_s),
         on_partition=partition_note((base, other)),
+        excess=excess,
     )
 
 
@@ -233,26 +254,11 @@ def _judged(scores: Sequence[ScoreChange]) -> list[ScoreChange]:
     ]
 
 
-def _settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
-    """Settings of the stages that every run has and that differ, in words."""
-    groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
-    return [
-        f"{group}.{name} is {a} and {b}"
-        for group in groups
-        for name, a, b in _differing(*(run.record.settings.get(group, {}) for run in (base, other)))
-    ]
-
-
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """What else differs and can change a number: stage code and libraries."""
     a, b = base.record, other.record
-    stages = [f"code of stage {name}: {x} and {y}" for name, x, y in _differing(a.stages, b.stages)]
-    return stages + [f"library {name}: {x} and {y}" for name, x, y in _differing(a.libraries, b.libraries)]
-
-
-def _differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
-    """The keys whose values differ, with both values; None where there is none."""
-    return [(key, a.get(key), b.get(key)) for key in {**a, **b} if a.get(key) != b.get(key)]
+    stages = [f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)]
+    return stages + [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
 
 
 def _not_comparable(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
@@ -305,13 +311,19 @@ def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[Objec
 
 
 def _score_change(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str, blocks: IntArray
+    base: FinishedRun,
+    other: FinishedRun,
+    names: Sequence[str],
+    column: str,
+    blocks: IntArray,
+    excess: RunExcess | None,
 ) -> ScoreChange:
     values = {name: (base.row(name)[column], other.row(name)[column]) for name in names}
     a, b = (_seed_noise(run, names, column) for run in (base, other))
     noise = None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
     metric = metric_of(column)
-    return _change(metric.label, metric.higher_is_better, values, blocks, noise)
+    change = _change(metric.label, metric.higher_is_better, values, blocks, noise)
+    return replace(change, floor=None if excess is None else excess.scores[column].floor_from_equal)
 
 
 def _shared_change(score: str, changes: Mapping[str, Sequence[ObjectChange]], blocks: IntArray) -> ScoreChange:

@@ -71,11 +71,11 @@ def read_objects(
     Where the real side fixed the objects, what little is simulated of a missing object is no simulated object.
     """
     paths = [folder.path("metrics", pair_id) for pair_id in pair_ids]
-    metrics, pair = _read(paths, ["real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap"])
+    metrics, pair = read_columns(paths, ["real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap"])
     sides, matched_rows = [], []
     for side in SIDES:
         paths = [folder.path("objects", pair_id, side) for pair_id in pair_ids]
-        objects, pair_of_object = _read(paths, ["range_m", "label"])
+        objects, pair_of_object = read_columns(paths, ["range_m", "label"])
         # The objects of a side are numbered from 0 in each pair, so that pair and id say the row.
         first = np.concatenate([[0], np.cumsum(np.bincount(pair_of_object, minlength=len(pair_ids)))])
         rows = first[pair] + metrics[f"{side}_id"]
@@ -94,7 +94,7 @@ def read_objects(
     return real, sim, MatchedObjects(pair, real.range_m[matched_rows[0]], real.label[matched_rows[0]], **scores)
 
 
-def _read(paths: list[Path], columns: list[str]) -> tuple[dict[str, NDArray[Any]], IntArray]:
+def read_columns(paths: list[Path], columns: list[str]) -> tuple[dict[str, NDArray[Any]], IntArray]:
     """Columns of some files one after the other, nulls of numbers as NaN, and which file each row comes from."""
     chunks, n_rows = [], []
     for start in range(0, len(paths), _FILES_AT_ONCE):  # a table of few rows is larger than they are

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -20,6 +21,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
 from ...schemas.results import JsonObject, RunRecord
+from ..jobs import STAGES
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, read_run
 from ..storage.tables import table_name
@@ -157,6 +159,22 @@ class FinishedRun:
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "
                 f"{command_again(self.folder, self.record.dataset)}"
             )
+
+
+def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] = ()) -> list[str]:
+    """Settings of the stages that every run has and that differ, in words; `but` names some that may."""
+    groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
+    return [
+        f"{group}.{name} is {a} and {b}"
+        for group in groups
+        for name, a, b in differences(*(run.record.settings.get(group, {}) for run in (base, other)))
+        if f"{group}.{name}" not in but
+    ]
+
+
+def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """The keys whose values differ, with both values; None where there is none."""
+    return [(key, a.get(key), b.get(key)) for key in {**a, **b} if a.get(key) != b.get(key)]
 
 
 def partition_note(runs: Sequence[FinishedRun]) -> str:

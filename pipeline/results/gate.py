@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
 from .finished import FinishedRun, partition_note
+from .floor import excess_over
 from .measures import Measures
 
 Bound = Literal["max", "min"]
@@ -78,18 +79,23 @@ class GateResult:
         }
 
 
-def judge_run(folder: Path, criteria: Iterable[Criterion]) -> GateResult:
+def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = None) -> GateResult:
     """Judges a finished run.
+
+    Parameters
+    ----------
+    floor : the run of fidpipe floor that measures such as `excess.r_lambda.mean` are over
 
     Raises
     ------
     RunError
-        The folder is no finished run, or a table is damaged.
+        The folder is no finished run, a table is damaged, or the floor is another's.
     SettingsError
-        A criterion names an unknown measure.
+        A criterion names an unknown measure, or one that wants a floor where there is none.
     """
     run = FinishedRun(folder)
-    measures = Measures(run)
+    excess = None if floor is None else excess_over(run, floor)
+    measures = Measures(run, excess)
     wanted = list(criteria)
     given = {(criterion.measure, criterion.bound) for criterion in wanted}
     own = [
@@ -100,6 +106,9 @@ def judge_run(folder: Path, criteria: Iterable[Criterion]) -> GateResult:
         ),
     ]
     notes = [note] if (note := partition_note([run])) else []
+    if excess is not None:
+        n_both = f"{len(excess.pairs)} of {len(run.scored)} pairs"
+        notes.append(f"excess is over the floor {floor} ({excess.recipe.words}), {n_both}")
     if measures.dataset_is_gone:
         notes.append(f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run")
     else:

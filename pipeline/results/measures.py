@@ -21,6 +21,7 @@ from ..datasets.scan_checks import input_hashes
 from ..storage.record import command_again
 from .findings import read_objects
 from .finished import FinishedRun
+from .floor import RunExcess
 
 _OF_PAIRS = ("mean", "std", "min", "median", "max")
 _OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
@@ -28,6 +29,8 @@ _COUNTS = ("total", "mean", "max", "share")
 _PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in SURFACE_SCORES))
 #: `covered.real.0.3m`, by which a gate knows the column `covered_real_0p3m`.
 _COVERAGE = {metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES}
+#: Of the double validation metric, over objects where a score has them.
+_OF_DISTRIBUTIONS = ("bias", "area")
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
 
 _STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
@@ -41,6 +44,7 @@ KNOWN = (
     "missing.within_20m and missing.within_20m.share (any distance)",
     "matched.total|mean|min",
     f"pairs.{'|'.join(_STATES)}",
+    f"excess.SCORE.{'|'.join((*_OF_PAIRS, *_OF_DISTRIBUTIONS))} over the floor (--floor), covered.... as well",
 )
 
 
@@ -51,6 +55,7 @@ _PLAIN_NAMES = (
     *(f"{what}.{count}" for what in _UNMATCHED for count in (*_COUNTS, "within_20m")),
     *(f"matched.{count}" for count in ("total", "mean", "min")),
     *(f"pairs.{state}" for state in _STATES),
+    *(f"excess.{score}.{stat}" for score in (*_PAIR_SCORES, *_COVERAGE) for stat in (*_OF_PAIRS, *_OF_DISTRIBUTIONS)),
 )
 
 
@@ -67,10 +72,10 @@ class _AbsentError(Exception):
 
 
 class Measures:
-    """The numbers of a finished run by name."""
+    """The numbers of a finished run by name; those over its floor where there is one."""
 
-    def __init__(self, run: FinishedRun) -> None:
-        self.run = run
+    def __init__(self, run: FinishedRun, excess: RunExcess | None = None) -> None:
+        self.run, self._excess = run, excess
 
     def named(self, name: str) -> Measured:
         """The number of that name.
@@ -78,7 +83,7 @@ class Measures:
         Raises
         ------
         SettingsError
-            There is no such name.
+            There is no such name, or it wants a floor and there is none.
         """
         for pattern, measure in _MEASURES:
             match = pattern.fullmatch(name)
@@ -103,9 +108,19 @@ class Measures:
         return False
 
     def _of_pairs(self, score: str, stat: str) -> float:
-        column = METRIC[score].mean_column if score in OBJECT_METRICS else _COVERAGE.get(score, score)
-        values = np.array([row[column] for row in self.run.scored], dtype=np.float64)  # None becomes NaN
+        values = np.array([row[_column(score)] for row in self.run.scored], dtype=np.float64)  # None becomes NaN
         return _statistic(values, stat, "pair", score)
+
+    def _over_floor(self, score: str, stat: str) -> float:
+        if self._excess is None:
+            raise SettingsError(f"criterion 'excess.{score}.{stat}': no floor is given; --floor RUN is wanted")
+        own = self._excess.scores[_column(score)]
+        if stat in _OF_DISTRIBUTIONS:
+            apart: float | None = getattr(own, stat)
+            if apart is None:
+                raise _AbsentError(f"no {score} in the run or in its floor")
+            return apart
+        return _statistic(np.array([*own.of_pairs.values()], dtype=np.float64), stat, "pair", f"{score} in both runs")
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
         *_, matched = self._objects
@@ -197,6 +212,11 @@ class Measures:
         return read_objects(self.run.store, names, by_reference=self.run.preset == "reference")
 
 
+def _column(score: str) -> str:
+    """The column of `pairs` with a score of pairs."""
+    return METRIC[score].mean_column if score in OBJECT_METRICS else _COVERAGE.get(score, score)
+
+
 def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
     spread = distribution(values)
     if not spread.n:
@@ -223,6 +243,11 @@ _MEASURES: tuple[tuple[re.Pattern[str], Callable[..., float]], ...] = tuple(
         (
             rf"{_either('score', (*_PAIR_SCORES, *map(re.escape, _COVERAGE)))}\.{_either('stat', _OF_PAIRS)}",
             Measures._of_pairs,
+        ),
+        (
+            rf"excess\.{_either('score', (*_PAIR_SCORES, *map(re.escape, _COVERAGE)))}"
+            rf"\.{_either('stat', (*_OF_PAIRS, *_OF_DISTRIBUTIONS))}",
+            Measures._over_floor,
         ),
         (
             rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', _OF_OBJECTS)}",

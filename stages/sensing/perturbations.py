@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IndexArray
 
 KINDS = ("noise", "dropout", "rigid", "hallucination", "density", "null")
 
@@ -90,6 +90,40 @@ def add_noise(points: FloatArray, std_m: float, rng: Generator) -> FloatArray:
 def drop_points(points: FloatArray, share: float, rng: Generator) -> FloatArray:
     """The points that are left when each is lost with the same probability, independently."""
     return points[rng.random(len(points)) >= share]
+
+
+def measure_again(
+    points: FloatArray, noise_m: float, lost_share: float, rng: Generator
+) -> tuple[FloatArray, IndexArray]:
+    """The points as a second measurement by the same beams would have them, and which of the points these are.
+
+    p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray alone; then each is lost independently with the
+    probability `lost_share`. Under one seed the noise of a point is in proportion to `noise_m`, and what is lost at a
+    share is lost at each larger one. Without noise the coordinates stay to the last bit.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, sensor at the origin, finite, none of them there
+    noise_m : standard deviation of the difference of two measured ranges, 0 or more
+    lost_share : 0 to 1
+    rng : decides all that is random
+
+    Returns
+    -------
+    points : (m, 3) float64
+    rows : (m,) intp, of the input, ascending
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> again, rows = measure_again(np.array([[3.0, 4.0, 0.0]]), 0.5, 0.0, np.random.default_rng(0))
+    >>> bool(np.isclose(again[0, 1] / again[0, 0], 4 / 3)), rows.tolist()
+    (True, [0])
+    """
+    range_m = np.sqrt((points**2).sum(axis=1))
+    again = points * (1.0 + noise_m * rng.standard_normal(len(points)) / range_m)[:, None]
+    rows = np.flatnonzero(rng.random(len(points)) >= lost_share)
+    return again[rows], rows
 
 
 def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Generator) -> FloatArray:

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from fidpipe.stages.sensing.perturbations import KINDS, Perturbation, perturb
+from fidpipe.stages.sensing.perturbations import KINDS, Perturbation, measure_again, perturb
 
 
 def seeded(seed=3):
@@ -118,3 +118,20 @@ def test_the_null_row_loses_one_point_and_keeps_the_others_in_another_order(rng)
     assert len(left) == len(kept) == 49
     assert kept < {tuple(point) for point in points}
     assert not np.array_equal(left, points[:49])
+
+
+def test_a_second_measurement_moves_points_along_their_rays_alone(cloud):
+    away = cloud + [20, 0, 0]
+    again, rows = measure_again(away, 0.03, 0.0, seeded())
+    ranges = [np.linalg.norm(points, axis=1) for points in (away, again)]
+    np.testing.assert_array_equal(rows, np.arange(len(cloud)))
+    np.testing.assert_allclose(again / ranges[1][:, None], away / ranges[0][:, None], atol=1e-12)
+    assert (ranges[1] - ranges[0]).std() == pytest.approx(0.03, rel=0.05)
+
+
+def test_a_second_measurement_loses_the_wanted_share_and_says_which_points_stay(cloud):
+    away = cloud + [20, 0, 0]
+    again, rows = measure_again(away, 0.0, 0.1, seeded())
+    assert len(rows) == pytest.approx(3600, abs=4 * np.sqrt(4000 * 0.1 * 0.9))
+    np.testing.assert_array_equal(again, away[rows])
+    assert set(measure_again(away, 0.0, 0.3, seeded())[1]) < set(rows)

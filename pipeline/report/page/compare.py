@@ -9,7 +9,9 @@ from ....schemas.metrics import labels
 from ....stages.statistics.comparison import BLOCK_S, CONFIDENCE
 from ...results.compare import Comparison
 from ..charts import change_chart
-from ..terminal.compare import OBJECTS_NOTE, changed, kind_table, object_table, remarks, score_table, signed, verdict
+from ..terminal.compare import OBJECTS_NOTE, changed, kind_table, object_table, remarks, score_table, verdict
+from ..terminal.floor import both_excesses_table
+from ..terminal.layout import signed
 from .render import render
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
@@ -39,6 +41,7 @@ def _section(comparison: Comparison) -> dict[str, Any]:
         "verdict": verdict(comparison),
         "remarks": remarks(comparison),
         "scores": score_table(comparison),
+        "excess": both_excesses_table(*comparison.excess) if comparison.excess else [],
         "kinds": kind_table(comparison),
         "n_objects": len(objects),
         "objects": object_table(objects[:MOST_OBJECTS]),

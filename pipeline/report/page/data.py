@@ -20,10 +20,12 @@ from ....schemas.settings import parse
 from ....stages.arrays import IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ...datasets.frame_checks import frames_summary
+from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
 from ..results import OBJECT_COVERAGE, PairTables, RunResults, Spectra
+from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
 from ..terminal.run import preset_line
 from ..verdict import limits_in_words, verdict_of
 
@@ -96,8 +98,8 @@ def page_data(results: RunResults) -> dict[str, Any]:
     }
 
 
-def page_words(results: RunResults) -> dict[str, Any]:
-    """What the page's template shows of the whole run; versions by group, what made it."""
+def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
+    """What the page's template shows of the whole run; versions by group, what made it; scores over a floor if any."""
     record = results.run.record
     n_pairs = len(results.pairs) + len(results.failures)
     return {
@@ -108,6 +110,12 @@ def page_words(results: RunResults) -> dict[str, Any]:
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "frames": frames_summary(record.frames, n_pairs) if record.frames else "",
         "notes": _notes(results),
+        "floor": excess
+        and {
+            "title": excess_title(excess),
+            "rows": excess_table(excess),
+            "notes": [EXCESS_NOTE, *excess_notes(excess)],
+        },
         "settings": record.settings,
         "versions": {
             "": {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}

@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 from plotly.offline import get_plotlyjs
 
+from ...results.floor import excess_over
 from ...storage.files import remove_stale, write_whole
 from ...storage.tables import file_stem
 from ..figures.run import draw_figures
@@ -36,7 +37,12 @@ class ReportFiles:
 
 
 def write_report(
-    folder: Path, pattern: str | None = None, *, one_page_a_pair: bool = False, out: Path | None = None
+    folder: Path,
+    pattern: str | None = None,
+    *,
+    one_page_a_pair: bool = False,
+    out: Path | None = None,
+    floor: Path | None = None,
 ) -> ReportFiles:
     """Writes the page and the figures of a finished run, in place of those of an earlier report.
 
@@ -45,22 +51,24 @@ def write_report(
     folder : of the run
     pattern : only pairs whose name matches are shown in 3D (shell style); the rest of the page is of all pairs
     out : folder that they are written into; by default the run's own
+    floor : the run of fidpipe floor that scores are also shown over
     one_page_a_pair : whether to write a folder of pages, one for each of those pairs, in place of the single page
 
     Raises
     ------
     RunError
         The folder is no finished run, has no scored pair or a damaged table, no pair matches, or a file cannot be
-        written.
+        written; or the floor is another's.
     """
     results = read_results(folder)
+    excess = None if floor is None else excess_over(results.run, floor)
     folder = out or folder
     chosen = results.select(pattern)
     shown = chosen if one_page_a_pair else some_of(chosen, MOST_VIEWS)
     files = {name: f"pair-{file_stem(name)}.html" for name in chosen} if one_page_a_pair else {}
     # An address must escape the per cent signs that the names of the files hold.
     data = page_data(results) | {"links": {name: quote(file) for name, file in files.items()}}
-    words, plotly_source = page_words(results), ""
+    words, plotly_source = page_words(results, excess), ""
     pages = {folder / PAGE: (shown, _view_note(len(shown), len(chosen), len(results.pairs), pattern))}
     if one_page_a_pair:
         pages = {

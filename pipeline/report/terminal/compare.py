@@ -11,7 +11,8 @@ from rich.text import Text
 from ....schemas.metrics import METRIC
 from ....stages.statistics.comparison import BLOCK_S, LEAST_CHANGE, LEAST_PAIRS
 from ...results.compare import SHARED_SCORES, Comparison, ObjectChange, ScoreChange
-from .layout import number, percent, plain_table
+from .floor import both_excesses_table, excess_notes
+from .layout import number, percent, plain_table, signed
 
 _MOST_OBJECTS = 10
 _MOST_LEFT_OUT = 5
@@ -99,6 +100,16 @@ def _on_chance(comparison: Comparison) -> list[str]:
     by_seeds = [score.name for score in comparison.scores if score.beyond_seeds is False]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
+    below = [score for score in comparison.scores if score.beyond_floor is False and score.direction]
+    if below:
+        lines.append(
+            "no more than the floor, what a second measurement of the real scan alone is off by: "
+            + ", ".join(
+                f"{score.name} ({signed(score.difference.difference)}, floor {number(score.floor)})" for score in below
+            )
+        )
+    if comparison.excess:
+        lines += list(dict.fromkeys(note for each in comparison.excess for note in excess_notes(each)))
     decided = [score for score in comparison.scores if score.verdict in ("better", "worse") or score.is_far]
     if any(score.seed_noise is None for score in decided):
         names = [score.name for score in decided if score.seed_noise is None]
@@ -129,21 +140,16 @@ def changed(comparison: Comparison) -> list[ObjectChange]:
 def score_table(comparison: Comparison) -> list[list[str]]:
     """Headings, then one row per score: name, verdict, pairs that have it, before, after, change, its interval and p.
 
-    Where both runs were repeated under other seeds, also whether the change is more than they alone would make.
+    Where both runs were repeated under other seeds, also whether the change is more than they alone would make; with a
+    floor, whether it is more than measuring again makes.
     """
+    with_floor = any(score.floor is not None for score in comparison.scores)
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
     rows = [
         [
-            "score",
-            "verdict",
-            "pairs",
-            "before",
-            "after",
-            "change",
-            "from",
-            "to",
-            "p",
+            *("score", "verdict", "pairs", "before", "after", "change", "from", "to", "p"),
             *["more than seeds make"] * with_seeds,
+            *["more than the floor"] * with_floor,
         ]
     ]
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
@@ -156,7 +162,10 @@ def score_table(comparison: Comparison) -> list[list[str]]:
             number(score.p),
         )
         seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
-        rows.append([score.name, score.verdict, str(change.n_pairs), *numbers, *[seeds] * with_seeds])
+        floor = beyond[score.beyond_floor].format(number(score.floor))
+        rows.append(
+            [score.name, score.verdict, str(change.n_pairs), *numbers, *[seeds] * with_seeds, *[floor] * with_floor]
+        )
     return rows
 
 
@@ -178,17 +187,15 @@ def kind_table(comparison: Comparison) -> list[list[str]]:
     return [["what has become of them", "objects", "share"], *rows]
 
 
-def signed(value: float | None) -> str:
-    """A difference with its sign."""
-    return "-" if value is None else f"{value:+.3f}"
-
-
 def _parts(comparison: Comparison) -> list[RenderableType]:
     headings, *scores = score_table(comparison)
     for row in (headings, *scores):
         row.insert(8, row.pop(1))  # the verdict, behind the numbers that it is about
     title = f"{comparison.other} less {comparison.base}: {len(comparison.pairs)} pairs, means and 95 % intervals"
-    parts: list[RenderableType] = [_table(f"{title} (paired t)", headings, scores, words=(0, 8, 9))]
+    parts: list[RenderableType] = [_table(f"{title} (paired t)", headings, scores, words=(0, 8, 9, 10))]
+    if comparison.excess:
+        headings, *excesses = both_excesses_table(*comparison.excess)
+        parts.append(_table(f"Over the floor {comparison.excess[0].floor}", headings, excesses))
     if comparison.objects:
         headings, *kinds = kind_table(comparison)
         parts.append(_table("Real objects", headings, kinds))

@@ -44,6 +44,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
+def signed(value: float | None) -> str:
+    """A difference with its sign."""
+    return "-" if value is None else f"{value:+.3f}"
+
+
 def percent(value: float | None) -> str:
     """A share as the terminal shows it."""
     return "-" if value is None else f"{100 * value:.0f} %"

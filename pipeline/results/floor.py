@@ -1,0 +1,240 @@
+"""The scores of a run over its floor: what a perfect simulator would score on the same real scans.
+
+A floor is a run of `fidpipe floor`: as any other, with a recipe beside its scans that says how these were made.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import tomllib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...schemas.errors import RunError
+from ...schemas.metrics import OBJECT_METRICS, RUN_SCORES, metric_of
+from ...schemas.results import JsonObject
+from ...stages.arrays import FloatArray
+from ...stages.statistics.validation import double_validation_metric
+from ...stages.summary import mean_and_std
+from ..storage.record import SETTINGS_TOML
+from .findings import read_columns
+from .finished import FinishedRun, differences, settings_changes
+
+FLOOR_DATASET = "dataset"
+FLOOR_RECIPE = "floor.toml"
+#: What has a floor: columns of `pairs`.
+SCORES = ("match_rate", "n_missing", "n_hallucinated", *(name for name in RUN_SCORES if name != "match_rate"))
+#: Of the simulated side alone, which in a floor is the real one.
+_OF_SIM_ALONE = ("input.sim_columns", "input.sim_flip_y")
+
+
+@dataclass(frozen=True)
+class FloorRecipe:
+    """How the second measurements of a floor were made.
+
+    kind : "again": the same points with noise and dropout; "neighbours": the next real scan
+    noise_m, lost_share, seed : of "again"
+    dataset : whose real scans they are of
+    """
+
+    version: int
+    kind: str
+    noise_m: float
+    lost_share: float
+    seed: int
+    dataset: str
+
+    @property
+    def words(self) -> str:
+        """The same for people; equal where the same scans give the same measurements."""
+        if self.kind == "neighbours":
+            return "the next real scan"
+        return f"range noise {self.noise_m:g} m, dropout {self.lost_share:g}, seed {self.seed}"
+
+    def to_toml(self) -> str:
+        """The text of the recipe's file."""
+        return "".join(f"{name} = {json.dumps(value)}\n" for name, value in asdict(self).items())
+
+
+@dataclass(frozen=True)
+class ScoreExcess:
+    """One score of a run over its floor, in the score's unit.
+
+    column : of `pairs`
+    n_pairs : pairs that have the score in both
+    mean, floor : over these pairs
+    excess, std : mean and standard deviation (n - 1) over them of score - floor of the same pair
+    bias, area : double validation metric of both distributions, over all matched objects where `of` is "objects", else
+        over the pairs; see `stages.statistics.validation`
+    n, n_floor : how many values they have
+    of_pairs : by pair, score - floor; None where one of both is null
+    """
+
+    column: str
+    n_pairs: int
+    mean: float | None
+    floor: float | None
+    excess: float | None
+    std: float | None
+    of: str
+    bias: float | None
+    area: float | None
+    n: int
+    n_floor: int
+    of_pairs: dict[str, float | None]
+
+    @property
+    def floor_from_equal(self) -> float | None:
+        """How far the floor's mean is from the score of equal scans; None where that has no fixed value."""
+        equal = metric_of(self.column).equal
+        return None if self.floor is None or equal is None else abs(self.floor - equal)
+
+
+@dataclass(frozen=True)
+class RunExcess:
+    """A run over its floor.
+
+    recipe : of the floor
+    pairs : that both have; `left_out` are scored in the run alone
+    notes : what else differs and can change a number
+    scores : by column of `pairs`
+    """
+
+    run: Path
+    floor: Path
+    recipe: FloorRecipe
+    pairs: tuple[str, ...]
+    left_out: tuple[str, ...]
+    notes: tuple[str, ...]
+    scores: dict[str, ScoreExcess]
+
+    def as_dict(self) -> JsonObject:
+        """Plain values, for JSON."""
+        return asdict(self) | {"run": str(self.run), "floor": str(self.floor)}
+
+
+def read_recipe(run: Path) -> FloorRecipe | None:
+    """The recipe of a floor; None where the folder is no run of `fidpipe floor`."""
+    try:
+        return FloorRecipe(**tomllib.loads((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):  # TOML and unicode errors are ValueErrors
+        return None
+
+
+def excess_over(run: FinishedRun, floor: Path, pairs: Sequence[str] | None = None) -> RunExcess:
+    """Each score of a run less that of the same pair in the floor, and how far both distributions are apart.
+
+    excess = mean over pairs of (score - floor)
+
+    Above 0 is worse than a perfect simulator where lower is better, below 0 where higher is better.
+
+    Parameters
+    ----------
+    floor : the folder of a run of `fidpipe floor`
+    pairs : only these; by default all that are scored in both
+
+    Raises
+    ------
+    RunError
+        The floor is none, is of other settings or other real scans, has none of the pairs, or a table is damaged.
+    """
+    recipe = read_recipe(floor)
+    if recipe is None:
+        raise RunError(
+            f"floor {floor}: is no floor (no {FLOOR_DATASET}/{FLOOR_RECIPE} of ours in it); for run {run.folder} make "
+            f"one with: {_command(run)}"
+        )
+    other = FinishedRun(floor)
+    _refuse_other_floor(run, other)
+    scored = {row["pair_id"] for row in other.scored}
+    wanted = [row["pair_id"] for row in run.scored if pairs is None or row["pair_id"] in pairs]
+    names = tuple(name for name in wanted if name in scored)
+    if not names:
+        raise RunError(
+            f"run {run.folder} and floor {floor}: no pair is scored in both; make the floor of these real scans with: "
+            f"{_command(run)}"
+        )
+    of_objects = [_of_objects(own, names) for own in (run, other)]
+    versions = differences(run.record.stages, other.record.stages)
+    libraries = differences(run.record.libraries, other.record.libraries)
+    return RunExcess(
+        run=run.folder,
+        floor=floor,
+        recipe=recipe,
+        pairs=names,
+        left_out=tuple(name for name in wanted if name not in scored),
+        notes=tuple(f"{name}: {a} in the run and {b} in its floor" for name, a, b in [*versions, *libraries]),
+        scores={column: _excess(column, run, other, names, of_objects) for column in SCORES},
+    )
+
+
+def _refuse_other_floor(run: FinishedRun, floor: FinishedRun) -> None:
+    differing = settings_changes(run, floor, but=_OF_SIM_ALONE)
+    if differing:
+        raise RunError(
+            f"run {run.folder} and floor {floor.folder}: settings differ ({'; '.join(differing)}); make the floor with "
+            f"those of the run: {_command(run)}"
+        )
+    theirs = floor.record.inputs
+    others = [
+        name
+        for name, hashes in run.record.inputs.items()
+        if name in theirs and hashes.get("real") != theirs[name].get("real")
+    ]
+    if others:
+        raise RunError(
+            f"run {run.folder} and floor {floor.folder}: the real scans of {len(others)} pairs differ ({others[0]}"
+            f"{' ...' * (len(others) > 1)}); make the floor of these scans with: {_command(run)}"
+        )
+
+
+def _command(run: FinishedRun) -> str:
+    out = run.folder.with_name(f"{run.folder.resolve().name}-floor")
+    return shlex.join(
+        ["fidpipe", "floor", run.record.dataset, "--settings", str(run.folder / SETTINGS_TOML), "--out", str(out)]
+    )
+
+
+def _of_objects(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:
+    """By score, its values of all matched objects of the pairs; NaN where null."""
+    for name in names:
+        run.check(name)
+    columns, _ = read_columns([run.store.path("metrics", name) for name in names], list(OBJECT_METRICS))
+    return columns
+
+
+def _excess(
+    column: str,
+    run: FinishedRun,
+    floor: FinishedRun,
+    names: Sequence[str],
+    of_objects: Sequence[dict[str, FloatArray]],
+) -> ScoreExcess:
+    own, theirs = (
+        np.array([each.row(name)[column] for name in names], dtype=np.float64) for each in (run, floor)
+    )  # None becomes NaN
+    over = own - theirs
+    has_both = ~np.isnan(over)
+    excess, std = mean_and_std(over)
+    metric = metric_of(column).column
+    is_of_objects = metric in OBJECT_METRICS
+    values, floor_values = (each[metric] for each in of_objects) if is_of_objects else (own, theirs)
+    apart = double_validation_metric(real=floor_values, sim=values)
+    return ScoreExcess(
+        column=column,
+        n_pairs=int(np.count_nonzero(has_both)),
+        mean=mean_and_std(own[has_both])[0],
+        floor=mean_and_std(theirs[has_both])[0],
+        excess=excess,
+        std=std,
+        of="objects" if is_of_objects else "pairs",
+        bias=apart.bias,
+        area=apart.area,
+        n=apart.n_sim,
+        n_floor=apart.n_real,
+        of_pairs={name: None if np.isnan(value) else value for name, value in zip(names, over.tolist(), strict=True)},
+    )

@@ -1,0 +1,280 @@
+"""What a perfect simulator scores, and scores over it: by hand, resumed, refused, and where people see them."""
+
+import json
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+from scipy.spatial import cKDTree
+from scipy.stats import wasserstein_distance
+from typer.testing import CliRunner
+
+from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.experiments.floor import FloorRequest, run_floor
+from fidpipe.pipeline.report.page.page import write_report
+from fidpipe.pipeline.report.terminal.compare import remarks
+from fidpipe.pipeline.results.compare import compare_runs
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.floor import excess_over
+from fidpipe.pipeline.results.status import run_status
+from fidpipe.schemas.errors import DatasetError, RunError
+from fidpipe.schemas.metrics import COVERAGE_SCORES, OBJECT_METRICS
+from fidpipe.schemas.settings import load
+from runs import assert_same_tables, command, run
+from scenes import drifted, moved, rigid, street, write_bin, write_dataset
+
+REFERENCE = load(preset="reference")
+
+
+def floor(dataset, out, reporter=None, **options):
+    request = FloorRequest(dataset, out, machines=Machines(workers=1), **options)
+    return run_floor(request, reporter or Reporter(Console(quiet=True)))
+
+
+def shown(*words, code=0):
+    result = CliRunner().invoke(app, list(map(str, words)))
+    assert result.exit_code == code, result.output
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Three streets, their run, and their floor."""
+    folder = tmp_path_factory.mktemp("floor")
+    run(write_dataset(folder / "streets", 3), folder / "run")
+    floor(folder / "streets", folder / "floor")
+    return folder
+
+
+def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
+    text = Console(record=True, width=200, file=StringIO())
+    made = floor(
+        folder / "streets", tmp_path / "floor", Reporter(text), settings=REFERENCE, noise_m=0.0, lost_share=0.0
+    )
+    assert "warning" not in text.export_text()
+    for row in made.rows:
+        assert row["match_rate"] == 1
+        assert {row[f"{metric}_mean"] for metric in OBJECT_METRICS} == {0}
+        assert {row[metric.column] for metric in COVERAGE_SCORES} == {1}
+
+
+def test_more_noise_is_no_better(folder, tmp_path):
+    covered, cdc = [], []
+    for noise_m in (0.0, 0.05, 0.2):
+        made = floor(folder / "streets", tmp_path / f"{noise_m}", settings=REFERENCE, noise_m=noise_m, lost_share=0.0)
+        rows = pd.DataFrame(made.rows)
+        covered.append(rows.covered_sim_0p1m.mean())
+        cdc.append(rows.cdc_mean.mean())
+    assert covered[0] == 1 > covered[1] > covered[2]
+    assert 0 == cdc[0] < cdc[1] < cdc[2]
+
+
+def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, tmp_path):
+    data, out = write_dataset(tmp_path / "streets", 3), tmp_path / "floor"
+    first = floor(data, out, pattern="000")
+    assert len(first.rows) == 1
+    (out / "dataset" / "pairs.csv").unlink()  # as if it had been interrupted
+    assert floor(data, out).n_made
+    assert_same_tables(out, folder / "floor")
+    made = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
+    assert floor(data, out).n_made == 0
+    assert {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()} == made
+    write_bin(data / "real" / "001.bin", street(seed=77))
+    assert floor(data, out).n_made == first.n_made
+    now = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
+    assert {name for name in now if now[name] != made[name]} == {"001.parquet"}
+
+
+def test_neither_the_simulated_side_nor_the_workers_matter(folder, tmp_path):
+    data = write_dataset(tmp_path / "streets", 3)
+    (data / "sim" / "000.bin").write_bytes(b"")
+    settings = load(assignments=["input.sim_flip_y=true"])
+    request = FloorRequest(data, tmp_path / "floor", settings, machines=Machines(workers=2))
+    assert not run_floor(request, Reporter(Console(quiet=True))).failures
+    assert_same_tables(tmp_path / "floor", folder / "floor")
+
+
+def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
+    scan = street()
+    write_bin(tmp_path / "data" / "a.bin", scan)
+    write_bin(tmp_path / "data" / "b.bin", drifted(scan))
+    np.repeat(np.array([4, 7], dtype="<u4"), [len(scan) - 100, 100]).tofile(tmp_path / "data" / "a.label")
+    (tmp_path / "data" / "labels.toml").write_text('4 = "road"\n7 = "pole"\n')
+    T = " ".join(map(str, rigid(30, [1, 2, 0]).ravel()))
+    (tmp_path / "data" / "pairs.csv").write_text(f"pair_id,real,sim,timestamp_s,T_real_sim\nx y,a.bin,b.bin,5.5,{T}\n")
+    made = floor(tmp_path / "data", tmp_path / "floor", settings=REFERENCE)
+    assert made.rows[0]["match_rate"] == 1
+    assert made.record.frames == {}
+    (pair,) = read_dataset(tmp_path / "floor" / "dataset").pairs
+    again = read_scan(pair.sim)
+    assert (pair.pair_id, pair.timestamp_s, pair.T_real_sim) == ("x y", 5.5, None)
+    np.testing.assert_array_equal(np.unique(again.labels), ["pole", "road"])
+    assert (again.labels == "pole").sum() < 100
+
+
+def test_a_scan_that_cannot_be_read_fails_alone(tmp_path):
+    data = write_dataset(tmp_path / "streets", 2)
+    (data / "real" / "001.bin").write_bytes(b"123")
+    text = Console(record=True, width=500, file=StringIO())
+    made = floor(data, tmp_path / "floor", Reporter(text))
+    assert text.export_text().count("pair 001") == 1
+    assert [row["status"] for row in made.rows] == ["scored", "failed"]
+    assert "real/001.bin" in made.failures["001"]
+
+
+def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
+    data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "floor"
+    n_made = floor(data, out).n_made
+    with pytest.raises(RunError, match=r"range noise 0.03 m, .*; asked for: range noise 0.1 m, .*; add --replace"):
+        floor(data, out, noise_m=0.1)
+    with pytest.raises(RunError, match="is finished, and .* would be replaced"):
+        floor(data, out, settings=load(assignments=["graph.k=20"]))
+    with pytest.raises(RunError, match=r"holds the floor of .*streets, not of .*streets"):
+        floor(folder / "streets", out)
+    with pytest.raises(RunError, match=r"run .*run: holds a run of .*streets, no floor; give another --out"):
+        floor(folder / "streets", folder / "run")
+    assert floor(data, out, noise_m=0.1, replace=True).n_made == n_made - 3  # all but those of the real side
+
+
+def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
+    """The same street seen from three places: with its pose each scan is the next one's, to rounding."""
+    world, rows = street(), []
+    for i in range(3):
+        T = rigid(4 * i, [0.5 * i, 0.1, 0.0])
+        inverse = np.column_stack([T[:, :3].T, -T[:, :3].T @ T[:, 3]])
+        write_bin(tmp_path / "drive" / f"{i}.bin", moved(world, inverse))
+        rows.append(f"{i},{i}.bin,,{10 - i},{' '.join(map(str, T.ravel()))}")
+    manifest = tmp_path / "drive" / "pairs.csv"
+    manifest.write_text("pair_id,real,sim,timestamp_s,T_world_sensor\n" + "\n".join(rows) + "\n")
+    made = floor(tmp_path / "drive", tmp_path / "floor", settings=REFERENCE, neighbours=True)
+    assert made.record.frames == {}
+    assert min(row["covered_real_0p3m"] for row in made.rows) > 0.95  # what is too near one sensor is not to the other
+    pairs = {pair.pair_id: pair for pair in read_dataset(tmp_path / "floor" / "dataset").pairs}
+    places = {name: np.reshape(pair.T_real_sim, (3, 4)) for name, pair in pairs.items()}
+    for name, pair in pairs.items():
+        in_place = moved(read_scan(pair.sim).points, places[name])
+        assert cKDTree(in_place).query(read_scan(pair.real).points)[0].max() < 1e-4
+    turned = {name: np.degrees(np.arctan2(T[1, 0], T[0, 0])) for name, T in places.items()}
+    assert turned == pytest.approx({"2": -4, "1": -4, "0": 4})  # 2 is the first in time, 0 the last
+    manifest.write_text("pair_id,real,sim\n0,0.bin,\n1,1.bin,\n")
+    with pytest.raises(DatasetError, match="pair 0 has no pose; --neighbours wants the column T_world_sensor"):
+        floor(tmp_path / "drive", tmp_path / "other", neighbours=True)
+
+
+def test_excess_is_paired_by_name_and_areas_are_over_objects(folder):
+    found = excess_over(FinishedRun(folder / "run"), folder / "floor")
+    run_pairs, floor_pairs = (pd.read_parquet(folder / name / "pairs.parquet") for name in ("run", "floor"))
+    floor_pairs = floor_pairs.set_index("pair_id").loc[::-1]
+    for column in ("match_rate", "r_lambda_mean", "covered_real_0p3m"):
+        over = (run_pairs.set_index("pair_id")[column] - floor_pairs[column]).sort_index()
+        own = found.scores[column]
+        assert own.of_pairs == pytest.approx(over.to_dict())
+        assert (own.excess, own.std) == pytest.approx((over.mean(), over.std()))
+        assert own.mean - own.floor == pytest.approx(own.excess)
+    own = found.scores["cdc_mean"]
+    values, floor_values = (pd.read_parquet(folder / name / "metrics").cdc.to_numpy() for name in ("run", "floor"))
+    assert own.bias == pytest.approx(values.mean() - floor_values.mean())
+    assert own.area == pytest.approx(wasserstein_distance(values - own.bias, floor_values))
+    assert (own.of, own.n, own.n_floor) == ("objects", len(values), len(floor_values))
+
+
+def test_a_floor_is_a_run_as_any_other_and_has_no_excess_over_itself(folder):
+    assert set(run_status(folder / "floor").stages["metrics"]) == {"done"}
+    own = excess_over(FinishedRun(folder / "floor"), folder / "floor")
+    assert {score.excess for score in own.scores.values()} == {0}
+    shown("gate", folder / "floor", "--max", "pairs.changed=0", "--out", folder / "gate")
+
+
+def test_a_wrong_floor_is_refused_and_both_are_named(folder, tmp_path):
+    finished = FinishedRun(folder / "run")
+    with pytest.raises(RunError, match=r"floor .*run: is no floor .* fidpipe floor "):
+        excess_over(finished, folder / "run")
+    floor(folder / "streets", tmp_path / "settings", settings=load(assignments=["graph.k=20"]))
+    with pytest.raises(RunError, match=r"run .*run and floor .*settings: settings differ \(graph.k is 90 and 20\)"):
+        excess_over(finished, tmp_path / "settings")
+    floor(write_dataset(tmp_path / "streets", 3, n=160), tmp_path / "scans")
+    with pytest.raises(RunError, match=r"run .*run and floor .*scans: the real scans of 3 pairs differ \(000 ...\)"):
+        excess_over(finished, tmp_path / "scans")
+
+
+def test_pairs_without_a_floor_are_left_out_and_named(folder, tmp_path):
+    floor(folder / "streets", tmp_path / "part", pattern="00[12]")
+    found = excess_over(FinishedRun(folder / "run"), tmp_path / "part")
+    assert (found.pairs, found.left_out) == (("001", "002"), ("000",))
+    assert "1 pairs are not in the floor" in shown("show", folder / "run", "--floor", tmp_path / "part")
+
+
+def test_people_and_programs_see_the_same_excess(folder, tmp_path):
+    own = excess_over(FinishedRun(folder / "run"), folder / "floor").scores["cdc_mean"]
+    words = ("show", folder / "run", "--floor", folder / "floor")
+    assert f"{own.excess:+.3f}" in shown(*words)
+    assert json.loads(shown(*words, "--json"))["excess"]["scores"]["cdc_mean"]["excess"] == own.excess
+    pair = ("show", folder / "run", "001", "--floor", folder / "floor")
+    assert f"{own.of_pairs['001']:+.3f}" in shown(*pair)
+    assert json.loads(shown(*pair, "--json"))["excess"]["pairs"] == ["001"]
+    page = write_report(folder / "run", out=tmp_path, floor=folder / "floor").page.read_text()
+    assert "Over the floor" in page
+    assert f"<td>{own.excess:+.3f}</td>" in page
+    assert "Over the floor" not in write_report(folder / "run", out=tmp_path).page.read_text()
+    shown("show", folder / "run", "001", "0", "--floor", folder / "floor", code=2)
+
+
+def test_a_gate_judges_excess_and_wants_a_floor_for_it(folder, tmp_path):
+    own = excess_over(FinishedRun(folder / "run"), folder / "floor").scores
+    words = ("gate", folder / "run", "--out", tmp_path)
+    with_floor = (*words, "--floor", folder / "floor")
+    limits = {
+        "excess.cdc.mean": own["cdc_mean"].excess,
+        "excess.r_lambda.max": max(own["r_lambda_mean"].of_pairs.values()),
+        "excess.cdc.area": own["cdc_mean"].area,
+        "excess.covered.real.0.3m.mean": own["covered_real_0p3m"].excess,
+    }
+    for measure, value in limits.items():
+        shown(*with_floor, "--max", f"{measure}={value + 1e-9!r}")
+        shown(*with_floor, "--max", f"{measure}={value - 1e-9!r}", code=4)
+    refused = command(*words, "--max", "excess.cdc.mean=1")
+    assert refused.returncode == 1
+    assert "'excess.cdc.mean': no floor is given; --floor RUN is wanted" in " ".join(refused.stderr.split())
+
+
+def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, tmp_path):
+    data = write_dataset(tmp_path / "streets", 3)
+    for i in range(3):  # the other simulator loses two points more
+        points = read_scan(data / "sim" / f"{i:03}.bin").points
+        write_bin(data / "sim" / f"{i:03}.bin", points[:-2])
+    run(data, tmp_path / "other")
+    (found,) = compare_runs([folder / "run", tmp_path / "other"], floor=folder / "floor")
+    scores = {score.name: score for score in found.scores}
+    floor_mean = pd.read_parquet(folder / "floor" / "pairs.parquet").covered_real_0p3m.mean()
+    covered = scores["real covered, 0.3 m"]
+    assert covered.floor == pytest.approx(1 - floor_mean)
+    below = [score.name for score in found.scores if score.beyond_floor is False and score.direction]
+    assert below
+    (line,) = [line for line in remarks(found) if line.startswith("no more than the floor")]
+    assert all(name in line for name in below)
+    assert scores["CDC (objects in both)"].floor is None
+    assert replace(covered, floor=2.0).beyond_floor is False
+    page = tmp_path / "page.html"
+    words = ("compare", folder / "run", tmp_path / "other", "--floor", folder / "floor")
+    text = shown(*words, "--html", page)
+    assert "Over the floor" in text
+    assert "Over the floor" in page.read_text()
+    assert len(json.loads(shown(*words, "--json"))[0]["excess"]) == 2
+
+
+def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
+    words = ("floor", folder / "streets", "--preset", "reference", "--workers", 1, "--pairs", "000")
+    text = shown(*words, "--noise-m", 0, "--dropout", 0, "--out", tmp_path / "floor")
+    assert "preset reference" in text
+    assert pd.read_parquet(tmp_path / "floor" / "pairs.parquet").cdc_mean.tolist() == [0]
+    shown(*words, "--neighbours", "--noise-m", 0.1, "--out", tmp_path / "other", code=2)
+    help_text = " ".join(shown("floor", "--help").split())
+    for option, default in (("--noise-m", FloorRequest.noise_m), ("--dropout", FloorRequest.lost_share)):
+        assert f"[default: ({default:g})]" in help_text.partition(option)[2]
