@@ -16,7 +16,6 @@ import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
-from ....schemas.settings import parse
 from ....stages.arrays import IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ...datasets.frame_checks import frames_summary
@@ -104,7 +103,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     n_pairs = len(results.pairs) + len(results.failures)
     return {
         "title": results.run.folder.resolve().name,
-        "preset": preset_line(parse(record.settings)),
+        "preset": preset_line(record),
         "verdict": verdict_of(results),
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],

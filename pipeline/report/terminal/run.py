@@ -33,7 +33,7 @@ from ....schemas.results import (
     SurfaceStates,
     Unmatched,
 )
-from ....schemas.settings import PRESET_OBJECTS, Settings, departures, parse, preset_of
+from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNDECIDED
 from ....stages.statistics.comparison import BLOCK_S
@@ -58,7 +58,6 @@ def outcome_view(outcome: RunOutcome) -> RenderableType:
     return Group(
         _scores_view(folder, outcome.rows, record),
         *_failures_parts(folder, outcome.rows, outcome.told_failures),
-        Text(preset_line(parse(record.settings))),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
         Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
         *([Text(f"to look at them: fidpipe report {folder}")] if record.pairs.scored else ()),
@@ -75,7 +74,7 @@ def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> Render
 
 def _scores_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
     """The pairs of a run, and what they say together."""
-    parts: list[RenderableType] = []
+    parts: list[RenderableType] = [Text(preset_line(record))]
     if record.findings:
         parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
         headings, *sides = coverage_rows(record)
@@ -270,10 +269,10 @@ def unmatched_lines(record: RunRecord) -> list[str]:
     return lines
 
 
-def preset_line(settings: Settings) -> str:
+def preset_line(record: RunRecord) -> str:
     """The preset of a run, what its objects are, and the settings in which it departs from it."""
-    preset, differing = preset_of(settings), departures(settings)
-    return f"preset {preset} ({PRESET_OBJECTS[preset]})" + (f", but {' '.join(differing)}" if differing else "")
+    differing = f", but {' '.join(record.departures)}" if record.departures else ""
+    return f"preset {record.preset} ({PRESET_OBJECTS[record.preset]}){differing}"
 
 
 def _findings_parts(findings: Findings) -> list[RenderableType]:
