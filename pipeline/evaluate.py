@@ -34,7 +34,7 @@ class PairResult:
 
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, edges, communities, objects : by side, "real" and "sim"
-    matching, selection, metrics : of the pair
+    matching, coverage, surface, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
@@ -45,6 +45,8 @@ class PairResult:
     communities: dict[str, pd.DataFrame]
     objects: dict[str, pd.DataFrame]
     matching: pd.DataFrame
+    coverage: pd.DataFrame
+    surface: pd.DataFrame
     selection: pd.DataFrame
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
@@ -112,6 +114,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
         communities=by_side("communities"),
         objects=by_side("objects"),
         matching=frame("matching"),
+        coverage=frame("coverage"),
+        surface=frame("surface"),
         selection=frame("selection"),
         metrics=frame("metrics"),
         baselines=frame("baselines") if settings.metrics.baselines else None,

@@ -275,7 +275,7 @@ class _Run:
             by_reference=preset_of(self._request.settings) == "reference",
         )
         extras = {
-            stage.name: stage.summarise(list(self._records(pair_ids, [stage.name])), self._request.settings)
+            stage.name: stage.summarise(list(self._records(scored_ids, [stage.name])), self._request.settings)
             for stage in self._stages
             if stage.summarise
         }

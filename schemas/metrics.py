@@ -367,7 +367,19 @@ BASELINES = (
         method="dcd",
     ),
     Metric(
-        "emd_mean_m", "emd_mean_m", "earth mover's distance of the kept nodes, mean per node", unit="m", method="emd"
+        "emd_mean_m",
+        "emd_mean_m",
+        "exact earth mover's distance of all points of the object, every point of a side weighs the same",
+        unit="m",
+        source="Rubner et al., The earth mover's distance, IJCV 2000",
+        method="emd",
+    ),
+    Metric(
+        "emd_kept_mean_m",
+        "emd_kept_mean_m",
+        "exact earth mover's distance of the kept nodes alone, as many on either side, mean per node",
+        unit="m",
+        method="emd",
     ),
     Metric(
         "emd_centred_mean_m",

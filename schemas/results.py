@@ -360,6 +360,7 @@ class FrameSuspect(Result):
 class RunHeader(Result):
     """What `run.json` holds from the start of a run: what it is made from and with.
 
+    preset : whose objects they are, and in `departures` the settings that differ from its own
     settings : by group and name, as they are in force
     stages : version of each stage's code
     libraries : version of each library, null where it is not installed
@@ -368,6 +369,8 @@ class RunHeader(Result):
     fidpipe: str
     written: str
     dataset: str
+    preset: str
+    departures: tuple[str, ...]
     settings: dict[str, JsonObject]
     seed: int
     stages: dict[str, int]
@@ -397,6 +400,12 @@ class UnmatchedSurface(Result):
     hallucinated: SurfaceStates
 
 
+class MetricsSummary(Result):
+    """What the stage metrics says of all pairs."""
+
+    unmatched: UnmatchedSurface
+
+
 class RunRecord(RunHeader):
     """What `run.json` holds at the end of a run.
 
@@ -406,7 +415,7 @@ class RunRecord(RunHeader):
     findings : None ({} in JSON) where no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
-    coverage : of the unmatched objects, whose surface is on the other side
+    metrics : what is behind the unmatched objects
     baselines, seeds : only where they were asked for
     """
 
@@ -423,7 +432,7 @@ class RunRecord(RunHeader):
     ]
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
-    coverage: UnmatchedSurface
+    metrics: MetricsSummary
     frames: dict[str, FrameSuspect] | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None

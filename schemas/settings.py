@@ -133,10 +133,14 @@ class CommunitySettings(_Group):
         description="objects of the real side: communities, connected pieces of one label, or the input's instances",
     )
     reach_m: Annotated[
-        float, Field(gt=0, description="a simulated point this near to a real one belongs to its object (reference)")
+        float,
+        Field(
+            gt=0,
+            description="this near to a real point a simulated one is of its object; longest edge in a labelled piece",
+        ),
     ] = 1.0
     min_points: Annotated[
-        int, Field(ge=1, description="points that a simulated object has at least to count (reference)")
+        int, Field(ge=1, description="points that a simulated object, or a piece of one label, has at least to count")
     ] = 8
 
     @model_validator(mode="after")
@@ -177,6 +181,9 @@ class MetricsSettings(_Group):
     dcd_alpha: Annotated[
         float, Field(gt=0, description="DCD: weight of the squared distance, objects of unit size")
     ] = 1000.0
+    emd_max_points: Annotated[
+        int, Field(ge=2, description="EMD of all points: larger objects are left out, one may take over a minute")
+    ] = 8000
     projections: Annotated[int, Field(ge=1, le=10_000, description="sliced Wasserstein: random directions")] = 200
     histogram_points: Annotated[
         int, Field(ge=2, le=10_000, description="histogram: points sampled per side, all pairs of which are measured")
@@ -291,15 +298,16 @@ def departures(settings: Settings) -> list[str]:
     ]
 
 
-def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: str = "paper") -> Settings:
+def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: str | None = None) -> Settings:
     """Settings from a preset, then a TOML file, then words such as `graph.k=60`.
 
     Raises
     ------
     SettingsError
-        The preset or a name is unknown, the file cannot be read, a word has no `=`, or a value is out of bounds.
+        The preset or a name is unknown, the file cannot be read or has other objects than the preset that is asked for,
+        a word has no `=`, or a value is out of bounds.
     """
-    if preset not in PRESETS:
+    if preset is not None and preset not in PRESETS:
         raise SettingsError(f"preset {preset!r}: no such preset; known are {', '.join(PRESETS)}")
     values: dict[str, Any] = {}
     if path is not None:
@@ -309,9 +317,14 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
             raise SettingsError(f"settings file {path}: cannot be read ({error})") from error
         except tomllib.TOMLDecodeError as error:
             raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
-    for group, own in PRESETS[preset].items():
+    for group, own in PRESETS[preset or "paper"].items():
         given = values.get(group, {})
         values[group] = own | given if isinstance(given, dict) else given
+    if path is not None and preset is not None and preset_of(parse(values)) != preset:
+        raise SettingsError(
+            f"settings file {path}: has communities.objects = {values['communities']['objects']!r}, not as the preset "
+            f"{preset} has it; leave out --preset, or that line of the file"
+        )
     for word in assignments:
         name, equals, text = word.partition("=")
         parts = name.strip().split(".")

@@ -7,7 +7,7 @@ the scores of the pair, made of two parts that are also used alone: `partition` 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,8 @@ from .reference import (
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
 from .surface import compare_roughness, describe_surface, measure_offsets
+
+_COUNTS = ("n_matched", "n_missing", "n_hallucinated")
 
 
 def evaluate(
@@ -105,16 +107,28 @@ def partition(
         if own.objects == "independent":
             labels = find_communities(len(points), edges, own).labels
         elif reference is None:
-            labels = find_reference_objects(points, edges, own, annotation).labels
+            labels = find_reference_objects(points, edges, own, annotation)
         else:
-            labels = assign_to_reference(points, edges, reference, own).labels
+            labels = assign_to_reference(points, edges, reference, own)
     with watch("describe"):
-        if own.objects == "independent":
-            objects = describe_objects(points, labels)
-        else:  # in an order of its own, so that no sum depends on the order of rows
-            order = visiting_order(points, own.seed)
-            objects = describe_objects(points[order], labels[order], 0 if reference is None else reference.n_objects)
+        objects = describe(points, labels, settings, 0 if reference is None else reference.n_objects)
     return PartitionedScan(points, edges, labels, objects)
+
+
+def describe(points: FloatArray, labels: IntArray, settings: Settings, n_ids: int = 0) -> Objects:
+    """What the objects of a side look like; reference objects to the last bit alike in whatever order the rows are.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    labels : (n,) int32, object of each
+    settings : of the communities
+    n_ids : of reference objects, how many ids there are at least
+    """
+    if settings.communities.objects == "independent":
+        return describe_objects(points, labels)
+    order = visiting_order(points, seed=0)
+    return describe_objects(points[order], labels[order], n_ids)
 
 
 def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, memo: Memo | None = None) -> PairScores:
@@ -189,6 +203,12 @@ def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredO
     """
     selection = select_nodes(real, sim, settings)
     return ScoredObject(selection, score_object(real, sim, selection))
+
+
+def n_communities(summary: Mapping[str, Number]) -> dict[str, int]:
+    """How many objects each side has, by column of `pairs`; the few points of a missing object are none."""
+    n_matched, n_missing, n_hallucinated = (int(summary[name] or 0) for name in _COUNTS)
+    return {"n_communities_real": n_matched + n_missing, "n_communities_sim": n_matched + n_hallucinated}
 
 
 def graph_of(points: FloatArray, settings: Settings) -> Subgraph:

@@ -25,11 +25,6 @@ class Objects:
     shape: FloatArray
 
     @property
-    def n_objects(self) -> int:
-        """How many communities have points."""
-        return int(np.count_nonzero(self.n_points))
-
-    @property
     def range_m(self) -> FloatArray:
         """Distance of the centroid from the sensor, (c,) float64, metres."""
         range_m: FloatArray = np.linalg.norm(self.centroid, axis=1)

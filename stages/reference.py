@@ -18,9 +18,14 @@ from sklearn.utils import murmurhash3_32
 from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
-from .communities import Partition, canonical_ids, find_communities, modularity
+from .communities import canonical_ids, find_communities
 from .linalg.subgraph import Edges
 
+#: Where a scan has what the settings may ask for.
+_WHERE = {
+    "labels": "a column label, or a .label file beside the scan",
+    "instances": "a column instance, or the upper 16 bits of a .label file beside the scan",
+}
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 
 
@@ -55,12 +60,13 @@ class ReferenceObjects:
 
 def find_reference_objects(
     points: FloatArray, edges: Edges, settings: CommunitySettings, annotation: Annotation | None = None
-) -> Partition:
-    """The objects of the real side; which they are does not depend on the order of rows.
+) -> IntArray:
+    """The object of each point of the real side, (n,) int32; it does not depend on the order of rows.
 
-    louvain : communities, nodes visited in the order of `visiting_order`
+    louvain : communities, nodes visited in the order of `visiting_order` (python-louvain draws an order of its own)
     labels : connected pieces of one label; points are connected by edges of the graph that are at most reach_m long.
-        Points without a label are pieces too
+        Points without a label are pieces too. One of fewer than min_points points goes to the nearest larger piece of
+        its label, if there is one
     instances : points of one label and one instance; those without an instance fall into pieces as above
 
     Ids are by size descending, of equal sizes by first point in visiting order.
@@ -69,47 +75,41 @@ def find_reference_objects(
     ----------
     points : (n, 3) float64, metres, at least one
     edges : of their graph
-    settings : reference, seed, backend, reach_m
+    settings : reference, seed, backend, reach_m, min_points
     annotation : of the same points; needed for labels and instances
 
     Raises
     ------
     StageError
-        The input has no labels or instances, and the settings ask for them.
+        The real side has no labels or instances, and the settings ask for them.
     """
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
-        return find_communities(len(points), edges, settings, order=order)
-    labels = None if annotation is None else annotation.labels
-    instances = None if annotation is None else annotation.instances
-    if labels is None:
+        return find_communities(len(points), edges, settings, order=order).labels
+    annotation = annotation or Annotation()
+    wanted = getattr(annotation, settings.reference)
+    if wanted is None:
         raise StageError(
-            f'the real scan has no labels; communities.reference = "{settings.reference}" needs them: '
-            'a column label, or a .label file beside it, or reference = "louvain"'
+            f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
+            f"{_WHERE[settings.reference]}; or set communities.reference=louvain"
         )
-    _, classes = np.unique([str(label) for label in labels], return_inverse=True)
-    thing = np.zeros(len(points), dtype=np.int64)
-    if settings.reference == "instances":
-        if instances is None or not instances.any():
-            raise StageError(
-                'the real scan has no instances; communities.reference = "instances" needs them: a column instance, '
-                'or the upper 16 bits of a .label file, or reference = "labels"'
-            )
-        thing = instances.astype(np.int64)
-    codes = np.unique(np.column_stack([classes.ravel(), thing]), axis=0, return_inverse=True)[1].ravel()
-    pieces = _pieces(len(points), edges, codes, settings.reach_m)
-    found = canonical_ids(np.where(thing > 0, len(points) + codes, pieces), order)
-    return Partition(found, modularity(found, edges) if len(edges.src) else 0.0)
+    names = ["" if label is None else str(label) for label in ([] if annotation.labels is None else annotation.labels)]
+    classes = np.unique(names, return_inverse=True)[1].ravel() if names else np.zeros(len(points), dtype=np.intp)
+    things = annotation.instances if settings.reference == "instances" else None
+    things = np.zeros(len(points), dtype=np.int32) if things is None else things
+    codes = np.unique(np.column_stack([classes, things]), axis=0, return_inverse=True)[1].ravel()
+    pieces = _without_crumbs(points, _pieces(len(points), edges, codes, settings.reach_m), codes, settings.min_points)
+    return canonical_ids(np.where(things > 0, len(points) + codes, pieces), order)
 
 
 def assign_to_reference(
     points: FloatArray, edges: Edges, reference: ReferenceObjects, settings: CommunitySettings
-) -> Partition:
-    """The objects of the simulated side: real objects by their ids, and after them those that no real point is near.
+) -> IntArray:
+    """The object of each point of the simulated side: real ones by their ids, then those far from any.
 
-    A point belongs to the object of its nearest real point (of equally near ones the first) if that is at most reach_m
-    away. Those out of reach are divided by Louvain's method on the edges among them; groups of at least min_points
-    become objects of their own, the points of smaller ones go to the object of their nearest real point after all.
+    A point belongs to the object of its nearest real point (of equally near ones the first by x, y, z) if that is at
+    most reach_m away. Those out of reach are divided by Louvain's method on the edges among them; groups of at least
+    min_points become objects of their own, points of smaller ones go to the object of their nearest real point.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def assign_to_reference(
         groups = find_communities(len(outside), _edges_among(outside, len(points), edges), settings, order=order).labels
         is_object = (np.bincount(groups) >= settings.min_points)[groups]  # the largest groups have the first ids
         labels[outside[is_object]] = reference.n_objects + groups[is_object]
-    return Partition(labels, modularity(labels, edges) if len(edges.src) else 0.0)
+    return labels
 
 
 def visiting_order(points: FloatArray, seed: int) -> IntArray:
@@ -158,15 +158,31 @@ def _pieces(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -> In
     return pieces
 
 
+def _without_crumbs(points: FloatArray, pieces: IndexArray, codes: IndexArray, min_points: int) -> IndexArray:
+    """The pieces, (n,), those of fewer points joined to the nearest larger one of the same code, if there is one."""
+    joined = pieces.copy()
+    is_large = np.bincount(pieces)[pieces] >= min_points
+    for code in np.unique(codes[~is_large]):
+        large, small = (np.flatnonzero((codes == code) & chosen) for chosen in (is_large, ~is_large))
+        if len(large):
+            ids, of_small = np.unique(pieces[small], return_inverse=True)
+            nearest, distance_m = _nearest(points[large], points[small])
+            closest = np.lexsort((*points[small].T[::-1], distance_m, of_small))
+            place = np.searchsorted(of_small[closest], np.arange(len(ids)))
+            joined[small] = pieces[large[nearest[closest[place]]]][of_small]
+    return joined
+
+
 def _nearest(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Index and distance of the nearest reference point of each point, (n,), of equally near ones the smaller index."""
+    """Index and distance of each point's nearest reference point, (n,), of equally near ones the first by x, y, z."""
     tree = cKDTree(reference)
     distance_m, nearest = tree.query(points, k=min(2, len(reference)))
     if len(reference) == 1:
         return nearest, distance_m
     for i in np.flatnonzero(distance_m[:, 1] <= distance_m[:, 0] * (1 + _SLACK)):
-        ball = np.sort(tree.query_ball_point(points[i], distance_m[i, 0] * (1 + _SLACK)))
-        nearest[i, 0] = ball[np.argmin(((reference[ball] - points[i]) ** 2).sum(axis=1))]
+        ball = np.array(tree.query_ball_point(points[i], distance_m[i, 0] * (1 + _SLACK)))
+        squared = ((reference[ball] - points[i]) ** 2).sum(axis=1)
+        nearest[i, 0] = ball[np.lexsort((*reference[ball].T[::-1], squared))[0]]
     return nearest[:, 0], distance_m[:, 0]
 
 

@@ -16,7 +16,9 @@ def synth(
     ],
     pairs: Annotated[int, typer.Option("--pairs", min=1, help="How many streets; each gives one pair.")] = 50,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other streets.")] = 0,
-    sensor: Annotated[str, typer.Option("--sensor", help="Model of the sensor: vlp32c or hdl64.")] = "vlp32c",
+    sensor: Annotated[
+        str, typer.Option("--sensor", help="Model of the sensor: vlp32c, hdl64, os1-64 or carla.")
+    ] = "vlp32c",
     points: Annotated[
         int | None,
         typer.Option(
@@ -89,7 +91,7 @@ def twin(
     ] = None,
     others: Annotated[
         int, typer.Option("--others", min=2, help="Of so many other frames, the nearest, each model is made.")
-    ] = 10,
+    ] = 4,
     foliage: Annotated[
         str | None,
         typer.Option(
@@ -109,28 +111,30 @@ def twin(
     ] = 1,
     replace: Replace = False,
 ) -> None:
-    """Make a dataset: posed real scans, and of each the place scanned again in a model of the other scans.
+    """Make a dataset: posed real scans, and each place scanned again in a model of the other scans.
 
-    A simulator whose flaws are known: surfels of the other frames, ray casting, and the flaws that --flaw names:
-    foliage, holes, far-dropout, dropout, density, beams, blur, noise, ghosts, yaw, offset, mirrored. What they and
-    their amounts are: docs/twin.md. The recipe is written beside the scans, to twin.toml. The same recipe gives the
-    same bytes. Interrupted, it goes on where it stopped.
+    A simulator whose flaws are known: surfels of the other frames, ray casting, and
+    what --flaw names: foliage, holes, far-dropout, dropout, density, beams, blur,
+    noise, ghosts, yaw, offset, mirrored (amounts: docs/twin.md). twin.toml beside
+    the scans is the recipe; the same recipe gives the same bytes. Interrupted, it
+    goes on where it stopped.
 
     For example:
 
-    fidpipe twin drive/ twins/                                  poses in drive/poses.tum; then: fidpipe run twins/
+    fidpipe twin drive/ twins/            poses are in drive/poses.tum
 
-    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12:1.5 --flaw offset=0.2
+    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12:1.5 --flaw mirrored
 
-    fidpipe twin sequences/00 twins/ --poses poses/00.txt --sensor hdl64 --pairs '*0' --workers 8
+    fidpipe twin sequences/00 twins/ --sensor hdl64 --pairs '*0' --workers 8
     """
     from dataclasses import replace as with_values
 
     from ...schemas.settings import load
+    from ...stages.sensing.flaws import parse_flaws
     from ..datasets.sensors import read_sensor
     from ..datasets.sequences import read_recording
     from ..engine.progress import Reporter
-    from ..experiments.twin import TwinRequest, make_twins, parse_flaws
+    from ..experiments.twin import TwinRequest, make_twins
 
     model = read_sensor(sensor)
     request = TwinRequest(

@@ -44,7 +44,7 @@ def perturb(
         int, typer.Option("--global-repeats", min=0, help="The same for the whole scan; 0 leaves it out.")
     ] = 5,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other random numbers.")] = 0,
-    preset: Preset = "paper",
+    preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
@@ -118,7 +118,7 @@ def ablate(
         str | None, typer.Option("--t", metavar="0.5,1,2", help="Of selection.t. Default: 0.1,0.5,1,2,5.")
     ] = None,
     grid: Annotated[bool, typer.Option("--grid", help="All combinations instead of one setting at a time.")] = False,
-    preset: Preset = "paper",
+    preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,

@@ -15,10 +15,11 @@ Assignments = Annotated[
     typer.Option("--set", metavar="GROUP.NAME=VALUE", help="One setting, such as graph.k=60; repeatable."),
 ]
 Preset = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--preset",
         metavar="paper|reference",
+        show_default="paper",
         help="Settings that belong together: paper divides each side by itself; reference fixes the objects on the "
         "real side, for comparing simulators.",
     ),

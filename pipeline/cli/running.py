@@ -24,7 +24,7 @@ from .output import print_outcome, print_view
 
 def check(
     dataset: DatasetFolder,
-    preset: Preset = "paper",
+    preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
 ) -> None:
@@ -48,7 +48,7 @@ def run(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder of the run.", show_default="runs/NAME_OF_DATASET")
     ] = None,
-    preset: Preset = "paper",
+    preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,

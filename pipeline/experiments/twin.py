@@ -7,6 +7,7 @@ and the manifest comes last, so that what was interrupted goes on with the twins
 from __future__ import annotations
 
 import csv
+import gc
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +24,7 @@ from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
-from ...stages.sensing.flaws import FLAWS, lose_foliage
+from ...stages.sensing.flaws import FLAWS, ChosenFlaw, lose_foliage
 from ...stages.sensing.ray_casting import SensorModel, fire, need_ray_caster
 from ...stages.sensing.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
@@ -42,19 +43,6 @@ RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
 _LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
 _SECONDS = 12.0  # of a twin, roughly
 _FEWEST_OTHERS = 2
-
-
-@dataclass(frozen=True)
-class ChosenFlaw:
-    """A flaw that the twins are to have.
-
-    name : in `FLAWS`
-    at_m : its second number; None for the usual one, or where there is none
-    """
-
-    name: str
-    amount: float
-    at_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,7 +66,7 @@ class TwinRequest:
     recording: Recording
     sensor: SensorModel = RECORDED
     flaws: tuple[ChosenFlaw, ...] = ()
-    n_others: int = 10
+    n_others: int = 4
     foliage: tuple[str, ...] = ()
     pattern: str | None = None
     seed: int = 0
@@ -108,38 +96,6 @@ class _Task:
     foliage: tuple[str, ...]
     seed: int
     settings: InputSettings
-
-
-def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
-    """The flaws of words such as `dropout=0.3`, `holes=12:1.5` and `mirrored`, in the order of `FLAWS`.
-
-    Raises
-    ------
-    FidpipeError
-        A word is not of that form, a flaw is unknown or named twice, or an amount is out of bounds.
-    """
-    chosen: dict[str, ChosenFlaw] = {}
-    for word in words:
-        name, _, text = word.partition("=")
-        if name not in FLAWS:
-            near = get_close_matches(name.lower(), FLAWS, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(FLAWS)}"
-            raise FidpipeError(f"flaw {name!r}: no such flaw; {hint}")
-        if name in chosen:
-            raise FidpipeError(f"flaw {name}: named twice; once is wanted")
-        amount, colon, at_m = text.partition(":")
-        if not text and FLAWS[name].is_whole and FLAWS[name].high == 1:
-            amount = "1"
-        try:
-            flaw = ChosenFlaw(name, float(amount), float(at_m) if colon else None)
-        except ValueError:
-            second = f", and {FLAWS[name].at} after a colon" if FLAWS[name].at_m is not None else ""
-            raise FidpipeError(
-                f"flaw {word!r}: {name}=AMOUNT is wanted, a number ({FLAWS[name].amount}{second})"
-            ) from None
-        FLAWS[name].check(flaw.amount, flaw.at_m)
-        chosen[name] = flaw
-    return tuple(chosen[name] for name in FLAWS if name in chosen)
 
 
 def make_twins(request: TwinRequest, reporter: Reporter) -> TwinOutcome:
@@ -192,7 +148,7 @@ def _recipe(request: TwinRequest, frames: Sequence[Frame]) -> dict[str, Any]:
     """All that the files depend on; of two datasets with the same recipe all files are the same."""
     from ... import __version__
 
-    recording, sensor = request.recording, request.sensor
+    recording = request.recording
     inputs = [[frame.path.name, hash_file(frame.path), frame.T_world_sensor] for frame in recording.frames]
     return {
         "version": RECIPE_VERSION,
@@ -204,11 +160,11 @@ def _recipe(request: TwinRequest, frames: Sequence[Frame]) -> dict[str, Any]:
         "others": request.n_others,
         "foliage": list(request.foliage),
         "flaw": [_without_none(vars(flaw)) for flaw in request.flaws],
-        "sensor": vars(sensor),
+        "sensor": vars(request.sensor),
         "input": request.settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
         "frames": [frame.name for frame in frames],
-        "files": sorted({path.name for task in _tasks(request, frames) for path in _files(task)}),
+        "files": sorted({name for frame in frames for name in _names(frame)}),
     }
 
 
@@ -239,9 +195,8 @@ def _prepare(request: TwinRequest, frames: Sequence[Frame]) -> None:
                 f"dataset {out}: holds finished twins of another recipe ({changed}); give the name of another folder, "
                 "or --replace"
             )
-        for side in SIDES:
-            for name in earlier["files"]:
-                (out / side / name).unlink(missing_ok=True)
+        for path in (out / LABEL_NAMES, *(out / side / Path(name).name for side in SIDES for name in earlier["files"])):
+            path.unlink(missing_ok=True)
     (out / MANIFEST).unlink(missing_ok=True)
     write_whole(out / RECIPE, wanted.encode())
     names = request.recording.label_names
@@ -282,9 +237,15 @@ def _tasks(request: TwinRequest, frames: Sequence[Frame]) -> Iterator[_Task]:
         )
 
 
+def _names(frame: Frame) -> tuple[str, str, str]:
+    """Names of the files of a pair: the real scan, the simulated one, the labels of the former."""
+    return frame.path.name, f"{stem_of(frame.path)}.bin", label_path_of(frame.path, stem_of(frame.path)).name
+
+
 def _files(task: _Task) -> tuple[Path, Path]:
     """The scans of a pair."""
-    return task.out / "real" / task.frame.path.name, task.out / "sim" / f"{stem_of(task.frame.path)}.bin"
+    real, sim, _ = _names(task.frame)
+    return task.out / "real" / real, task.out / "sim" / sim
 
 
 def _is_made(task: _Task) -> bool:
@@ -298,7 +259,8 @@ def _manifest(frames: Sequence[Frame]) -> str:
     for frame in frames:
         time_s = "" if frame.timestamp_s is None else repr(frame.timestamp_s)
         motion = " ".join(map(repr, frame.T_world_sensor))
-        rows.writerow([frame.name, f"real/{frame.path.name}", f"sim/{stem_of(frame.path)}.bin", time_s, motion])
+        real, sim, _ = _names(frame)
+        rows.writerow([frame.name, f"real/{real}", f"sim/{sim}", time_s, motion])
     return text.getvalue()
 
 
@@ -322,10 +284,11 @@ def _plan(request: TwinRequest, task: _Task) -> PairPlan:
 def _make(context: Context) -> Made:
     (task,) = context.arguments
     real, sim = _files(task)
-    points = scan_again(task)
+    points = _scan_again(task)
+    gc.collect()  # a surface of trimesh refers to itself: 80 MB a frame would wait for the collector
     labels = label_path_of(task.frame.path, stem_of(task.frame.path))
     if labels.exists():
-        write_whole(label_path_of(real, stem_of(real)), labels.read_bytes())
+        write_whole(real.with_name(labels.name), labels.read_bytes())
     write_whole(real, task.frame.path.read_bytes())
     rows = np.zeros((len(points), 4), dtype="<f4")
     rows[:, :3] = points
@@ -333,7 +296,7 @@ def _make(context: Context) -> Made:
     return Made({})
 
 
-def scan_again(task: _Task) -> FloatArray:
+def _scan_again(task: _Task) -> FloatArray:
     """The twin of a scan, (n, 3) float64, metres, in its frame, with the flaws that are wanted.
 
     Raises
@@ -369,9 +332,7 @@ def scan_again(task: _Task) -> FloatArray:
         for flaw in task.flaws:
             rng = _rng(task, flaw.name if FLAWS[flaw.name].is_systematic else f"{task.frame.name}/{flaw.name}")
             if flaw.name == "foliage" and task.foliage:
-                points = lose_foliage(
-                    points, flaw.amount, rng, rescan.is_foliage
-                )  # the first flaw: rows are the scan's
+                points = lose_foliage(points, flaw.amount, rng, rescan.is_foliage)  # the first flaw: all rows are there
             else:
                 points = FLAWS[flaw.name](points, flaw.amount, rng, flaw.at_m)
     if not len(points):

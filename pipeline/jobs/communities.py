@@ -48,7 +48,7 @@ def make_communities(context: Context) -> Made:
     columns: dict[str, Any] = {name: _nulls_for_nan(values) for name, values in zip(_MEASURES, measures.T, strict=True)}
     columns |= {"community_id": np.arange(len(objects.n_points), dtype=np.int32), "n_points": objects.n_points}
     described = OBJECTS.build(both | columns | {"label": labels})
-    return Made({"communities": communities, "objects": described}, {"n_communities": objects.n_objects})
+    return Made({"communities": communities, "objects": described})
 
 
 def _real_objects(context: Context) -> ReferenceObjects:
@@ -67,7 +67,8 @@ def _is_reference(settings: Settings) -> bool:
 
 def louvain_libraries(settings: Settings) -> tuple[str, ...]:
     """What finds the communities under given settings."""
-    return _LIBRARIES[settings.communities.backend]
+    hashing = ("scikit-learn",) if _is_reference(settings) else ()
+    return (*_LIBRARIES[settings.communities.backend], *hashing)
 
 
 STAGE = Stage(

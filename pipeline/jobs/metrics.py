@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
+import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.metrics import OBJECT_METRICS
+from ...schemas.results import SURFACE_STATES
+from ...schemas.settings import Settings
 from ...schemas.tables import METRICS
 from ...stages.arrays import FloatArray
+from ...stages.coverage import surface_state
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
 from ..stage import ROW, Context, Facts, Grain, Made, Stage, Tables
+from ..storage.tables import JobRecord
 from .points import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_pair, matched_rows
 
 _CUT = ("peak_m", "threshold_m", "loss", "iterations", "removed_share", "tilt_deg")
+
+#: What an object is called that only this side has.
+_ALONE = {"real": "missing", "sim": "hallucinated"}
+_COVERED = ("side", "community_id", "covered_0p3m")
 
 
 def make_metrics(context: Context) -> Made:
@@ -37,10 +50,11 @@ def gather_metrics(context: Context, tables: Tables) -> Facts:
         ground = context.facts("ground", side)
         row |= {f"n_{side}_{name}": ground[f"n_{name}"] for name in ("raw", "clean", "points")}
         row |= {f"ground_{side}_{name}": ground[name] for name in _CUT}
-        row[f"n_communities_{side}"] = context.facts("objects", side)["n_communities"]
     ranges = {side: column(context.table("objects", side), "range_m") for side in SIDES}
     matching = context.table("matching")
     statuses = matching.column("status").to_pylist()
+    for side, alone in _ALONE.items():
+        row[f"n_communities_{side}"] = statuses.count("matched") + statuses.count(alone)
     ids = {side: matching.column(f"{side}_id").to_pylist() for side in SIDES}
 
     def range_of(side: str, status: str) -> FloatArray:
@@ -57,17 +71,41 @@ def gather_metrics(context: Context, tables: Tables) -> Facts:
             range_of("real", "missing"),
             range_of("sim", "hallucinated"),
         )
-        | context.facts("coverage")["pair"]
-        | context.facts("surface")
+        | context.facts("coverage")
+        | context.facts("surface"),
+        "unmatched": _unmatched_surface(context.table("coverage"), ids, statuses),
+    }
+
+
+def summarise_metrics(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
+    """Of the unmatched objects of all pairs, how many have their surface on the other side, wholly, partly, or not."""
+    total = {alone: dict.fromkeys(SURFACE_STATES, 0) for alone in _ALONE.values()}
+    for record in records:
+        for alone, counts in record.facts["unmatched"].items():
+            for state, count in counts.items():
+                total[alone][state] += count
+    return {"unmatched": total}
+
+
+def _unmatched_surface(coverage: pa.Table, ids: dict[str, list[Any]], statuses: list[str]) -> Facts:
+    """How many objects that only one side has are covered by the other side, by what they are called and by state."""
+    columns = (coverage.column(name).to_pylist() for name in _COVERED)
+    covered = {(side, community_id): share for side, community_id, share in zip(*columns, strict=True)}
+    return {
+        alone: dict(
+            Counter(surface_state(covered[side, i]) for i, own in zip(ids[side], statuses, strict=True) if own == alone)
+        )
+        for side, alone in _ALONE.items()
     }
 
 
 STAGE = Stage(
     name="metrics",
-    takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS, "coverage": (), "surface": ()},
+    takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS, "coverage": _COVERED, "surface": ()},
     gives=("metrics",),
     grain=Grain.OBJECT,
     version=1,
     make=make_metrics,
     gather=gather_metrics,
+    summarise=summarise_metrics,
 )

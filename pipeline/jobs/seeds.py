@@ -15,7 +15,7 @@ from ...schemas.columns import SIDES
 from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.settings import Settings
 from ...schemas.tables import SEEDS
-from ...stages.method import PartitionedScan, compare, partition
+from ...stages.method import PartitionedScan, compare, n_communities, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
 from ..stage import ROW, Context, Facts, Grain, Made, Stage
@@ -65,7 +65,7 @@ def _repeat(context: Context, seed: int) -> Facts:
             scans[side] = partition(points, settings, edges=edges, reference=real, annotation=annotation(context, side))
     with context.step("scores"):
         summary = compare(scans["real"], scans["sim"], settings).summary
-    return {f"n_communities_{side}": scans[side].objects.n_objects for side in SIDES} | summary
+    return n_communities(summary) | summary
 
 
 def _as_floats(scores: dict[str, list[Any]]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ...schemas.columns import SIDES, Row
+from ...schemas.settings import Settings
 from ...schemas.tables import SURFACE
 from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
 from ..stage import Context, Facts, Grain, Made, Stage
@@ -38,10 +39,15 @@ def _rows(offsets: Offsets) -> list[Row]:
     ]
 
 
+def _libraries(settings: Settings) -> tuple[str, ...]:
+    return ("scikit-learn",)
+
+
 STAGE = Stage(
     name="surface",
     takes={"ground": POINT_COLUMNS, "communities": ("community_id",)},
     gives=("surface",),
     grain=Grain.PAIR,
     make=make_surface,
+    libraries=_libraries,
 )

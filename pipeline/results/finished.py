@@ -21,7 +21,6 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
 from ...schemas.results import JsonObject, RunRecord
-from ...schemas.settings import parse, preset_of
 from ..jobs import STAGES
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, read_run
@@ -87,7 +86,7 @@ class FinishedRun:
     @property
     def preset(self) -> str:
         """The preset whose objects the run has; see `schemas.settings.PRESETS`."""
-        return preset_of(parse(self.record.settings))
+        return self.record.preset
 
     @property
     def scored(self) -> list[Row]:
@@ -182,13 +181,13 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     """What chance does to scores of the paper's partition, in one line; "" where the real side fixes the objects."""
     if all(run.preset == "reference" for run in runs):
         return ""
-    if all(run.record.seeds for run in runs):
-        moved = ", ".join(
-            f"{metric_of(name).label} by {max(_repeatability(run, name) for run in runs):.3g}" for name in _BY_CHANCE
-        )
-        chance = f"another Louvain seed alone moves {moved} (95 %)"
-    else:
-        chance = "how much of a difference that makes by chance is not known here (fidpipe run --seeds 5 tells)"
+    by_chance = {name: max(_repeatability(run, name) for run in runs) for name in _BY_CHANCE}
+    moved = ", ".join(f"{metric_of(name).label} by {m:.3g}" for name, m in by_chance.items() if math.isfinite(m))
+    chance = (
+        f"another Louvain seed alone moves {moved} (95 %)"
+        if moved
+        else ("how much of a difference that makes by chance is not known here (fidpipe run --seeds 5 tells)")
+    )
     return (
         f"objects are those of the paper's partition, each side divided by itself: {chance}; "
         "for comparing simulators: fidpipe run --preset reference"

@@ -17,7 +17,7 @@ from typing import Any
 from ...schemas.columns import Row
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.results import Findings, FrameSuspect, Machine, PairCounts, RunHeader, RunRecord, ScoreSummary, Seconds
-from ...schemas.settings import Settings
+from ...schemas.settings import Settings, departures, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
 from .tables import JobRecord
@@ -93,6 +93,8 @@ def run_header(dataset: Path, settings: Settings, stages: Mapping[str, int]) -> 
         fidpipe=_version("fidpipe"),
         written=datetime.now(UTC).isoformat(timespec="seconds"),
         dataset=str(dataset.resolve()),
+        preset=preset_of(settings),
+        departures=tuple(departures(settings)),
         settings=settings.model_dump(mode="json"),
         seed=settings.communities.seed,
         stages=dict(stages),

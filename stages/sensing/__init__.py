@@ -1,1 +1,1 @@
-"""Ray casting, and what it is tried on: made streets, their flawed twins, perturbed scans."""
+"""Ray casting, and what it is tried on: made streets and their flawed twins, recordings, perturbed scans, flaws."""

@@ -6,8 +6,9 @@ meets nothing behind it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 from numpy.random import Generator
@@ -84,6 +85,19 @@ class Flaw:
             raise FidpipeError(f"flaw {self.name}: a second number, {at_m:g}, is given; it has none")
         if at_m is not None and not 0 < at_m < np.inf:
             raise FidpipeError(f"flaw {self.name}: second number {at_m:g}; more than 0 is wanted ({self.at})")
+
+
+@dataclass(frozen=True)
+class ChosenFlaw:
+    """A flaw in an amount.
+
+    name : in `FLAWS`
+    at_m : its second number; None for the usual one, or where there is none
+    """
+
+    name: str
+    amount: float
+    at_m: float | None = None
 
 
 def is_foliage(points: FloatArray) -> BoolArray:
@@ -199,3 +213,40 @@ _KINDS = (
 #: Flaws by name, in the order in which several of them are applied to a scan: what is lost, what is distorted, what is
 #: invented, then what moves the whole.
 FLAWS: dict[str, Flaw] = {flaw.name: flaw for flaw in _KINDS}
+
+
+def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
+    """The flaws of words such as `dropout=0.3`, `holes=12:1.5` and `mirrored`, in the order of `FLAWS`.
+
+    Raises
+    ------
+    FidpipeError
+        A word is not of that form, a flaw is unknown or named twice, or an amount is out of bounds.
+
+    Examples
+    --------
+    >>> parse_flaws(["mirrored", "holes=12:1.5"])
+    (ChosenFlaw(name='holes', amount=12.0, at_m=1.5), ChosenFlaw(name='mirrored', amount=1.0, at_m=None))
+    """
+    chosen: dict[str, ChosenFlaw] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        if name not in FLAWS:
+            near = get_close_matches(name.lower(), FLAWS, 1)
+            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(FLAWS)}"
+            raise FidpipeError(f"flaw {name!r}: no such flaw; {hint}")
+        if name in chosen:
+            raise FidpipeError(f"flaw {name}: named twice; once is wanted")
+        amount, colon, at_m = text.partition(":")
+        if not text and FLAWS[name].is_whole and FLAWS[name].high == 1:
+            amount = "1"
+        try:
+            flaw = ChosenFlaw(name, float(amount), float(at_m) if colon else None)
+        except ValueError:
+            second = f", and {FLAWS[name].at} after a colon" if FLAWS[name].at_m is not None else ""
+            raise FidpipeError(
+                f"flaw {word!r}: {name}=AMOUNT is wanted, a number ({FLAWS[name].amount}{second})"
+            ) from None
+        FLAWS[name].check(flaw.amount, flaw.at_m)
+        chosen[name] = flaw
+    return tuple(chosen[name] for name in FLAWS if name in chosen)

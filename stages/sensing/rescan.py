@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
@@ -23,6 +24,7 @@ _RADIUS_NEIGHBOUR = 4
 _WIDEST = 2.0  # radius of a surfel, in voxels
 _LEAF = 0.5
 _AZIMUTH_CELL_DEG, _ELEVATION_CELL_DEG = 0.2, 0.4
+_DIRECTION_CELLS = (1800, 451)  # the last row is straight up
 
 #: A sensor of which no more is known than its recording; see `recorded_directions`.
 RECORDED = SensorModel(
@@ -156,9 +158,10 @@ class SurfelModel:
 def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
     """The beams of a sensor as its recording shows them, (n, 3) unit vectors.
 
-    Those of all returns of the scan, and of other scans of the same sensor those in directions in which this scan has
-    none: its beams that met nothing. A direction is a cell of 0.2 degrees of azimuth and 0.4 degrees of elevation; of
-    several returns of the other scans in a cell the first is taken.
+    Those of all returns of the scan, and of other scans of the same sensor those in directions about which this scan
+    has none: its beams that met nothing. Directions are cells of 0.2 degrees of azimuth and 0.4 degrees of elevation; a
+    cell is added if neither it nor one of its eight neighbours holds a return of the scan, with the first return that
+    the other scans have in it.
 
     Parameters
     ----------
@@ -170,19 +173,23 @@ def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
     >>> recorded_directions(ahead, left).tolist()
     [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
-    cells, first = np.unique(_direction_cells(others), return_index=True)
-    added = np.sort(first[~np.isin(cells, _direction_cells(own))])
+    is_seen = np.zeros(_DIRECTION_CELLS, dtype=np.bool_)
+    is_seen[_direction_cells(own)] = True
+    is_near = binary_dilation(np.pad(is_seen, ((1, 1), (0, 0)), mode="wrap"), np.ones((3, 3)))[1:-1]
+    columns, rows = _direction_cells(others)
+    _, first = np.unique(columns * _DIRECTION_CELLS[1] + rows, return_index=True)
+    added = np.sort(first[~is_near[columns[first], rows[first]]])
     returns = np.concatenate([own, others[added]])
     directions: FloatArray = returns / np.sqrt((returns**2).sum(axis=1))[:, None]
     return directions
 
 
-def _direction_cells(points: FloatArray) -> IndexArray:
+def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Column and row of the cell of each direction."""
     azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
     elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))) + 90.0
-    columns = np.floor(azimuth / _AZIMUTH_CELL_DEG).astype(np.intp)
-    cells: IndexArray = (columns << 16) | np.floor(elevation / _ELEVATION_CELL_DEG).astype(np.intp)
-    return cells
+    columns = np.floor(azimuth / _AZIMUTH_CELL_DEG).astype(np.intp) % _DIRECTION_CELLS[0]
+    return columns, np.floor(elevation / _ELEVATION_CELL_DEG).astype(np.intp)
 
 
 def _bands(points: FloatArray) -> IndexArray:

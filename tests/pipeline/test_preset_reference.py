@@ -12,7 +12,7 @@ from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, departures, load, preset_of
+from fidpipe.schemas.settings import Settings, departures, load, preset_of, to_toml
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from pools import WatchedPool
 from runs import assert_same_tables, changed_files, command, marks, run, tables
@@ -86,7 +86,8 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(finished):
     left = objects["sim"].n_points[missing]
     assert (left < np.minimum(8, objects["real"].n_points[missing])).all()
     assert (matching.sim_id[matching.status == "hallucinated"] >= n_real).all()
-    assert row["n_communities_sim"] == np.count_nonzero(objects["sim"].n_points)
+    assert row["n_communities_sim"] == row["n_matched"] + row["n_hallucinated"]
+    assert row["match_rate"] == row["n_matched"] / max(row["n_communities_real"], row["n_communities_sim"])
     empty = objects["sim"].n_points == 0
     assert objects["sim"].loc[empty, ["cx", "range_m", "linearity"]].isna().all(axis=None)
     facts = pair_facts(FinishedRun(out), "000")
@@ -117,7 +118,7 @@ def test_coverage_and_what_is_behind_the_unmatched_agree_with_the_points(finishe
         for status, side in (("missing", "real"), ("hallucinated", "sim")):
             ids = matching[f"{side}_id"][matching.status == status]
             states[status] += int((coverage.loc[side].covered_0p3m.reindex(ids) <= 0.2).sum())
-    assert {status: record["coverage"][status]["absent"] for status in states} == states
+    assert {status: record["metrics"]["unmatched"][status]["absent"] for status in states} == states
 
 
 def test_the_terminal_the_report_the_comparison_and_the_gate_take_it(dataset, finished, tmp_path):
@@ -147,8 +148,13 @@ def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
     assert perturbed.returncode == 0, perturbed.stderr
     rows = pd.read_parquet(tmp_path / "perturb" / "perturb_global")
     assert (rows.match_rate == 1).all()  # nothing is missing from a copy that has lost points
-    ablated = command("ablate", dataset, "--out", tmp_path / "ablate", "--pairs", "001", "--delta", "1,9", *words)
+    ablation = ("ablate", dataset, "--out", tmp_path / "ablate", "--pairs", "001", *words)
+    ablated = command(*ablation, "--k", "60,90", "--tau", "0.2", "--t", "1")
     assert ablated.returncode == 0, ablated.stderr
+    assert set(pd.read_parquet(tmp_path / "ablate" / "ablate").delta_m) == {5.0}
+    refused = command(*ablation, "--delta", "1,9")
+    assert refused.returncode == 1
+    assert "are not matched by distance" in refused.stderr
 
 
 def test_labels_of_the_input_are_the_objects(tmp_path):
@@ -171,8 +177,8 @@ def test_labels_of_the_input_are_the_objects(tmp_path):
 def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path):
     settings = load(None, ["communities.reference=instances"], preset="reference")
     (reason, *_) = run(dataset, tmp_path / "run", settings).failures.values()
-    assert "the real scan has no labels" in reason
-    assert 'reference = "louvain"' in reason
+    assert "the real scan has no instances" in reason
+    assert "communities.reference=louvain" in reason
 
 
 @pytest.mark.parametrize(
@@ -196,8 +202,12 @@ def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, na
         assert load(None, departures(settings), preset=named) == settings
 
 
-def test_a_preset_that_is_not_there_is_named():
+def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
     with pytest.raises(SettingsError, match="preset 'papr': no such preset; known are paper, reference"):
         load(None, preset="papr")
+    full = tmp_path / "settings.toml"
+    full.write_text(to_toml(load(None)))
+    with pytest.raises(SettingsError, match="communities.objects = 'independent', not as the preset reference"):
+        load(full, preset="reference")
     with pytest.raises(SettingsError, match='needs objects = "reference"'):
         load(None, ["communities.reference=labels"])

@@ -118,7 +118,7 @@ def test_a_second_run_makes_nothing(again, dataset):
 @pytest.mark.parametrize(
     ("word", "untouched"),
     [
-        ("matching.delta_m=3", ["ground", "graph", "communities", "objects", "surface"]),
+        ("matching.delta_m=3", ["ground", "graph", "communities", "objects", "coverage", "surface"]),
         ("selection.t=2", ["ground", "graph", "communities", "objects", "matching", "coverage", "surface"]),
         ("communities.seed=1", ["ground", "graph"]),
         ("graph.k=30", ["ground"]),

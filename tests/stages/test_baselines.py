@@ -6,7 +6,7 @@ from scipy.spatial.distance import pdist
 
 from fidpipe.schemas.metrics import BASELINE_NAMES
 from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
-from fidpipe.stages.baselines import BASELINES, compare_objects, compare_points
+from fidpipe.stages.baselines import BASELINES, compare_objects, compare_points, emd
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register
 from fidpipe.stages.graph import build_graph
@@ -94,6 +94,7 @@ def test_an_object_compared_with_itself_is_perfect_in_every_baseline(car):
         "f_score",
         "dcd",
         "emd_mean_m",
+        "emd_kept_mean_m",
         "emd_centred_mean_m",
         "sliced_wasserstein_m",
         "histogram",
@@ -109,7 +110,8 @@ def test_an_object_compared_with_itself_is_perfect_in_every_baseline(car):
 
 def test_a_shift_moves_the_distances_and_not_the_shapes(car):
     values = compare(car, car + [0, 0, 0.3])
-    assert values["emd_mean_m"].value == pytest.approx(0.3)
+    for name in ("emd_mean_m", "emd_kept_mean_m"):
+        assert values[name].value == pytest.approx(0.3), name
     for name in ("emd_centred_mean_m", "histogram", "icp_rmse_m", "netlsd", "r_h"):
         assert values[name].value == pytest.approx(0, abs=1e-5), name
     assert values["hausdorff_m"].value == pytest.approx(0.3, abs=0.15)
@@ -162,9 +164,33 @@ def test_two_point_sets_have_the_baselines_that_need_no_objects(car):
     assert len(names) == 10
 
 
-def test_nodes_of_the_alignment_are_what_the_earth_is_moved_between(car):
-    graphs = subgraph(car), subgraph(car + [1, 0, 0])
-    nodes = np.arange(50)
-    selection = Selection(nodes, nodes, np.ones(50), np.ones(50))
-    values = compare_objects(*graphs, selection, 1.0, MetricsSettings(baselines=("emd",)))
-    assert [baseline.value for baseline in values] == [pytest.approx(1), pytest.approx(0, abs=1e-12)]
+def earth_moved(real, sim, nodes, **settings):
+    every = np.arange(nodes)
+    selection = Selection(every, every, np.ones(nodes), np.ones(nodes))
+    wanted = MetricsSettings(baselines=("emd",), **settings)
+    return compare_objects(subgraph(real), subgraph(sim), selection, 1.0, wanted)
+
+
+def test_earth_is_moved_between_all_points_and_between_the_aligned_nodes_alone(car):
+    # the simulated side also has a tenth of its points 12 m above: these are no nodes of the alignment
+    above = car[:12] + [1, 0, 12]
+    exact, kept, centred = earth_moved(car, np.vstack([car + [1, 0, 0], above]), 50)
+    assert (kept.name, kept.value) == ("emd_kept_mean_m", pytest.approx(1))
+    assert (centred.name, centred.value) == ("emd_centred_mean_m", pytest.approx(0, abs=1e-12))
+    # the share that must rise 12 m, less the car's own height
+    assert exact.name == "emd_mean_m"
+    assert 12 / 132 * (12 - 1.5) < exact.value < 1 + 12 / 132 * (12 + 1.5)
+
+
+def test_objects_too_large_to_move_all_earth_are_null_with_their_size(car):
+    exact, kept, _ = earth_moved(car, car[:90], 50, emd_max_points=119)
+    assert (exact.value, exact.reason) == (None, "120 points, metrics.emd_max_points allows 119")
+    assert kept.value is not None
+    assert earth_moved(car, car[:90], 50, emd_max_points=120)[0].value > 0
+
+
+def test_a_transport_that_the_solver_could_not_finish_is_null_with_its_reason(car, monkeypatch):
+    monkeypatch.setattr(emd, "_MOST_PIVOTS", 5)
+    exact, kept, _ = earth_moved(car, car[:90] + [1, 0, 0], 50)
+    assert (exact.value, exact.reason) == (None, "the network simplex ended without the optimum")
+    assert kept.value == pytest.approx(1)

@@ -8,7 +8,7 @@ from fidpipe.stages.communities import find_communities
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, cover, nearest_distances
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.matching import match_reference
-from fidpipe.stages.method import compare, partition
+from fidpipe.stages.method import compare, n_communities, partition
 from fidpipe.stages.reference import (
     Annotation,
     ReferenceObjects,
@@ -38,7 +38,7 @@ def test_simulated_points_go_to_the_object_of_the_nearest_real_point(boxes, rng)
     real = partition(boxes, SETTINGS)
     sim = rng.permutation(np.vstack([boxes + 0.2, box([30, 0, 0], [1, 1, 1], 12, 4), [[40.0, 0, 0]], [[-9.0, 0, 0]]]))
     edges = build_graph(sim, SETTINGS.graph)
-    found = assign_to_reference(sim, edges, real.reference, SETTINGS.communities).labels
+    found = assign_to_reference(sim, edges, real.reference, SETTINGS.communities)
 
     def groups_of(outside):
         own = np.array(outside)
@@ -58,16 +58,17 @@ def test_simulated_points_go_to_the_object_of_the_nearest_real_point(boxes, rng)
     assert not new[stray].any()  # alone, so that it goes to the nearest real object after all
 
 
-def test_a_point_between_two_real_points_goes_to_the_first():
-    reference = ReferenceObjects(np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3, 0]]), np.array([1, 0, 0], dtype=np.int32))
-    sim = np.array([[0.5, 0, 0]])
-    assert assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities).labels[0] == 1
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
+def test_a_point_between_two_real_points_goes_to_the_first_by_place_whatever_its_row(order):
+    points, labels = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3, 0]]), np.array([1, 0, 0], dtype=np.int32)
+    reference, sim = ReferenceObjects(points[order], labels[order]), np.array([[0.5, 0, 0]])
+    assert assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities)[0] == 1
 
 
 def test_the_reach_is_inclusive():
     reference = ReferenceObjects(np.zeros((1, 3)), np.zeros(1, dtype=np.int32))
     sim = np.vstack([np.full((8, 3), [1.0, 0, 0]) * np.linspace(1, 1, 8)[:, None], box([50, 0, 0], [1, 1, 1], 8)])
-    labels = assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities).labels
+    labels = assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities)
     assert labels.tolist() == [0] * 8 + [1] * 8
 
 
@@ -132,7 +133,7 @@ def test_a_real_object_that_is_not_simulated_is_missing_and_has_no_place(boxes):
     result = compare(real, sim, SETTINGS)
     assert result.matching.missing.tolist() == np.flatnonzero(sim.objects.n_points == 0).tolist() != []
     assert np.isnan(sim.objects.centroid[result.matching.missing]).all()
-    assert sim.objects.n_objects == len(result.matching.real_ids)
+    assert n_communities(result.summary)["n_communities_sim"] == len(result.matching.real_ids)
 
 
 def test_labels_and_instances_of_the_input_are_the_objects():
@@ -147,17 +148,31 @@ def test_labels_and_instances_of_the_input_are_the_objects():
     by_label, by_instance = (
         find_reference_objects(
             points, edges, CommunitySettings(objects="reference", reference=kind), Annotation(labels, instances)
-        ).labels
+        )
         for kind in ("labels", "instances")
     )
     assert by_label.tolist() == [0] * 100 + [1] * 50 + [2] * 30  # the two cars that touch are one piece
     assert by_instance.tolist() == [0] * 60 + [2] * 40 + [1] * 50 + [3] * 30
 
 
+def test_crumbs_of_a_label_go_to_its_nearest_larger_piece():
+    points = np.vstack(
+        [box([0, 0, 0], [2, 2, 1], 40, 1), box([20, 0, 0], [2, 2, 1], 30, 2), [[13.0, 0, 0], [50, 0, 0]]]
+    )
+    labels = np.array(["tree"] * 71 + ["pole"], dtype=object)
+    settings = CommunitySettings(objects="reference", reference="labels")
+    edges = build_graph(points, GraphSettings())
+    found = find_reference_objects(points, edges, settings, Annotation(labels))
+    assert found.tolist() == [0] * 40 + [1] * 31 + [2]  # the lone pole has no larger piece of its label
+    only_things = Annotation(instances=np.repeat([0, 5], [40, 32]).astype(np.int32))
+    of_things = CommunitySettings(objects="reference", reference="instances")
+    assert find_reference_objects(points, edges, of_things, only_things).tolist() == [0] * 40 + [1] * 32
+
+
 @pytest.mark.parametrize(("kind", "wanted"), [("labels", "no labels"), ("instances", "no instances")])
 def test_annotation_that_is_not_there_is_named(boxes, kind, wanted):
     settings = CommunitySettings(objects="reference", reference=kind)
-    annotation = Annotation(np.array(["car"] * len(boxes), dtype=object)) if kind == "instances" else None
+    annotation = Annotation(labels=np.array(["car"] * len(boxes), dtype=object)) if kind == "instances" else None
     with pytest.raises(StageError, match=wanted):
         find_reference_objects(boxes, build_graph(boxes, GraphSettings()), settings, annotation)
 

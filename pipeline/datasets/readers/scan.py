@@ -15,7 +15,7 @@ from ....schemas.errors import ScanError
 from ....stages.arrays import FloatArray, IntArray
 
 _INTENSITY = ("intensity", "scalar_intensity")
-_LABEL = ("label", "scalar_label")
+_LABEL = ("label", "scalar_label", "objtag")  # the last is CARLA's
 _INSTANCE = ("instance", "scalar_instance", "objidx")  # the last is CARLA's
 
 
@@ -111,11 +111,12 @@ def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str])
             f"{len(scan.points)} points of {path.name})"
         )
     numbers = np.fromfile(label_path, dtype="<u4")
+    upper = (numbers >> 16).astype(np.int32)
     classes, class_ids = np.unique(numbers & 0xFFFF, return_inverse=True)
     return replace(
         scan,
         labels=np.array([names.get(int(number), str(number)) for number in classes])[class_ids],
-        instances=(numbers >> 16).astype(np.int32),
+        instances=scan.instances if scan.instances is not None and not upper.any() else upper,
     )
 
 
@@ -137,13 +138,15 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
 
 
 def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
+    """Numbers of things from 1; 0 for none, which files also write as a negative number or none at all."""
     numbers = _numbers(path, "instance", column)
-    if len(wrong := np.flatnonzero(~((numbers >= 0) & (numbers < 2**31) & (numbers == np.round(numbers))))):
-        raise ScanError(
-            f"{path}: row {wrong[0] + 1}, column instance: {numbers[wrong[0]]:g} found, a whole number from 0 to "
-            f"{2**31 - 1} wanted"
-        )
-    return numbers.astype(np.int32)
+    is_thing = numbers > 0  # not where it is NaN
+    things, ids = np.unique(numbers[is_thing], return_inverse=True)
+    if len(things) and (things[-1] >= 2**31 or np.any(things != np.round(things))):
+        things = np.arange(1.0, len(things) + 1)
+    instances = np.zeros(len(numbers), dtype=np.int32)
+    instances[is_thing] = things[ids].astype(np.int32)
+    return instances
 
 
 def _label_text(column: NDArray[Any]) -> NDArray[np.str_]:

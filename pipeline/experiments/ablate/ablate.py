@@ -8,7 +8,7 @@ The paper names its choice (k = 90, tau = 0.2, delta = 5) and no ranges; those h
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -90,6 +90,10 @@ def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
         The dataset, a setting or the folder is wrong; before any work.
     """
     base = parameters_of(request.settings)
+    if request.settings.communities.objects == "reference":
+        if set(request.values.get("delta_m", ())) - {base.delta_m}:
+            raise SettingsError("--delta: objects that the real side fixes are not matched by distance; leave it out")
+        request = replace(request, values={**request.values, "delta_m": ()})
     values = {
         name: _values(name, request.values.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ....schemas.experiment_tables import ABLATE
 from ....schemas.metrics import OBJECT_METRICS
 from ....schemas.settings import Settings
-from ....stages.method import Memo, compare, partition
+from ....stages.method import Memo, compare, n_communities, partition
 from ...jobs import seeds
 from ...jobs.points import ANNOTATED_COLUMNS, annotation, object_points
 from ...stage import Context, Grain, Made, Stage
@@ -34,7 +34,7 @@ def make_rows(context: Context) -> Made:
         summary = compare(real, sim, settings, memo=memo).summary
         rows.append(
             {"pair_id": context.pair_id, "k": k, "tau_m": tau_m, "delta_m": delta_m, "t": t}
-            | {"n_communities_real": real.objects.n_objects, "n_communities_sim": sim.objects.n_objects}
+            | n_communities(summary)
             | {name: summary[name] for name in _SUMMARY}
         )
     return Made({"ablate": ABLATE.from_rows(rows)})

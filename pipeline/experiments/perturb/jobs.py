@@ -14,9 +14,8 @@ from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray
 from ....stages.baselines import compare_objects
 from ....stages.ground import MIN_OBJECT_POINTS
-from ....stages.method import PartitionedScan, compare, graph_of, partition, score
+from ....stages.method import PartitionedScan, compare, describe, graph_of, n_communities, partition, score
 from ....stages.metrics import MIN_NODES
-from ....stages.objects import describe_objects
 from ....stages.selection import select_nodes
 from ....stages.sensing.perturbations import Perturbation, perturb
 from ...jobs import seeds
@@ -38,7 +37,7 @@ def make_global(context: Context) -> Made:
         row |= {
             "n_points": len(scan.points),
             "n_points_altered": len(altered),
-            "n_communities": scan.objects.n_objects,
+            "n_communities": len(scan.objects.n_points),
         }
         if len(altered) < MIN_OBJECT_POINTS:
             row["reason"] = f"{len(altered)} points are left, at least {MIN_OBJECT_POINTS} are needed"
@@ -47,7 +46,7 @@ def make_global(context: Context) -> Made:
             altered_scan = partition(altered, own, reference=scan.reference)
             summary = compare(scan, altered_scan, settings).summary  # the unaltered scan taken as the real side
             row |= {name: summary[name] for name in _SUMMARY}
-            row["n_communities_altered"] = altered_scan.objects.n_objects
+            row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
         rows.append(row)
     return Made({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
 
@@ -97,13 +96,14 @@ def _with_seed(settings: Settings, seed: int) -> Settings:
 
 def _unaltered_scan(context: Context) -> PartitionedScan:
     """The unaltered scan with its partition."""
+    settings = context.settings
 
     def read() -> PartitionedScan:
         _, points = object_points(context, "real")
         labels = column(context.table("communities", "real"), "community_id")
-        return PartitionedScan(points, graph_edges(context, "real"), labels, describe_objects(points, labels))
+        return PartitionedScan(points, graph_edges(context, "real"), labels, describe(points, labels, settings))
 
-    return context.once("unaltered scan", read)
+    return context.once(f"unaltered scan, {settings.communities.objects}", read)
 
 
 def _object_repeats(context: Context) -> tuple[FloatArray, Iterator[tuple[Row, FloatArray]]]:
@@ -141,7 +141,7 @@ BASELINE = replace(
     name="perturb_baselines",
     gives=("perturb_baselines",),
     settings=(*GLOBAL.settings, "metrics"),
-    version=1,
+    version=2,
     make=make_baselines,
     libraries=baseline_libraries,
 )

@@ -254,7 +254,7 @@ def unmatched_lines(record: RunRecord) -> list[str]:
     """What is behind the unmatched objects, a line for each side that has some."""
     lines = []
     for status, other in (("missing", "simulated"), ("hallucinated", "real")):
-        states: SurfaceStates = getattr(record.coverage, status)
+        states: SurfaceStates = getattr(record.metrics.unmatched, status)
         there, partly, absent = (count / max(1, record.pairs.scored) for count in vars(states).values())
         total, near = there + partly + absent, f"of their points have a {other} one within 0.3 m"
         if there or partly:

@@ -1,0 +1,339 @@
+"""`fidpipe twin`: twins of posed scans, made of the other scans alone, the same however they are made."""
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy.spatial import cKDTree
+
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.datasets.sequences import read_recording
+from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.experiments import twin
+from fidpipe.schemas.errors import DatasetError, FidpipeError
+from fidpipe.schemas.settings import InputSettings
+from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.sensing.flaws import FLAWS, parse_flaws
+from fidpipe.stages.sensing.ray_casting import SENSORS, SensorModel
+from fidpipe.stages.sensing.rescan import RECORDED
+from runs import command, run, tables
+from scenes import box, moved, rigid, write_bin
+
+DOCUMENTATION = Path(__file__).resolve().parents[2] / "docs" / "twin.md"
+N = 4
+NAMES = [f"{i:03}" for i in range(N)]
+SMALL = SensorModel("small", tuple(np.linspace(-25, 12, 30)), (0.0,) * 30, 1.5, 0.5, 100.0, 0.02, 0.0, 0.03, 60.0)
+ALONE = np.array([5.0, -4.0, -0.5])  # where a box stands in frame 2 and in no other
+
+
+def surface(seed, n=5000):
+    """A road, a wall and a box about a short drive; other points of them with each seed. The box is the last sixth."""
+    rng = np.random.default_rng(seed)
+    road = np.column_stack([rng.uniform(-7, 7, (n // 2, 2)), np.full(n // 2, -1.7)])
+    wall = np.column_stack([rng.uniform(-7, 7, n // 3), np.full(n // 3, 6.0), rng.uniform(-1.7, 1.3, n // 3)])
+    return np.vstack([road, wall, box([-5, -4, -0.7], [1.5, 2, 2], n // 6, seed)])
+
+
+def world_from_sensor(i):
+    return rigid(4.0 * i, [0.3 * i, 0.05 * i, 0.01 * i])
+
+
+def to_sensor(points, T):
+    return (points - T[:, 3]) @ T[:, :3]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """The folder of a recording of four scans, in a manifest."""
+    folder = tmp_path_factory.mktemp("drive")
+    rows = []
+    for i, name in enumerate(NAMES):
+        T = world_from_sensor(i)
+        points = surface(i)
+        labels = np.where(np.arange(len(points)) < len(points) - len(points) // 6, 1, 2)
+        if i == 2:
+            points, labels = np.vstack([points, box(ALONE, [1, 1, 1], 300)]), np.concatenate([labels, np.full(300, 1)])
+        write_bin(folder / f"{name}.bin", to_sensor(points, T))
+        labels.astype("<u4").tofile(folder / f"{name}.label")
+        rows.append(f"{name},{name}.bin,{0.1 * i},{' '.join(map(repr, T.ravel().tolist()))}")
+    (folder / "labels.toml").write_text('1 = "built"\n2 = "hedge"\n')
+    (folder / "pairs.csv").write_text("pair_id,real,timestamp_s,T_world_sensor\n" + "\n".join(rows) + "\n")
+    return folder
+
+
+def make(out, drive, *flaws, **options):
+    """Makes twins of the drive, with flaws in words."""
+    options = {"sensor": SMALL, **options}
+    request = twin.TwinRequest(out, read_recording(drive), flaws=parse_flaws(flaws), **options)
+    return twin.make_twins(request, Reporter(Console(quiet=True)))
+
+
+@pytest.fixture(scope="module")
+def twins(drive, tmp_path_factory):
+    out = tmp_path_factory.mktemp("twins") / "plain"
+    assert make(out, drive).failures == {}
+    return out
+
+
+def sim(folder, name):
+    return np.fromfile(folder / "sim" / f"{name}.bin", dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+
+
+def real(folder, name):
+    return np.fromfile(folder / "real" / f"{name}.bin", dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+
+
+def content(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def near(points, place, within_m=1.0):
+    return int((np.linalg.norm(points - place, axis=1) < within_m).sum())
+
+
+def test_a_twin_lies_on_the_surface_that_the_scan_shows(twins):
+    for name in NAMES:
+        ours, theirs = real(twins, name), sim(twins, name)
+        ours = ours[np.linalg.norm(ours, axis=1) > 2.5]
+        assert len(theirs) > 3000
+        apart, _ = cKDTree(ours).query(theirs)
+        assert np.median(apart) < 0.12  # the points of either lie about 0.2 m apart
+        built = theirs[np.abs(to_world(theirs, name)[:, 1] - 6.0) < 0.2]
+        assert np.abs(to_world(built, name)[:, 1] - 6.0).mean() < 0.03  # noise of 2 cm
+
+
+def to_world(points, name):
+    return moved(points, world_from_sensor(int(name)))
+
+
+def test_what_stands_in_one_scan_alone_is_in_every_twin_but_its_own(twins):
+    seen = {name: near(to_world(sim(twins, name), name), ALONE) for name in NAMES}
+    assert near(to_world(real(twins, "002"), "002"), ALONE) == 300
+    assert seen["002"] == 0
+    assert seen["001"] > 10
+    assert seen["003"] > 10
+
+
+def test_the_dataset_names_times_poses_labels_and_the_recipe(twins, drive):
+    dataset = read_dataset(twins)
+    assert [pair.pair_id for pair in dataset.pairs] == NAMES
+    assert [pair.timestamp_s for pair in dataset.pairs] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    for pair, frame in zip(dataset.pairs, read_recording(drive).frames, strict=True):
+        assert pair.T_world_sensor == frame.T_world_sensor
+        assert pair.real.read_bytes() == frame.path.read_bytes()
+        assert set(read_scan(pair.real, label_names=dataset.label_names).labels) == {"built", "hedge"}
+    recipe = tomllib.loads((twins / "twin.toml").read_text())
+    assert (recipe["seed"], recipe["flaw"], recipe["sensor"]["name"]) == (0, [], "small")
+    assert {"numpy", "scipy", "trimesh", "embreex"} <= recipe["libraries"].keys()
+    assert len(read_recording(twins).frames) == N  # and it is a recording itself
+
+
+def test_the_same_recipe_gives_the_same_bytes_and_another_seed_gives_others(twins, drive, tmp_path):
+    make(tmp_path / "again", drive)
+    assert content(tmp_path / "again") == content(twins)
+    make(tmp_path / "other", drive, seed=1)
+    assert all((sim(twins, name)[:50] != sim(tmp_path / "other", name)[:50]).all() for name in NAMES)
+
+
+@pytest.mark.slow
+def test_two_processes_make_the_same_twins(twins, drive, tmp_path):
+    make(tmp_path / "two", drive, workers=2)
+    assert content(tmp_path / "two") == content(twins)
+
+
+def test_where_the_world_begins_does_not_matter(twins, drive, tmp_path):
+    elsewhere = shutil.copytree(drive, tmp_path / "drive")
+    T = np.vstack([rigid(70.0, [400.0, -90.0, 12.0]), [0, 0, 0, 1]])
+    lines = (drive / "pairs.csv").read_text().splitlines()
+    for i in range(N):
+        moved_pose = (T @ np.vstack([world_from_sensor(i), [0, 0, 0, 1]]))[:3]
+        lines[i + 1] = ",".join([*lines[i + 1].split(",")[:3], " ".join(map(repr, moved_pose.ravel().tolist()))])
+    (elsewhere / "pairs.csv").write_text("\n".join(lines) + "\n")
+    make(tmp_path / "out", elsewhere, pattern="*1")
+    ours, theirs = sim(twins, "001"), sim(tmp_path / "out", "001")
+    assert len(ours) == len(theirs)
+    assert (np.abs(ours - theirs).max(axis=1) < 1e-3).mean() > 0.999  # a point on the border of two voxels may change
+
+
+def test_a_twin_made_alone_is_the_twin_of_the_set(twins, drive, tmp_path):
+    assert make(tmp_path / "one", drive, pattern="*2").n_pairs == 1
+    np.testing.assert_array_equal(sim(tmp_path / "one", "002"), sim(twins, "002"))
+
+
+def test_what_was_interrupted_goes_on_with_the_twins_that_are_missing(twins, drive, tmp_path, monkeypatch):
+    out = shutil.copytree(twins, tmp_path / "out")
+    (out / "sim" / "001.bin").unlink()
+    (out / "pairs.csv").unlink()
+    made = []
+    scan_again = twin._scan_again
+    monkeypatch.setattr(twin, "_scan_again", lambda task: made.append(task.frame.name) or scan_again(task))
+    make(out, drive)
+    assert made == ["001"]
+    assert content(out) == content(twins)
+
+
+def test_a_broken_scan_fails_alone(twins, drive, tmp_path):
+    broken = shutil.copytree(drive, tmp_path / "drive")
+    (broken / "000.bin").write_bytes(b"no scan")
+    outcome = make(tmp_path / "out", broken)
+    assert len(outcome.failures) == 1
+    assert outcome.n_pairs == 3
+    ((name, reason),) = outcome.failures.items()
+    assert name.startswith("000")
+    assert "000.bin: 7 bytes found" in reason
+    assert [pair.pair_id for pair in read_dataset(tmp_path / "out").pairs] == NAMES[1:]
+    for index in (1, 2):
+        (broken / f"{NAMES[index]}.bin").write_bytes(b"no scan")
+    reasons = make(tmp_path / "out2", broken).failures
+    assert any("0 other scans can be read, at least 2 are wanted for a model" in reason for reason in reasons.values())
+
+
+def test_flaws_are_those_of_the_functions_and_alike_in_all_frames_where_they_are_systematic(twins, drive, tmp_path):
+    make(tmp_path / "mirrored", drive, "mirrored")
+    make(tmp_path / "offset", drive, "offset=0.5")
+    shifts = []
+    for name in NAMES:
+        plain = sim(twins, name)
+        np.testing.assert_allclose(sim(tmp_path / "mirrored", name), plain * [1, -1, 1], atol=1e-6)
+        shift = sim(tmp_path / "offset", name) - plain
+        assert np.ptp(shift, axis=0).max() < 1e-5
+        shifts.append(shift[0])
+    np.testing.assert_allclose(shifts, np.broadcast_to(shifts[0], (N, 3)), atol=1e-5)
+    assert np.linalg.norm(shifts[0]) == pytest.approx(0.5, abs=1e-5)
+
+
+def test_several_flaws_are_applied_in_the_order_of_their_list(twins, drive, tmp_path):
+    make(tmp_path / "a", drive, "yaw=90", "dropout=0.5")
+    make(tmp_path / "b", drive, "dropout=0.5", "yaw=90")
+    assert content(tmp_path / "a") == content(tmp_path / "b")
+    for name in NAMES:
+        plain, bad = sim(twins, name), sim(tmp_path / "a", name)
+        assert len(bad) == pytest.approx(0.5 * len(plain), rel=0.1)
+        back = bad[:, [1, 0, 2]] * [1, -1, 1]
+        assert cKDTree(plain).query(back)[0].max() < 1e-5
+    assert [flaw["name"] for flaw in tomllib.loads((tmp_path / "a/twin.toml").read_text())["flaw"]] == [
+        "dropout",
+        "yaw",
+    ]
+
+
+def test_foliage_may_be_told_by_its_label(twins, drive, tmp_path):
+    make(tmp_path / "bare", drive, "foliage=1", foliage=("hedge",))
+    hedge = np.array([-5, -4, -0.7])
+    for name in NAMES:
+        plain, bare = (to_world(sim(folder, name), name) for folder in (twins, tmp_path / "bare"))
+        assert near(bare, hedge) < 0.1 * near(plain, hedge)
+        assert len(bare) > 0.8 * len(plain)
+    with pytest.raises(FidpipeError, match="foliage 'hegde': no such label in labels.toml; did you mean hedge"):
+        make(tmp_path / "typo", drive, "foliage=1", foliage=("hegde",))
+
+
+def test_a_run_takes_the_twins_and_sees_a_flaw(twins, drive, tmp_path):
+    make(tmp_path / "bad", drive, "offset=1")
+    for folder in (twins, tmp_path / "bad"):
+        assert not run(folder, tmp_path / f"run-{folder.name}", pattern="*1").failures
+    good, bad = (tables(tmp_path / f"run-{name}")["pairs.parquet"] for name in ("plain", "bad"))
+    assert bad.column("cdc_mean")[0].as_py() > 2 * good.column("cdc_mean")[0].as_py()
+
+
+def test_finished_twins_of_another_recipe_are_replaced_on_purpose_only(twins, drive, tmp_path):
+    out = shutil.copytree(twins, tmp_path / "out")
+    before = content(out)
+    with pytest.raises(FidpipeError, match=r"holds finished twins of another recipe .seed.; give .* --replace"):
+        make(out, drive, seed=1)
+    assert content(out) == before
+    (out / "sim" / "notes.txt").write_text("mine")
+    make(out, drive, seed=1, pattern="*[01]", replace=True)
+    assert sorted(path.name for path in (out / "sim").iterdir()) == ["000.bin", "001.bin", "notes.txt"]
+    assert sorted(path.name for path in (out / "real").iterdir()) == ["000.bin", "000.label", "001.bin", "001.label"]
+    assert (sim(out, "000")[:50] != sim(twins, "000")[:50]).all()
+
+
+def test_a_folder_with_other_things_and_the_recording_itself_are_left_alone(drive, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(FidpipeError, match="holds other things than twins"):
+        make(tmp_path, drive)
+    assert content(tmp_path) == {"thesis.tex": b"years of work"}
+    with pytest.raises(FidpipeError, match="is the recording; give the name of a new or empty folder"):
+        make(drive, drive)
+    with pytest.raises(DatasetError, match="matches none of the 4 frames"):
+        make(tmp_path / "out", drive, pattern="x*")
+
+
+def test_how_scans_are_read_is_a_setting(drive, twins, tmp_path):
+    make(tmp_path / "near", drive, settings=InputSettings(max_range_m=5.0))
+    assert np.linalg.norm(sim(tmp_path / "near", "001"), axis=1).max() < 6.0
+    assert np.linalg.norm(sim(twins, "001"), axis=1).max() > 7
+
+
+def test_the_beams_of_the_recording_are_the_usual_ones(drive, tmp_path):
+    make(tmp_path / "out", drive, sensor=RECORDED, pattern="*1")
+    scan = real(tmp_path / "out", "001")
+    scan = scan[np.linalg.norm(scan, axis=1) > 2.5]
+    seen, ours = (points / np.linalg.norm(points, axis=1)[:, None] for points in (sim(tmp_path / "out", "001"), scan))
+    assert (cKDTree(seen).query(ours)[0] < 1e-6).mean() > 0.8
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["drop-out=0.3"], "flaw 'drop-out': no such flaw; did you mean dropout"),
+        (["xyz=1"], "no such flaw; known are foliage, holes, far-dropout"),
+        (["dropout=1.5"], "flaw dropout: amount 1.5; 0 to 1 is wanted"),
+        (["dropout"], "flaw 'dropout': dropout=AMOUNT is wanted, a number .share of the points lost"),
+        (
+            ["holes=3:x"],
+            "holes=AMOUNT is wanted, a number .number of holes, and radius of a hole, metres after a colon",
+        ),
+        (["yaw=1", "yaw=2"], "flaw yaw: named twice"),
+        (["noise=0.1:2"], "flaw noise: a second number, 2, is given; it has none"),
+    ],
+)
+def test_flaws_that_make_no_sense_are_refused(words, reason):
+    with pytest.raises(FidpipeError, match=reason):
+        parse_flaws(words)
+
+
+def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, tmp_path):
+    done = command("twin", drive, tmp_path / "out", "--pairs", "*1", "--flaw", "far-dropout=0.5:5", "--sensor", "hdl64")
+    assert done.returncode == 0
+    assert f"1 pairs in {tmp_path / 'out'}; evaluate them with: fidpipe run" in done.stdout
+    assert done.stdout.count("\n") == 1
+    wrong = command("twin", drive, tmp_path / "bad", "--sensor", "hdl46")
+    assert (wrong.returncode, wrong.stderr.strip()) == (1, "error: sensor 'hdl46': no such sensor; did you mean hdl64?")
+    assert not (tmp_path / "bad").exists()
+    text = command("twin", "--help").stdout
+    assert all(name in text for name in FLAWS)
+
+
+def test_the_documentation_has_every_flaw_and_sensor():
+    text = DOCUMENTATION.read_text()
+    for flaw in FLAWS.values():
+        row = next(line for line in text.splitlines() if line.startswith(f"| `{flaw.name}` |"))
+        assert flaw.at_m is None or f"({flaw.at_m:g})" in row
+    assert all(f"`{name}`" in text for name in ("recorded", *SENSORS))
+
+
+def test_a_broken_scan_gives_exit_code_3(drive, tmp_path):
+    broken = shutil.copytree(drive, tmp_path / "drive")
+    (broken / "000.bin").write_bytes(b"no scan")
+    done = command("twin", broken, tmp_path / "out")
+    assert done.returncode == 3
+    assert "000.bin: 7 bytes found" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+@pytest.mark.parametrize("sensor", ["recorded", "hdl64"])
+def test_a_kitti_drive_scanned_again_covers_what_was_seen(sensor, real_data, tmp_path):
+    done = command("twin", real_data / "kitti_sequence", tmp_path / "out", "--pairs", "*[27]", "--sensor", sensor)
+    assert done.returncode == 0
+    for pair in read_dataset(tmp_path / "out").pairs:
+        ours, theirs = (clean_scan(read_scan(path).points, InputSettings()).points for path in (pair.real, pair.sim))
+        shares = [(cKDTree(a).query(b)[0] <= 0.3).mean() for a, b in ((theirs, ours), (ours, theirs))]
+        assert min(shares) > 0.7
+        assert len(theirs) == pytest.approx(len(ours), rel=0.25)
