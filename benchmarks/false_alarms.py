@@ -2,9 +2,9 @@
 
     python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims]
 
-`compare`: ten scores of pairs that differ by chance alone; a false alarm is any score that is called better or worse.
-Beside it the power: how often the first score is decided where its mean change is one or two standard deviations. The
-old rule (BCa bootstrap over pairs, each score for itself) is kept here only.
+`compare`: as many scores as it judges, of pairs that differ by chance alone; a false alarm is any score that is called
+better or worse. Beside it the power: how often the first score is decided where its mean change is one or two standard
+deviations. The old rule (BCa bootstrap over pairs, each score for itself) is kept here only.
 
 `claims`: datasets whose numbers know nothing of each other, and how often each claim holds on them; beside it how often
 the estimate alone is on the claim's side, which was the rule before. Power: datasets as the paper describes them.
@@ -16,12 +16,14 @@ import warnings
 import numpy as np
 from scipy import stats
 
+from fidpipe.pipeline.results.compare import SCORES, SHARED_SCORES
 from fidpipe.stages.statistics.claim_rules import HOLDS
 from fidpipe.stages.statistics.claims import check_claims
 from fidpipe.stages.statistics.comparison import blocks_of, far_beyond_noise, holm, judge, paired_difference
 from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects
 
-N_SCORES, STEP_S, MEMORY_S = 10, 0.2, 1.15  # 50 frames with this memory: 56 % false alarms of the old rule at one score
+N_SCORES = len(SCORES) + len(SHARED_SCORES)
+STEP_S, MEMORY_S = 0.2, 1.15  # 50 frames with this memory: 56 % false alarms of the old rule at one score
 
 
 def normal(rng, n):
@@ -101,7 +103,7 @@ def power(make, n, step, repeats, seed=0):
 
 
 def rates_before(make, n, repeats, seed=0):
-    """False alarms of the old rule: of one score, and of any of the ten."""
+    """False alarms of the old rule: of one score, and of any of them."""
     rng = np.random.default_rng(seed)
     decided = np.array([decided_before(make(rng, n)[0]) for _ in range(repeats)])
     return decided.mean(), decided.any(axis=1).mean()
@@ -226,7 +228,7 @@ def of_claims(repeats):
 
 def of_compare(repeats):
     print(f"{repeats} repeats, {N_SCORES} scores; binomial error of 5 %: {np.sqrt(0.05 * 0.95 / repeats):.1%}")
-    print("| case | before: one score | before: any of ten | now: any of ten | far by chance | power 1 std | 2 std |")
+    print("| case | before: one score | before: any score | now: any score | far by chance | power 1 std | 2 std |")
     print("|---|---|---|---|---|---|---|")
     for name, make, n in CASES:
         powers = (power(make, n, step, repeats) for step in (1.0, 2.0))

@@ -32,6 +32,8 @@ def measure():
         "graph": frames["graph"].groupby(["pair_id", "side"])[["src", "dst", "length_m"]].sum().astype(float),
         "communities": objects.drop(columns=["pair_id", "side", "label"]).astype(float),
         "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]].astype(float).fillna(-1.0),
+        "coverage": frames["coverage"].drop(columns=["pair_id", "side"]).astype(float).fillna(-1.0),
+        "surface": frames["surface"].drop(columns=["pair_id"]).astype(float).fillna(-1.0),
         "selection": frames["selection"].groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]].sum(),
         "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
     }

@@ -18,6 +18,7 @@ from fidpipe.schemas.settings import Settings
 
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))
 STAGE_NAMES = [stage.name for stage in STAGES]
+JOBS_PER_PAIR = sum(len(stage.parts) for stage in STAGES)
 FOLDERS = [table for stage in STAGES for table in stage.gives]
 _PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE = 24, 1
 

@@ -8,7 +8,7 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
-from runs import command
+from runs import JOBS_PER_PAIR, command
 from scenes import road, write_bin, write_dataset
 
 
@@ -30,7 +30,7 @@ def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
     assert "r_lambda" in result.stdout
     assert (tmp_path / "runs" / "streets" / "run.json").exists()
     again = command("run", dataset, "--workers", 1, cwd=tmp_path)
-    assert "0 jobs done, 22 reused" in again.stdout
+    assert f"0 jobs done, {2 * JOBS_PER_PAIR} reused" in again.stdout
     other = ("run", dataset, "--workers", 1, "--set", "matching.delta_m=3")
     refused = command(*other, cwd=tmp_path)
     assert refused.returncode == 1

@@ -15,7 +15,7 @@ from fidpipe.pipeline.report.terminal import status
 from fidpipe.pipeline.storage.ledger import Ledger
 from fidpipe.schemas.errors import DiskFullError
 from fidpipe.schemas.settings import Settings
-from runs import assert_same_tables, command, run
+from runs import JOBS_PER_PAIR, assert_same_tables, command, run
 from scenes import write_dataset
 
 
@@ -45,7 +45,7 @@ def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monk
     assert not (tmp_path / "run" / "pairs.parquet").exists()
     n_done = sum(1 for path in (tmp_path / "run").glob("*/*.parquet") if path.parent.name not in ("objects",))
     assert n_done > 0
-    assert run(dataset, tmp_path / "run").n_made == 27 - n_done
+    assert run(dataset, tmp_path / "run").n_made == 3 * JOBS_PER_PAIR - n_done
     run(dataset, tmp_path / "fresh")
     assert_same_tables(tmp_path / "run", tmp_path / "fresh")
 
@@ -86,7 +86,7 @@ def test_a_run_on_a_full_file_system_stops_once_and_goes_on_where_there_is_room(
     done = command("run", dataset, "--out", out, "--workers", 1)
     assert done.returncode == 0
     n_made, n_reused = map(int, re.search("([0-9]+) jobs done, ([0-9]+) reused", done.stdout).groups())
-    assert n_made + n_reused == 27
+    assert n_made + n_reused == 3 * JOBS_PER_PAIR
     assert n_reused > 0
     run(dataset, tmp_path / "fresh")
     assert_same_tables(out, tmp_path / "fresh")

@@ -16,7 +16,7 @@ from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
 from pools import DyingPool, WatchedPool
-from runs import run
+from runs import JOBS_PER_PAIR, run
 from scenes import write_dataset
 
 N_BASE = 7  # both sides of ground, graph and communities, and matching
@@ -122,4 +122,4 @@ def test_a_file_at_which_the_worker_dies_fails_its_pair_alone(tmp_path, n_deaths
     if n_deaths == 2:
         reason = "the worker process died while it read the files, and again when it did so alone"
         assert outcome.failures == {"005": reason}
-        assert run(many, tmp_path / "run").n_made == 9
+        assert run(many, tmp_path / "run").n_made == JOBS_PER_PAIR

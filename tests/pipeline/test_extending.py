@@ -19,7 +19,7 @@ from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets import readers
 from fidpipe.pipeline.datasets.readers import Format, read_scan
 from fidpipe.schemas.errors import ScanError
-from runs import command
+from runs import JOBS_PER_PAIR, command
 from scenes import drifted, street, write_bin, write_dataset
 
 ROOT = Path(__file__).parents[2]
@@ -276,10 +276,18 @@ def made_again(result):
 def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, dataset, tmp_path):
     package, _ = extended("A setting", tmp_path)
     run = ("run", dataset, "--out", again, "--workers", 1)
-    assert made_again(package.fidpipe(*run)) == {"graph", "communities", "matching", "selection", "metrics"}
+    assert made_again(package.fidpipe(*run)) == {
+        "graph",
+        "communities",
+        "matching",
+        "coverage",
+        "surface",
+        "selection",
+        "metrics",
+    }
     assert made_again(package.fidpipe(*run)) == set()
     result = package.fidpipe(*run, "--set", "graph.max_edge_m=0.5", "--replace")
-    assert made_again(result) == {"graph", "communities", "matching", "selection", "metrics"}
+    assert made_again(result) == {"graph", "communities", "matching", "coverage", "surface", "selection", "metrics"}
     assert "graph.max_edge_m was None, is 0.5" in result.stderr
     assert pd.read_parquet(again / "graph").length_m.max() <= 0.5
     assert "max_edge_m = 0.5" in (again / "settings.toml").read_text()
@@ -338,7 +346,7 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
     run = ("run", dataset, "--out", again)
     result = package.fidpipe(*run, "--workers", 1)
     assert made_again(result) == set()
-    assert "4 jobs done, 18 reused" in result.stdout
+    assert f"4 jobs done, {2 * JOBS_PER_PAIR} reused" in result.stdout
     objects, rows = (pd.read_parquet(again / table) for table in ("objects", "neighbours"))
     assert len(rows) == len(objects)
     for (pair_id, side), own in objects.groupby(["pair_id", "side"]):

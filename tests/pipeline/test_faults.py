@@ -19,7 +19,17 @@ from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.settings import load
-from runs import FIDPIPE, STAGE_NAMES, assert_same_tables, changed_files, command, marks, no_temporary_files, run
+from runs import (
+    FIDPIPE,
+    JOBS_PER_PAIR,
+    STAGE_NAMES,
+    assert_same_tables,
+    changed_files,
+    command,
+    marks,
+    no_temporary_files,
+    run,
+)
 from scenes import write_dataset
 
 pytestmark = pytest.mark.slow
@@ -50,8 +60,8 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     before = marks(out)
     outcome = run(dataset, out)
     i = STAGE_NAMES.index(stage)
-    n_finished = 2 * i + 1 if i < 3 else 9 + 6 + i - 3  # none of them was reported, all were adopted
-    assert outcome.n_made == 36 - n_finished
+    n_finished = 2 * i + 1 if i < 3 else JOBS_PER_PAIR + 6 + i - 3  # none of them was reported, all were adopted
+    assert outcome.n_made == 4 * JOBS_PER_PAIR - n_finished
     assert not {name for name in before if name in changed_files(out, before)}
     assert_same_tables(out, finished)
     assert no_temporary_files(out)
@@ -96,9 +106,11 @@ def test_a_second_run_on_the_same_folder_is_refused(dataset, finished, tmp_path)
     out = tmp_path / "run"
     process = start(dataset, out, 1)
     wait_for(out / LEDGER)
+    process.send_signal(signal.SIGSTOP)
     second = command("run", dataset, "--out", out, "--workers", "1")
     assert second.returncode == 1
     assert "another fidpipe is writing here; wait for it, or give another --out" in second.stderr
+    process.send_signal(signal.SIGCONT)
     process.communicate(timeout=120)
     assert process.returncode == 0
     assert_same_tables(out, finished)
@@ -111,7 +123,7 @@ def test_two_workers_give_the_tables_of_one(dataset, finished, tmp_path):
 
 def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_path):
     outcome = run(dataset, tmp_path / "run", workers=2, policy=Policy(worth_splitting_s=0.0, batch_s=0.0))
-    assert outcome.n_made == 36
+    assert outcome.n_made == 4 * JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
 
 
@@ -153,7 +165,7 @@ def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
     outcome = run(dataset, tmp_path / "run", workers=2, stages=faults.with_job("graph", faults.poisoned_graph))
     assert set(outcome.failures) == {faults.POISON}
     assert "stage graph, real: the worker process died" in outcome.failures[faults.POISON]
-    assert run(dataset, tmp_path / "run").n_made <= 9
+    assert run(dataset, tmp_path / "run").n_made <= JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
 
 

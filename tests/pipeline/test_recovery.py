@@ -28,6 +28,7 @@ from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
 from runs import (
     FOLDERS,
+    JOBS_PER_PAIR,
     STAGE_NAMES,
     assert_same_tables,
     changed_files,
@@ -38,7 +39,7 @@ from runs import (
     run,
 )
 
-N_JOBS = 18
+N_JOBS = 2 * JOBS_PER_PAIR
 
 
 def lose_ledger(out):

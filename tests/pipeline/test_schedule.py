@@ -11,11 +11,11 @@ from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import load
 from pools import GIB, DyingPool, WatchedPool
-from runs import assert_same_tables, run
+from runs import JOBS_PER_PAIR, assert_same_tables, run
 from scenes import write_dataset
 
 LARGE_NODES = CostModel(bytes_per_node=2**22)
-N_JOBS = 27
+N_JOBS = 3 * JOBS_PER_PAIR
 EXTRA = load(None, ["metrics.baselines=chamfer", "stability.seeds=2"])
 
 
@@ -112,9 +112,9 @@ def test_a_job_at_which_a_worker_dies_twice_fails_its_pair_alone(dataset, finish
     reason = "stage matching: the worker process died, and again when the pair ran alone (out of memory?)"
     assert {pair_id: text.partition(": killed")[0] for pair_id, text in outcome.failures.items()} == {"001": reason}
     assert pool.n_deaths == 2
-    assert outcome.n_made == N_JOBS - 9  # nothing of the failed pair stays
+    assert outcome.n_made == N_JOBS - JOBS_PER_PAIR  # nothing of the failed pair stays
     assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # what the dead worker wrote is nobody's
-    assert run(dataset, tmp_path / "run").n_made == 9
+    assert run(dataset, tmp_path / "run").n_made == JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
 
 
