@@ -59,7 +59,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     Parameters
     ----------
     real, sim : (n, 3) points, metres, in the real sensor's frame (z up); computed with as float64
-    settings : by default those of the paper; or some of them by group, such as {"graph": {"k": 60}}
+    settings : by default those of the paper; or some of them by group, such as {"graph": {"k": 60}};
+        {"preset": "reference"} fixes the objects on the real side
 
     Warns
     -----
@@ -84,6 +85,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     >>> result = evaluate_pair(scan, scan)
     >>> result.summary["match_rate"], result.metrics.status.unique().tolist()
     (1.0, ['identical'])
+    >>> evaluate_pair(scan, scan[::-1], {"preset": "reference"}).summary["cdc_mean"]
+    0.0
     """
     scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))

@@ -7,7 +7,7 @@ which layers a TOML file and `--set` words over the defaults and names the field
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -288,7 +288,7 @@ def departures(settings: Settings) -> list[str]:
     >>> departures(load(None, ["graph.k=60"], preset="reference"))
     ['graph.k=60']
     """
-    preset = parse(PRESETS[preset_of(settings)])
+    preset = parse({"preset": preset_of(settings)})
     return [
         f"{group}.{name}={_toml_word(value)}"
         for group, own in settings
@@ -299,7 +299,7 @@ def departures(settings: Settings) -> list[str]:
 
 
 def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: str | None = None) -> Settings:
-    """Settings from a preset, then a TOML file, then words such as `graph.k=60`.
+    """Settings from a preset, a TOML file (which may have a line `preset = "reference"`), and words such as `graph.k=60`.
 
     Raises
     ------
@@ -307,8 +307,6 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
         The preset or a name is unknown, the file cannot be read or has other objects than the preset that is asked for,
         a word has no `=`, or a value is out of bounds.
     """
-    if preset is not None and preset not in PRESETS:
-        raise SettingsError(f"preset {preset!r}: no such preset; known are {', '.join(PRESETS)}")
     values: dict[str, Any] = {}
     if path is not None:
         try:
@@ -317,9 +315,8 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
             raise SettingsError(f"settings file {path}: cannot be read ({error})") from error
         except tomllib.TOMLDecodeError as error:
             raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
-    for group, own in PRESETS[preset or "paper"].items():
-        given = values.get(group, {})
-        values[group] = own | given if isinstance(given, dict) else given
+    if preset is not None:
+        values["preset"] = preset
     if path is not None and preset is not None and preset_of(parse(values)) != preset:
         raise SettingsError(
             f"settings file {path}: has communities.objects = {values['communities']['objects']!r}, not as the preset "
@@ -337,8 +334,21 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
     return parse(values)
 
 
-def parse(values: dict[str, Any]) -> Settings:
-    """Settings from nested dictionaries; `SettingsError` names the first field that is wrong."""
+def parse(values: Mapping[str, Any]) -> Settings:
+    """Settings from nested dictionaries by group; "preset" may name the preset that they depart from.
+
+    Raises
+    ------
+    SettingsError
+        Names the first field that is wrong.
+    """
+    values = dict(values)
+    preset = values.pop("preset", "paper")
+    if preset not in PRESETS:
+        raise SettingsError(f"preset {preset!r}: no such preset; known are {', '.join(PRESETS)}")
+    for group, own in PRESETS[preset].items():
+        given = values.get(group, {})
+        values[group] = own | given if isinstance(given, dict) else given
     try:
         return Settings.model_validate(values)
     except ValidationError as error:

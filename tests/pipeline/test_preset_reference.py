@@ -12,7 +12,7 @@ from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, departures, load, preset_of, to_toml
+from fidpipe.schemas.settings import Settings, departures, load, parse, preset_of, to_toml
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from pools import WatchedPool
 from runs import assert_same_tables, changed_files, command, marks, run, tables
@@ -205,6 +205,10 @@ def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, na
 def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
     with pytest.raises(SettingsError, match="preset 'papr': no such preset; known are paper, reference"):
         load(None, preset="papr")
+    named = tmp_path / "named.toml"
+    named.write_text('preset = "reference"\n[graph]\nk = 60\n')
+    assert departures(load(named)) == ["graph.k=60"]
+    assert load(named) == parse({"preset": "reference", "graph": {"k": 60}})
     full = tmp_path / "settings.toml"
     full.write_text(to_toml(load(None)))
     with pytest.raises(SettingsError, match="communities.objects = 'independent', not as the preset reference"):
