@@ -299,7 +299,7 @@ def departures(settings: Settings) -> list[str]:
 
 
 def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: str | None = None) -> Settings:
-    """Settings from a preset, a TOML file (which may have a line `preset = "reference"`), and words such as `graph.k=60`.
+    """Settings from a preset, a TOML file (which may have a line `preset = "reference"`), and words like `graph.k=60`.
 
     Raises
     ------

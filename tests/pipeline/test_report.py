@@ -350,7 +350,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
     assert "a folder written by fidpipe run is wanted" in found.stderr
 
 
-@pytest.mark.parametrize("gone", ["summary", "coverage"])
+@pytest.mark.parametrize("gone", ["summary", "metrics"])
 def test_a_run_that_has_not_ended_or_is_of_an_older_version_is_refused(copied_run, gone):
     record = json.loads((copied_run / "run.json").read_text())
     del record[gone]
