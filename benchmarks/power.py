@@ -196,6 +196,10 @@ def draw(found, path):
             if abs(value) >= 2.3:
                 colour = "white" if abs(value) > 6 else "black"
                 axis.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour)
+        if (unknown := np.flatnonzero(np.isnan(values).all(axis=0))).size:
+            axis.text(
+                unknown.mean(), len(flaws) / 2, "as above: does not depend on the objects", ha="center", fontsize=8
+            )
         axis.set_yticks(range(len(flaws)), [f"{n} {max(AMOUNTS[n]):g}" for n in flaws], fontsize=8)
         axis.set_title(f"preset {preset}", fontsize=10, loc="left")
     axes[-1].set_xticks(range(len(scores)), scores, rotation=60, ha="right", fontsize=7)

@@ -415,7 +415,7 @@ class RunRecord(RunHeader):
     findings : None ({} in JSON) where no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
-    metrics : what is behind the unmatched objects
+    metrics : what is behind the unmatched objects; None where an older fidpipe wrote the record
     baselines, seeds : only where they were asked for
     """
 
@@ -432,8 +432,8 @@ class RunRecord(RunHeader):
     ]
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
-    metrics: MetricsSummary
     frames: dict[str, FrameSuspect] | None = None
+    metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
 

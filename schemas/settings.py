@@ -288,7 +288,7 @@ def departures(settings: Settings) -> list[str]:
     >>> departures(load(None, ["graph.k=60"], preset="reference"))
     ['graph.k=60']
     """
-    preset = parse({"preset": preset_of(settings)})
+    preset = type(settings).model_validate(PRESETS[preset_of(settings)])
     return [
         f"{group}.{name}={_toml_word(value)}"
         for group, own in settings

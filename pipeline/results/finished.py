@@ -74,6 +74,8 @@ class FinishedRun:
             raise RunError(f"run {folder}: no run.json of fidpipe run found; a folder written by fidpipe run is wanted")
         try:
             self.record = RunRecord.from_dict(record)
+            if self.record.metrics is None:
+                raise ValueError("metrics")
         except ValueError as error:
             raise RunError(
                 f"run {folder}: the run has not ended, or an older fidpipe wrote it; "

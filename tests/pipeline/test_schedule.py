@@ -145,6 +145,8 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
     assert {tuple(stage for _, stage, _ in jobs) for jobs in pool.batches} == {
         ("ground", "graph", "communities"),
         ("matching",),
+        ("coverage",),
+        ("surface",),
     }
     assert_same_tables(tmp_path / "run", finished)
 

@@ -251,7 +251,9 @@ def surface_line(record: RunRecord) -> str:
 
 def unmatched_lines(record: RunRecord) -> list[str]:
     """What is behind the unmatched objects, a line for each side that has some."""
-    lines = []
+    lines: list[str] = []
+    if record.metrics is None:
+        return lines
     for status, other in (("missing", "simulated"), ("hallucinated", "real")):
         states: SurfaceStates = getattr(record.metrics.unmatched, status)
         there, partly, absent = (count / max(1, record.pairs.scored) for count in vars(states).values())
