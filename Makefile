@@ -38,6 +38,8 @@ bench: setup
 	$(BIN)/python benchmarks/steps.py $(DATA)/kitti_twin
 	$(BIN)/python benchmarks/speedup.py $(DATA)/kitti_twin
 	$(BIN)/python benchmarks/growth.py
+	$(BIN)/fidpipe twin $(DATA)/kitti_sequence .cache/twins --pairs '*[02468]'
+	$(BIN)/python benchmarks/power.py $(DATA)/kitti_twin .cache/twins --out .cache/power
 	$(BIN)/python benchmarks/small_pairs.py 50
 	$(BIN)/python benchmarks/small_pairs.py 10000 300
 
