@@ -318,6 +318,9 @@ SURFACE_SCORES = (
     ),
 )
 
+#: Those that say how far the simulated surface is displaced.
+SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
+
 #: The distances of others, in the order in which they are computed and shown.
 BASELINES = (
     Metric(

@@ -32,6 +32,7 @@ from .metrics import (
     OBJECT_METRICS,
     OBJECT_SCORES,
     PAIR_SCORES,
+    SHIFT_COLUMNS,
     SURFACE_SCORES,
     reach_words,
 )
@@ -185,7 +186,7 @@ SURFACE = Table(
             column("real_id", INT32, "object of the real side; null for the whole side", optional=True),
             column("n_points", INT32, "sampled real points on planes that the simulated side covers"),
             column("n_directions", INT32, "in how many directions, 0 to 3, their normals tell a displacement"),
-            *(score_column(METRIC[name]) for name in ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")),
+            *(score_column(METRIC[name]) for name in SHIFT_COLUMNS),
         ]
     ),
     ("real_id",),

@@ -44,15 +44,16 @@ def surface_state(covered: float) -> str:
     return there if covered > THERE else absent if covered <= ABSENT else partly
 
 
-def nearest_distances(points: FloatArray, others: FloatArray) -> FloatArray:
-    """The distance of each point to the nearest one of the other side, (n,) float64, metres.
+def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance of each real point to the nearest simulated one, (n,), and the other way round, (m,); metres.
 
     Parameters
     ----------
-    points, others : (n, 3), (m, 3) float64, metres, m at least 1
+    real, sim : (n, 3), (m, 3) float64, metres, at least one point each
     """
-    distance_m, _ = cKDTree(others).query(points)
-    return np.asarray(distance_m)
+    to_sim, _ = cKDTree(sim).query(real)
+    to_real, _ = cKDTree(real).query(sim)
+    return to_sim, to_real
 
 
 def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0) -> Coverage:

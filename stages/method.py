@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS
+from ..schemas.columns import SIDES
+from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS, SHIFT_COLUMNS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
@@ -181,14 +182,14 @@ def compare_surfaces(real: FloatArray, sim: FloatArray) -> dict[str, Number]:
     real, sim : (n, 3), (m, 3) float64, metres, object points, at least one
     """
     found: dict[str, Number] = {}
-    for side, points, others in (("real", real, sim), ("sim", sim, real)):
-        whole = cover(nearest_distances(points, others), np.zeros(len(points), dtype=np.int32))
+    for side, distance_m in zip(SIDES, nearest_distances(real, sim), strict=True):
+        whole = cover(distance_m, np.zeros(len(distance_m), dtype=np.int32))
         shares = zip(COVERAGE_REACHES, whole.covered[0].tolist(), strict=True)
         found |= {f"covered_{side}_{reach}": share for reach, share in shares}
     real_surface, sim_surface = describe_surface(real), describe_surface(sim)
     offset = measure_offsets(real_surface, sim_surface)
     lengths = (*offset.shift_m[0].tolist(), *offset.distance_m.tolist())
-    for name, length_m in zip(("shift_x_m", "shift_y_m", "shift_z_m", "shift_m"), lengths, strict=True):
+    for name, length_m in zip(SHIFT_COLUMNS, lengths, strict=True):
         found[name] = None if np.isnan(length_m) else length_m
     return found | compare_roughness(real_surface, sim_surface)
 

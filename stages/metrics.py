@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .arrays import FloatArray, Watch, unwatched
+from .coverage import nearest_distances
 from .linalg.laplacian import induced_laplacian
 from .linalg.spectrum import eigenvalues, spectral_norm
 from .linalg.subgraph import Subgraph
@@ -104,8 +104,7 @@ def chamfer_density_aware(real: FloatArray, sim: FloatArray) -> float:
     >>> chamfer_density_aware(np.zeros((1, 3)), np.array([[0.0, 0, 100], [0, 0, 200]]))
     2.0
     """
-    to_sim, _ = cKDTree(sim).query(real)
-    to_real, _ = cKDTree(real).query(sim)
+    to_sim, to_real = nearest_distances(real, sim)
     return float(np.mean(-np.expm1(-(to_sim**2))) + np.mean(-np.expm1(-(to_real**2))))
 
 

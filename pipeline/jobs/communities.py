@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 from ...schemas.settings import Settings
 from ...schemas.tables import COMMUNITIES, OBJECTS
-from ...stages.arrays import FloatArray
 from ...stages.method import partition
 from ...stages.objects import majority_labels
 from ...stages.reference import ReferenceObjects
 from ..stage import Context, Grain, Made, Stage
-from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, column, graph_edges, object_points
+from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, column, graph_edges, nulls_for_nan, object_points
 
 _LIBRARIES = {"scikit-network": ("scikit-network",), "python-louvain": ("python-louvain", "networkx")}
 _MEASURES = (
@@ -45,7 +43,9 @@ def make_communities(context: Context) -> Made:
     both = {"pair_id": context.pair_id, "side": context.side}
     communities = COMMUNITIES.build(both | {"point_id": point_ids, "community_id": scan.labels})
     measures = np.column_stack([objects.centroid, objects.extent, objects.shape, objects.range_m])
-    columns: dict[str, Any] = {name: _nulls_for_nan(values) for name, values in zip(_MEASURES, measures.T, strict=True)}
+    columns: dict[str, Any] = {
+        name: nulls_for_nan(values.tolist()) for name, values in zip(_MEASURES, measures.T, strict=True)
+    }
     columns |= {"community_id": np.arange(len(objects.n_points), dtype=np.int32), "n_points": objects.n_points}
     described = OBJECTS.build(both | columns | {"label": labels})
     return Made({"communities": communities, "objects": described})
@@ -55,10 +55,6 @@ def _real_objects(context: Context) -> ReferenceObjects:
     """The points of the real side and the object of each."""
     _, points = object_points(context, "real")
     return ReferenceObjects(points, column(context.table("communities", "real", ("community_id",)), "community_id"))
-
-
-def _nulls_for_nan(values: FloatArray) -> list[float | None]:
-    return [None if math.isnan(value) else value for value in values.tolist()]
 
 
 def _is_reference(settings: Settings) -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
@@ -11,19 +9,19 @@ from ...schemas.metrics import COVERAGE_REACHES
 from ...schemas.tables import COVERAGE
 from ...stages.coverage import Coverage, cover, nearest_distances
 from ..stage import Context, Facts, Grain, Made, Stage
-from .points import POINT_COLUMNS, column, object_points
+from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 _MEASURES = (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "median_distance_m")
 
 
 def make_coverage(context: Context) -> Made:
     """One row for each object of either side and one for each side; the facts have the columns of `pairs`."""
-    points = {side: object_points(context, side)[1] for side in SIDES}
+    points = [object_points(context, side)[1] for side in SIDES]
     rows: list[Row] = []
     facts: Facts = {}
-    for side, other in (SIDES, SIDES[::-1]):
-        with context.step("nearest"):
-            distance_m = nearest_distances(points[side], points[other])
+    with context.step("nearest"):
+        distances_m = nearest_distances(*points)
+    for side, distance_m in zip(SIDES, distances_m, strict=True):
         labels = column(context.table("communities", side), "community_id")
         each = cover(distance_m, labels, len(column(context.table("objects", side), "n_points")))
         (whole,) = _rows(cover(distance_m, np.zeros(len(labels), dtype=np.int32)))
@@ -38,7 +36,7 @@ def _rows(coverage: Coverage) -> list[Row]:
     """One row per object, without the columns that name it."""
     numbers = np.column_stack([coverage.covered, coverage.median_distance_m]).tolist()
     return [
-        {"n_points": n} | {name: None if math.isnan(x) else x for name, x in zip(_MEASURES, values, strict=True)}
+        {"n_points": n} | dict(zip(_MEASURES, nulls_for_nan(values), strict=True))
         for n, values in zip(coverage.n_points.tolist(), numbers, strict=True)
     ]
 

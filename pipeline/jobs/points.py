@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,11 @@ MATCHED_OBJECTS = {
 def column(table: pa.Table, name: str) -> Any:
     """A column as an array."""
     return table.column(name).to_numpy()
+
+
+def nulls_for_nan(values: Iterable[float]) -> list[float | None]:
+    """Numbers as a table holds them, null where there is none."""
+    return [None if math.isnan(value) else value for value in values]
 
 
 def object_points(context: Context, side: str) -> tuple[IntArray, FloatArray]:

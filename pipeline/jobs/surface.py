@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 from ...schemas.columns import SIDES, Row
+from ...schemas.metrics import SHIFT_COLUMNS
 from ...schemas.settings import Settings
 from ...schemas.tables import SURFACE
 from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
 from ..stage import Context, Facts, Grain, Made, Stage
-from .points import POINT_COLUMNS, column, object_points
+from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 
 def make_surface(context: Context) -> Made:
@@ -21,11 +20,8 @@ def make_surface(context: Context) -> Made:
         each = measure_offsets(real, sim, column(context.table("communities", "real"), "community_id"))
     (pair,) = _rows(whole)
     rows = [{"real_id": i} | row for i, row in enumerate(_rows(each))]
-    facts: Facts = {name: pair[name] for name in _SHIFTS} | compare_roughness(real, sim)
+    facts: Facts = {name: pair[name] for name in SHIFT_COLUMNS} | compare_roughness(real, sim)
     return Made({"surface": SURFACE.from_rows({"pair_id": context.pair_id} | row for row in [*rows, pair])}, facts)
-
-
-_SHIFTS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 
 
 def _rows(offsets: Offsets) -> list[Row]:
@@ -34,7 +30,7 @@ def _rows(offsets: Offsets) -> list[Row]:
     shifts = zip(offsets.shift_m.tolist(), offsets.distance_m.tolist(), strict=True)
     return [
         {"n_points": n_points, "n_directions": n_directions}
-        | {name: None if math.isnan(m) else m for name, m in zip(_SHIFTS, (*shift, distance), strict=True)}
+        | dict(zip(SHIFT_COLUMNS, nulls_for_nan((*shift, distance)), strict=True))
         for (n_points, n_directions), (shift, distance) in zip(counts, shifts, strict=True)
     ]
 

@@ -168,7 +168,7 @@ class PairTables:
     def distances_m(self) -> dict[str, FloatArray]:
         """The distance of each object point of a side to the nearest one of the other side, (n,), by side."""
         real, sim = (self.clouds[side].points for side in SIDES)
-        return dict(zip(SIDES, (nearest_distances(real, sim), nearest_distances(sim, real)), strict=True))
+        return dict(zip(SIDES, nearest_distances(real, sim), strict=True))
 
     @cached_property
     def selection(self) -> pd.DataFrame:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scipy.spatial import cKDTree
-
 from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
+from ..coverage import nearest_distances
 from .interface import Baseline, Baselines
 
 
@@ -61,10 +60,3 @@ def chamfer(real: FloatArray, sim: FloatArray) -> Chamfer:
         squared_m2=float((to_sim**2).mean() + (to_real**2).mean()),
         one_way_sum_m=float(to_sim.sum()),
     )
-
-
-def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance of each real point to the nearest simulated one, (n,), and the other way round, (m,); metres."""
-    to_sim, _ = cKDTree(sim).query(real)
-    to_real, _ = cKDTree(real).query(sim)
-    return to_sim, to_real

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
-from .chamfer import nearest_distances
+from ..coverage import nearest_distances
 from .interface import Baseline, Baselines
 
 

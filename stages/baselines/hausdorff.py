@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
-from .chamfer import nearest_distances
+from ..coverage import nearest_distances
 from .interface import Baseline, Baselines
 
 

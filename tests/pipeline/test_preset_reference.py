@@ -108,7 +108,7 @@ def test_coverage_and_what_is_behind_the_unmatched_agree_with_the_points(finishe
         for side in ("real", "sim"):
             ground = pd.read_parquet(out / "ground" / f"{name}.{side}.parquet").query("~is_ground")
             clouds[side] = ground[["x", "y", "z"]].to_numpy()
-        distance_m = nearest_distances(clouds["real"], clouds["sim"])
+        distance_m, _ = nearest_distances(clouds["real"], clouds["sim"])
         whole = coverage.loc["real"].loc[np.nan]
         shares = [(distance_m <= reach_m).mean() for reach_m in COVERAGE_DISTANCES_M]
         for reach, share in zip(("0p1m", "0p3m", "1m"), shares, strict=True):

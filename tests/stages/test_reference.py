@@ -180,7 +180,7 @@ def test_annotation_that_is_not_there_is_named(boxes, kind, wanted):
 def test_coverage_is_what_the_loops_say(boxes, rng):
     others = rng.permutation(boxes)[:60] + rng.normal(0, 0.3, (60, 3))
     labels = np.repeat([0, 1, 3], [80, 50, 30]).astype(np.int32)
-    distance_m = nearest_distances(boxes, others)
+    distance_m, _ = nearest_distances(boxes, others)
     found = cover(distance_m, labels, 5)
     assert found.n_points.tolist() == [80, 50, 0, 30, 0]
     for i in (0, 1, 3):

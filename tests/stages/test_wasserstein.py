@@ -6,9 +6,10 @@ from scipy.optimize import linear_sum_assignment, linprog
 from scipy.spatial.distance import cdist
 from scipy.stats import wasserstein_distance
 
-from fidpipe.stages.baselines.chamfer import chamfer, nearest_distances
+from fidpipe.stages.baselines.chamfer import chamfer
 from fidpipe.stages.baselines.emd import aligned_distance, earth_movers
 from fidpipe.stages.baselines.sliced_wasserstein import sliced_wasserstein
+from fidpipe.stages.coverage import nearest_distances
 from fidpipe.stages.metrics import chamfer_density_aware
 from scenes import moved, rigid
 
