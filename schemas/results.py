@@ -382,15 +382,18 @@ class SurfaceStates(Result):
     """Unmatched objects of all pairs, by whether their surface is on the other side: see `stages.coverage`.
 
     there : it is, and only divided differently
+    road : of all three, those that lie mostly below the other side's ground cut: road that only one side's cut left;
+        None where an older fidpipe wrote the record
     """
 
     there: int
     partly: int
     absent: int
+    road: int | None = None
 
 
 #: The names of the states.
-SURFACE_STATES = tuple(SurfaceStates.model_fields)
+SURFACE_STATES = tuple(name for name in SurfaceStates.model_fields if name != "road")
 
 
 class UnmatchedSurface(Result):

@@ -173,6 +173,12 @@ COVERAGE = Table(
                 for reach in COVERAGE_REACHES
             ),
             column("median_distance_m", FLOAT64, "of their distances to the other side", "m", optional=True),
+            column(
+                "road_share",
+                FLOAT64,
+                "share of them below the other side's ground cut, so that they are road there; null where it made none",
+                optional=True,
+            ),
         ]
     ),
     ("side", "community_id"),

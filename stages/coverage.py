@@ -8,11 +8,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..schemas.results import SURFACE_STATES
-from .arrays import FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray
 
 #: A point is covered if the other side has a point at most so far away.
 COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
 THERE, ABSENT = 0.8, 0.2
+#: Of an object that is road to the other side, more than this share of the points lies below the other side's cut.
+ROAD = 0.5
 
 
 @dataclass(frozen=True)
@@ -22,11 +24,13 @@ class Coverage:
     n_points : (c,) int32
     covered : (c, 3) float64, share of the points at most 0.1, 0.3 and 1.0 m from the other side
     median_distance_m : (c,) float64, of the distances to the other side
+    road_share : (c,) float64, share of the points that are road to the other side; NaN where that is not known
     """
 
     n_points: IntArray
     covered: FloatArray
     median_distance_m: FloatArray
+    road_share: FloatArray
 
 
 def surface_state(covered: float) -> str:
@@ -56,7 +60,26 @@ def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, Fl
     return to_sim, to_real
 
 
-def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0) -> Coverage:
+def below_cut(points: FloatArray, axis: FloatArray, threshold_m: float | None) -> BoolArray | None:
+    """Which points of a side the other side's ground cut would have taken for road, (n,); None if it made no cut.
+
+    p . axis < threshold. What one side's cut removed and the other's left stays as objects that are road (fidpipe).
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, object points
+    axis, threshold_m : (3,) and metres, of the other side's cut; see `ground.GroundResult`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> below_cut(np.array([[5.0, 0.0, -1.7], [5.0, 0.0, 0.4]]), np.array([0.0, 0.0, 1.0]), -1.4).tolist()
+    [True, False]
+    """
+    return None if threshold_m is None else points @ axis < threshold_m
+
+
+def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: BoolArray | None = None) -> Coverage:
     """The coverage of each object of a side, by id.
 
     covered_r = |{p : min_q |p - q| <= r}| / n, p of the object, q any object point of the other side (fidpipe).
@@ -66,6 +89,7 @@ def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0) -> Coverage:
     distance_m : (n,) float64, of each point to the other side
     labels : (n,) int32, object of each point, ids from 0
     n_ids : how many ids there are at least
+    is_road : (n,) bool, points that are road to the other side, see `below_cut`; None if that is not known
 
     Examples
     --------
@@ -78,6 +102,11 @@ def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0) -> Coverage:
         covered = np.column_stack(
             [np.bincount(labels, distance_m <= reach_m, len(n_points)) / n_points for reach_m in COVERAGE_DISTANCES_M]
         )
+        road = (
+            np.full(len(n_points), np.nan)
+            if is_road is None
+            else np.bincount(labels, is_road, len(n_points)) / n_points
+        )
     by_object = np.split(distance_m[np.argsort(labels, kind="stable")], np.cumsum(n_points)[:-1])
     median_m = np.array([np.median(own) if len(own) else np.nan for own in by_object])
-    return Coverage(n_points, covered, median_m)
+    return Coverage(n_points, covered, median_m, road)

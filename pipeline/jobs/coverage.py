@@ -7,11 +7,11 @@ import numpy as np
 from ...schemas.columns import SIDES, Row
 from ...schemas.metrics import COVERAGE_REACHES
 from ...schemas.tables import COVERAGE
-from ...stages.coverage import Coverage, cover, nearest_distances
+from ...stages.coverage import Coverage, below_cut, cover, nearest_distances
 from ..stage import Context, Facts, Grain, Made, Stage
 from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
 
-_MEASURES = (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "median_distance_m")
+_MEASURES = (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "median_distance_m", "road_share")
 
 
 def make_coverage(context: Context) -> Made:
@@ -21,10 +21,12 @@ def make_coverage(context: Context) -> Made:
     facts: Facts = {}
     with context.step("nearest"):
         distances_m = nearest_distances(*points)
-    for side, distance_m in zip(SIDES, distances_m, strict=True):
+    for side, other, distance_m in zip(SIDES, reversed(SIDES), distances_m, strict=True):
+        cut = context.facts("ground", other)
+        is_road = below_cut(object_points(context, side)[1], np.array(cut["axis"]), cut["threshold_m"])
         labels = column(context.table("communities", side), "community_id")
-        each = cover(distance_m, labels, len(column(context.table("objects", side), "n_points")))
-        (whole,) = _rows(cover(distance_m, np.zeros(len(labels), dtype=np.int32)))
+        each = cover(distance_m, labels, len(column(context.table("objects", side), "n_points")), is_road)
+        (whole,) = _rows(cover(distance_m, np.zeros(len(labels), dtype=np.int32), is_road=is_road))
         both = {"pair_id": context.pair_id, "side": side}
         rows += [both | {"community_id": i} | row for i, row in enumerate(_rows(each))]
         rows.append(both | whole)
@@ -34,7 +36,7 @@ def make_coverage(context: Context) -> Made:
 
 def _rows(coverage: Coverage) -> list[Row]:
     """One row per object, without the columns that name it."""
-    numbers = np.column_stack([coverage.covered, coverage.median_distance_m]).tolist()
+    numbers = np.column_stack([coverage.covered, coverage.median_distance_m, coverage.road_share]).tolist()
     return [
         {"n_points": n} | dict(zip(_MEASURES, nulls_for_nan(values), strict=True))
         for n, values in zip(coverage.n_points.tolist(), numbers, strict=True)
@@ -50,5 +52,6 @@ STAGE = Stage(
     },
     gives=("coverage",),
     grain=Grain.PAIR,
+    version=2,
     make=make_coverage,
 )

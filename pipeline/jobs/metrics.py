@@ -11,11 +11,11 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.metrics import OBJECT_METRICS
-from ...schemas.results import SURFACE_STATES
+from ...schemas.results import SurfaceStates
 from ...schemas.settings import Settings
 from ...schemas.tables import METRICS
 from ...stages.arrays import FloatArray
-from ...stages.coverage import surface_state
+from ...stages.coverage import ROAD, surface_state
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
 from ..stage import ROW, Context, Facts, Grain, Made, Stage, Tables
@@ -26,7 +26,7 @@ _CUT = ("peak_m", "threshold_m", "loss", "iterations", "removed_share", "tilt_de
 
 #: What an object is called that only this side has.
 _ALONE = {"real": "missing", "sim": "hallucinated"}
-_COVERED = ("side", "community_id", "covered_0p3m")
+_COVERED = ("side", "community_id", "covered_0p3m", "road_share")
 
 
 def make_metrics(context: Context) -> Made:
@@ -78,8 +78,8 @@ def gather_metrics(context: Context, tables: Tables) -> Facts:
 
 
 def summarise_metrics(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
-    """Of the unmatched objects of all pairs, how many have their surface on the other side, wholly, partly, or not."""
-    total = {alone: dict.fromkeys(SURFACE_STATES, 0) for alone in _ALONE.values()}
+    """Of the unmatched objects of all pairs, how many have their surface on the other side, and how many are road."""
+    total = {alone: dict.fromkeys(SurfaceStates.model_fields, 0) for alone in _ALONE.values()}
     for record in records:
         for alone, counts in record.facts["unmatched"].items():
             for state, count in counts.items():
@@ -90,13 +90,13 @@ def summarise_metrics(records: Iterable[JobRecord], settings: Settings) -> dict[
 def _unmatched_surface(coverage: pa.Table, ids: dict[str, list[Any]], statuses: list[str]) -> Facts:
     """How many objects that only one side has are covered by the other side, by what they are called and by state."""
     columns = (coverage.column(name).to_pylist() for name in _COVERED)
-    covered = {(side, community_id): share for side, community_id, share in zip(*columns, strict=True)}
-    return {
-        alone: dict(
-            Counter(surface_state(covered[side, i]) for i, own in zip(ids[side], statuses, strict=True) if own == alone)
-        )
-        for side, alone in _ALONE.items()
-    }
+    shares = {(side, community_id): own for side, community_id, *own in zip(*columns, strict=True)}
+    counts = {}
+    for side, alone in _ALONE.items():
+        own = [shares[side, i] for i, status in zip(ids[side], statuses, strict=True) if status == alone]
+        states = Counter(surface_state(covered) for covered, _ in own)
+        counts[alone] = dict(states) | {"road": sum((road_share or 0) > ROAD for _, road_share in own)}
+    return counts
 
 
 STAGE = Stage(

@@ -215,3 +215,25 @@ def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
         load(full, preset="reference")
     with pytest.raises(SettingsError, match='needs objects = "reference"'):
         load(None, ["communities.reference=labels"])
+
+
+def test_road_that_only_one_cut_left_is_counted_and_said(tmp_path):
+    """The simulated road lies 0.5 m lower but for a patch, which stays an object and is road on the real side."""
+    patch = np.random.default_rng(1).uniform([8, 8, -1.72], [12, 12, -1.68], (200, 3))
+    house = box([-10, 0, 0], [4, 4, 2], 300)
+    rest = np.random.default_rng(2).uniform([-20, -20, -0.01], [20, 20, 0.01], (4000, 3))
+    write_bin(tmp_path / "data/real/000.bin", np.vstack([rest - [0, 0, 1.7], patch, house]))
+    write_bin(tmp_path / "data/sim/000.bin", np.vstack([rest - [0, 0, 2.2], patch, house]))
+    run(tmp_path / "data", tmp_path / "run", load(None, ["ground.max_variance_loss=1"]))
+    coverage = pd.read_parquet(tmp_path / "run" / "coverage").query("side == 'sim'")
+    matching = pd.read_parquet(tmp_path / "run" / "matching").query("status == 'hallucinated'")
+    of_object = coverage.dropna(subset="community_id").set_index("community_id").road_share
+    invented = of_object[matching.sim_id.astype(int)]
+    assert (invented == 1).sum() >= 1
+    assert set(of_object) <= {0.0, 1.0}
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert record["metrics"]["unmatched"]["hallucinated"]["road"] == (invented > 0.5).sum()
+    assert record["metrics"]["unmatched"]["missing"]["road"] == 0
+    assert f"{len(invented)} hallucinated objects are road that" in " ".join(
+        command("show", tmp_path / "run").stdout.split()
+    )

@@ -5,7 +5,7 @@ import textbook
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings, load
 from fidpipe.stages.communities import find_communities
-from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, cover, nearest_distances
+from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, below_cut, cover, nearest_distances
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.matching import match_reference
 from fidpipe.stages.method import compare, n_communities, partition
@@ -189,3 +189,16 @@ def test_coverage_is_what_the_loops_say(boxes, rng):
         assert found.median_distance_m[i] == np.median(distance_m[labels == i])
     assert np.isnan(found.covered[[2, 4]]).all()
     assert np.isnan(found.median_distance_m[[2, 4]]).all()
+    assert np.isnan(found.road_share).all()
+
+
+def test_road_share_is_what_lies_below_the_cut_of_the_other_side():
+    up = np.array([np.sin(0.1), 0.0, np.cos(0.1)])  # the other side's road rises towards -x
+    on_road = np.array([[10.0, 0.0, -1.0 - 0.05], [-10.0, 0.0, 1.0 - 0.05], [0.0, 3.0, -0.05]])
+    points, labels = np.concatenate([on_road, on_road + [0, 0, 1.0]]), np.array([0, 0, 1, 1, 2, 2], dtype=np.int32)
+    is_road = below_cut(points, up, 0.1)
+    assert is_road.tolist() == [True] * 3 + [False] * 3
+    road_share = cover(np.zeros(6), labels, 4, is_road).road_share
+    assert road_share[:3].tolist() == [1.0, 0.5, 0.0]
+    assert np.isnan(road_share[3])
+    assert below_cut(points, up, None) is None

@@ -24,6 +24,7 @@ from ....schemas.metrics import (
     unit_words,
 )
 from ....schemas.results import (
+    SURFACE_STATES,
     BaselineSummary,
     Claim,
     ClassFindings,
@@ -256,7 +257,7 @@ def unmatched_lines(record: RunRecord) -> list[str]:
         return lines
     for status, other in (("missing", "simulated"), ("hallucinated", "real")):
         states: SurfaceStates = getattr(record.metrics.unmatched, status)
-        there, partly, absent = (count / max(1, record.pairs.scored) for count in vars(states).values())
+        there, partly, absent = (getattr(states, name) / max(1, record.pairs.scored) for name in SURFACE_STATES)
         total, near = there + partly + absent, f"of their points have a {other} one within 0.3 m"
         if there or partly:
             lines.append(
@@ -267,6 +268,11 @@ def unmatched_lines(record: RunRecord) -> list[str]:
             lines.append(
                 f"the {total:.1f} {status} objects a pair are all absent from the {other} side (at most "
                 f"{100 * ABSENT:.0f} % {near})"
+            )
+        if states.road:
+            lines.append(
+                f"{states.road} of the {states.there + states.partly + states.absent} {status} objects are road that "
+                f"the ground cut of the {other} side removed and that of their own side left (column road_share)"
             )
     return lines
 
