@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
@@ -90,7 +89,7 @@ def read_results(folder: Path) -> RunResults:
         The folder is no run, the run has not ended, a table is damaged, or no pair is scored.
     """
     run = FinishedRun(folder)
-    rows: pd.DataFrame = run.read_table("pairs").to_pandas()
+    rows = run.pairs
     is_scored = rows.status == "scored"
     failures = dict(zip(rows.pair_id[~is_scored], rows.reason[~is_scored], strict=True))
     if not is_scored.any():
@@ -99,7 +98,7 @@ def read_results(folder: Path) -> RunResults:
     names = pairs.pair_id.tolist()
     for name in names:
         run.check_tables(name)
-    objects = _with_class(_with_coverage(_read(run, "objects", names, SIDES), _read(run, "coverage", names)), names)
+    objects = _with_class(_with_coverage(_read(run, "objects", names), _read(run, "coverage", names)), names)
     matched, unmatched = _matched_and_not(_read(run, "metrics", names), _read(run, "matching", names), objects)
     return RunResults(
         run=run,
@@ -201,10 +200,9 @@ class PairTables:
         return rows
 
 
-def _read(run: FinishedRun, table: str, names: Iterable[str], sides: Iterable[str] = ("",)) -> pd.DataFrame:
+def _read(run: FinishedRun, table: str, names: Iterable[str]) -> pd.DataFrame:
     """A table of all pairs, one pair after the other."""
-    tables = [run.read_table(table, name, side) for name in names for side in sides]
-    rows: pd.DataFrame = pa.concat_tables(tables).to_pandas()
+    rows: pd.DataFrame = run.table(table, names).to_pandas()
     return rows
 
 

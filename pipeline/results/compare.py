@@ -200,7 +200,7 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str], floor:
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'none is scored'})")
     changes: dict[str, list[ObjectChange]] = {}
     for name in names:
-        before, after = base.objects(name), other.objects(name)
+        before, after = base.objects_of(name), other.objects_of(name)
         if _same_real_side(before, after):
             changes[name] = _follow(name, before, after)
     excess = None if floor is None else (excess_over(base, floor, names), excess_over(other, floor, names))

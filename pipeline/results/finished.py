@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -21,11 +21,20 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
 from ...schemas.results import JsonObject, RunRecord
-from ..jobs import STAGES
+from ...schemas.tables import TABLES
+from ..jobs import EXTRAS, STAGES
+from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, read_run
 from ..storage.tables import table_name
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: The stage that gives a table, by the table's name.
+_STAGE_OF = {table: stage for stage in (*STAGES, *EXTRAS) for table in stage.gives}
+#: Tables of the whole run, in one file each.
+_OF_RUN = ("pairs", "timings")
 #: The scores of which it is said what another partition does to them.
 _BY_CHANCE = ("match_rate", "cdc_mean", "r_lambda_mean")
 
@@ -54,16 +63,28 @@ class PairObjects:
 
 
 class FinishedRun:
-    """A run that has ended.
+    """A run that has ended: its record, and its tables as pandas frames or as Arrow, each checked as it is read.
+
+    Parameters
+    ----------
+    folder : as `fidpipe run` wrote it
 
     Raises
     ------
     RunError
         The folder is no run, the run has not ended, or its table of pairs is damaged.
+
+    Examples
+    --------
+    >>> import fidpipe
+    >>> run = fidpipe.open_run("runs/streets")  # doctest: +SKIP
+    >>> run.metrics.groupby("pair_id").r_lambda.median()  # doctest: +SKIP
+    >>> run.points("0003", "sim").query("community_id == 7")[["x", "y", "z"]]  # doctest: +SKIP
+    >>> run.table("metrics")  # as Arrow  # doctest: +SKIP
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = folder = Path(folder)
         record = read_run(folder)
         if made_by := record.get("experiment"):
             raise RunError(
@@ -84,6 +105,65 @@ class FinishedRun:
         self.store = RunFolder(folder)
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
+
+    def __repr__(self) -> str:
+        counts = self.record.pairs
+        return (
+            f"<fidpipe run {self.folder}: {counts.scored} pairs scored, {counts.failed} failed, preset {self.preset}>"
+        )
+
+    @property
+    def pairs(self) -> pd.DataFrame:
+        """One row per pair, failed ones with their reason; columns of `schemas.tables.PAIRS`."""
+        return _frame(self.table("pairs"))
+
+    @property
+    def objects(self) -> pd.DataFrame:
+        """One row per object of either side of all scored pairs; columns of `schemas.tables.OBJECTS`."""
+        return _frame(self.table("objects"))
+
+    @property
+    def metrics(self) -> pd.DataFrame:
+        """One row per matched object of all scored pairs; columns of `schemas.tables.METRICS`."""
+        return _frame(self.table("metrics"))
+
+    def points(self, pair_id: str, side: str) -> pd.DataFrame:
+        """The clean points of a side, (x, y, z) in metres in the real sensor's frame, and the object of each.
+
+        Columns of `schemas.tables.GROUND` and `community_id`, which is null for ground.
+        """
+        points = _frame(self._of_side("ground", pair_id, side))
+        labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]
+        return points.merge(labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1")
+
+    def edges(self, pair_id: str, side: str) -> pd.DataFrame:
+        """The graph of a side, one row per edge: `src`, `dst` (ids of points), `length_m`."""
+        return _frame(self._of_side("graph", pair_id, side))
+
+    def table(self, name: str, pairs: Iterable[str] | None = None) -> pa.Table:
+        """A table of all scored pairs in one, pair by pair, real before simulated; see runs/README.md for the names.
+
+        Parameters
+        ----------
+        name : such as "metrics", "coverage", "selection"; "pairs" and "timings" are of the whole run
+        pairs : names of pairs; by default all that are scored
+
+        Raises
+        ------
+        RunError
+            There is no such table, a pair failed, or a file is damaged or gone.
+        """
+        if name in _OF_RUN:
+            return self.read_table(name)
+        stage = _STAGE_OF.get(name)
+        if stage is None:
+            raise RunError(f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *_STAGE_OF))}")
+        names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
+        sides = SIDES if stage.grain is Grain.SIDE else ("",)
+        parts = [self.read_table(name, self._scored(own), side) for own in names for side in sides]
+        if not parts:
+            return _as_read(TABLES[name].schema).empty_table()
+        return pa.concat_tables(parts).replace_schema_metadata()  # that of the first file says which job wrote it
 
     @property
     def preset(self) -> str:
@@ -111,11 +191,9 @@ class FinishedRun:
             self.check_file(table_name("objects", pair_id, side))
         self.check_file(table_name("metrics", pair_id))
 
-    def objects(self, pair_id: str) -> PairObjects:
+    def objects_of(self, pair_id: str) -> PairObjects:
         """The objects of a scored pair; `RunError` if it failed or a table is damaged."""
-        row = self.row(pair_id)
-        if row["status"] != "scored":
-            raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
+        row = self.row(self._scored(pair_id))
         sides = {side: self.side_objects(pair_id, side) for side in SIDES}
         matched = self.read_table("metrics", pair_id).to_pylist()
         matching = self.read_table("matching", pair_id).to_pylist()
@@ -147,6 +225,18 @@ class FinishedRun:
         except (OSError, pa.ArrowInvalid) as error:
             raise RunError(f"run {self.folder}: {name} cannot be read ({error}); run fidpipe run again") from error
 
+    def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
+        if side not in SIDES:
+            raise RunError(f"run {self.folder}: no side {side!r}; one of {', '.join(SIDES)} is wanted")
+        return self.read_table(table, self._scored(pair_id), side)
+
+    def _scored(self, pair_id: str) -> str:
+        """The name of a pair that is scored; `RunError` if it failed or is not there."""
+        row = self.row(pair_id)
+        if row["status"] != "scored":
+            raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
+        return pair_id
+
     def check_tables(self, pair_id: str) -> None:
         """Raises `RunError` if any table of a scored pair is damaged or gone."""
         for record in self.store.ledger.jobs(pair_id).values():
@@ -161,6 +251,17 @@ class FinishedRun:
                 f"run {self.folder}: {name} is damaged or gone; run it again with: "
                 f"{command_again(self.folder, self.record.dataset)}"
             )
+
+
+def _as_read(schema: pa.Schema) -> pa.Schema:
+    """A schema as files give it back: names of pairs and the like as plain strings."""
+    is_coded = pa.types.is_dictionary
+    return pa.schema([field.with_type(pa.string()) if is_coded(field.type) else field for field in schema])
+
+
+def _frame(table: pa.Table) -> pd.DataFrame:
+    frame: pd.DataFrame = table.to_pandas()
+    return frame
 
 
 def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] = ()) -> list[str]:
@@ -234,6 +335,21 @@ class PairFacts:
         return {"pair": self.pair, "objects": [each.as_dict() for each in self.objects]}
 
 
+def open_run(folder: Path | str) -> FinishedRun:
+    """The folder of a finished run, its tables as pandas frames: `pairs`, `objects`, `metrics`, `points`, `edges`.
+
+    Parameters
+    ----------
+    folder : as `fidpipe run` wrote it
+
+    Raises
+    ------
+    RunError
+        The folder is no run, the run has not ended, or its table of pairs is damaged.
+    """
+    return FinishedRun(folder)
+
+
 def run_facts(run: FinishedRun) -> JsonObject:
     """The record and the rows of all pairs of a run, for JSON."""
     return {"folder": str(run.folder), "record": run.record.as_dict(), "pairs": list(run.rows)}
@@ -295,7 +411,7 @@ def _alone(pair: PairObjects, side: str, i: int) -> ObjectFacts:
 
 def _covered(run: FinishedRun, pair_id: str) -> PairObjects:
     """The objects of a pair, each with how much of it the other side has."""
-    pair = run.objects(pair_id)
+    pair = run.objects_of(pair_id)
     covered = {(row["side"], row["community_id"]): row for row in run.read_table("coverage", pair_id).to_pylist()}
     sides = {side: [row | covered[side, row["community_id"]] for row in pair.sides[side]] for side in SIDES}
     return replace(pair, sides=sides)
