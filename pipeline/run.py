@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError, RunError
-from ..schemas.results import Findings, RunHeader, RunRecord
+from ..schemas.results import Findings, ObjectOverview, Overview, PreviousRun, RunHeader, RunRecord
 from ..schemas.settings import Settings, preset_of, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.frame_checks import shared_files, swapped_sides
@@ -28,6 +28,7 @@ from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
 from .results.findings import run_findings
+from .results.overview import Tally, overview_of
 from .stage import ROW, Stage
 from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder
@@ -36,9 +37,12 @@ from .storage.record import (
     SETTINGS_TOML,
     SUMMARISED,
     StageSeconds,
+    changed_inputs,
     changed_settings,
     has_ended,
+    has_same_summary,
     read_run,
+    replaced_results,
     run_header,
     run_record,
     timing_rows,
@@ -184,7 +188,7 @@ class _Run:
         before = read_run(request.out)
         self._changes = what_changed(before, request.settings, self._versions)
         self._other_settings = changed_settings(before, request.settings) if has_ended(before) else {}
-        self._findings_before = Findings.recorded(before.get("findings"))
+        self._before = before
 
     def inspect(self, selected: Iterable[ScanPair]) -> None:
         """Reads every file once that is not known yet: of the wanted pairs, and of those with results."""
@@ -200,6 +204,13 @@ class _Run:
         }
         for text in [*swapped_sides(pairs, self._request.dataset), *shared_files(hashes)]:
             self._reporter.warn(text)
+        self._hashes = {
+            pair.pair_id: input_hashes(pair, self._dataset.label_names, self._engine.contents[pair.pair_id])
+            for pair in self._dataset.pairs
+            if pair.pair_id in self._engine.contents
+        }
+        changes = [*self._changes, *changed_inputs(self._before, self._hashes)]
+        self._replaced = replaced_results(self._before, changes)
         self._end_phase("inspect")
 
     def survey(self, selected: Iterable[ScanPair]) -> Survey:
@@ -237,7 +248,7 @@ class _Run:
         self._engine.replace(survey, self._changes, list(self._versions))
         settings = to_toml(self._request.settings).encode()
         write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
-        write_record(self._request.out, self._header().as_dict(), self._folder.check_token)
+        write_record(self._request.out, self._header(self._replaced).as_dict(), self._folder.check_token)
 
     def write(self, survey: Survey) -> RunOutcome:
         """Writes the tables of the whole run and its record."""
@@ -255,33 +266,18 @@ class _Run:
         self._write_table(TIMINGS, key_of(key, list(self._versions), made_by), self._timing_parts(pair_ids))
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
-        contents = self._engine.contents
-        hashes = {
-            pair.pair_id: input_hashes(pair, self._dataset.label_names, contents[pair.pair_id])
-            for pair in self._dataset.pairs
-            if pair.pair_id in contents
-        }
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
         rows = pairs.select(["pair_id", *SUMMARISED]).to_pylist()
-        times = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
         scored_ids = [row["pair_id"] for row in rows if row["status"] == "scored"]
-        findings = run_findings(
-            self._folder,
-            scored_ids,
-            times,
-            hashes,
-            key,
-            self._findings_before,
-            by_reference=preset_of(self._request.settings) == "reference",
-        )
+        findings, objects = self._say_together(scored_ids, key)
         extras = {
             stage.name: stage.summarise(list(self._records(scored_ids, [stage.name])), self._request.settings)
             for stage in self._stages
             if stage.summarise
         }
         record = run_record(
-            self._header(),
-            hashes,
+            self._header(self._replaced),
+            self._hashes,
             rows,
             self._wall_s,
             self._engine.n_workers,
@@ -291,6 +287,10 @@ class _Run:
             self._engine.frames,
             extras,
         )
+        if has_same_summary(self._before, record):  # the same results again: what they replaced stays as it was
+            record = record.model_copy(update={"previous": PreviousRun.recorded(self._before.get("previous"))})
+        if findings and objects:
+            record = record.model_copy(update={"overview": overview_of(findings.key, objects, record)})
         write_record(self._request.out, record.as_dict(), self._folder.check_token)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
@@ -301,8 +301,25 @@ class _Run:
         """The jobs of a pair that are wanted."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
-    def _header(self) -> RunHeader:
-        return run_header(self._request.dataset, self._request.settings, self._versions)
+    def _say_together(self, scored_ids: list[str], key: str) -> tuple[Findings | None, ObjectOverview | None]:
+        """The findings and the overview of the objects; those of the last record where nothing is other."""
+        before = Overview.recorded(self._before.get("overview"))
+        tally = Tally()
+        findings = run_findings(
+            self._folder,
+            scored_ids,
+            {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs},
+            self._hashes,
+            key,
+            Findings.recorded(self._before.get("findings")) if before else None,
+            by_reference=preset_of(self._request.settings) == "reference",
+            watch=tally.add,
+        )
+        is_same = findings is not None and before is not None and before.key == findings.key
+        return findings, before if is_same else tally.objects()
+
+    def _header(self, previous: PreviousRun | None) -> RunHeader:
+        return run_header(self._request.dataset, self._request.settings, self._versions, previous)
 
     def _records(self, pair_ids: Iterable[str], stages: Iterable[str] | None = None) -> Iterator[JobRecord]:
         return current_records(self._folder, pair_ids, stages or self._versions)

@@ -268,6 +268,154 @@ class Findings(ObjectFindings, _Key):  # in this order the key comes first in JS
             return None
 
 
+class Verdict(Result):
+    """What has become of the real objects of all scored pairs, and how many simulated ones have no counterpart.
+
+    faithful, structure_lost, displaced, failed : matched objects by quadrant, see `pipeline.results.quadrants`
+    unjudged : matched objects that are too small for a score of structure
+    missing, hallucinated : objects that only one side has
+    """
+
+    n_pairs: int
+    n_real: int
+    faithful: int
+    structure_lost: int
+    displaced: int
+    failed: int
+    unjudged: int
+    missing: int
+    hallucinated: int
+
+
+class HeadlineNumber(ScoreSummary):
+    """One of the numbers that a run is judged by first.
+
+    column : of `pairs`, by which the catalogue of metrics knows it
+    label : how it is called
+    better : "higher" or "lower"
+    last : its mean in the run that this one replaced; null where there was none
+    """
+
+    column: str
+    label: str
+    better: str
+    last: float | None
+
+
+class WorstObject(Result):
+    """One of the worst objects, and what is wrong with it.
+
+    side : "real", or "sim" of a hallucinated object; `object_id` is its number there
+    label : its class, or its shape where nothing is labelled
+    n_points : of its own side
+    status : "matched", "missing" or "hallucinated"
+    covered : share of its points that the other side has within 0.3 m
+    cdc, r_lambda : null where it is not matched, or too small
+    what : the same in words
+    """
+
+    pair_id: str
+    side: str
+    object_id: int
+    label: str
+    range_m: float
+    n_points: int
+    status: str
+    covered: float
+    cdc: float | None
+    r_lambda: float | None
+    what: str
+
+
+class Failing(_Band):
+    """How often objects of one class at one distance fail in one way.
+
+    kind : "missing", "hallucinated", or a quadrant that is not faithful
+    n, n_objects : so many of so many: of the simulated objects where hallucinated, else of the real ones
+    n_there : of the missing or hallucinated ones those whose surface the other side has, only divided differently
+    words : the same in words
+    """
+
+    label: str
+    kind: str
+    n: int
+    n_objects: int
+    n_there: int
+    words: str
+
+
+class Caution(Result):
+    """What limits the trust in the numbers.
+
+    kind : failed, to_do, frames, pairs, independence, partition, alignment, or floor (that none is known)
+    words : in one sentence
+    """
+
+    kind: str
+    words: str
+
+
+class ObjectOverview(Result):
+    """What the objects of all scored pairs say at a glance; see `pipeline.results.overview` for the rules.
+
+    class_is : "class" where objects are labelled, else "shape"
+    n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
+    worst : the three worst objects
+    failings : the three commonest failings
+    """
+
+    class_is: str
+    verdict: Verdict
+    n_aligned: int
+    n_badly_aligned: int
+    worst: tuple[WorstObject, ...]
+    failings: tuple[Failing, ...]
+
+
+class Overview(ObjectOverview, _Key):  # in this order the key comes first in JSON
+    """The answer to what a person asks first of a run.
+
+    key : hash of all that the objects' part was made from; another key asks for a new one
+    numbers : match rate, CDC, r_lambda, r_gap, and the share of real points that is covered within 0.3 m
+    trust : what limits the trust in them
+    """
+
+    numbers: tuple[HeadlineNumber, ...]
+    trust: tuple[Caution, ...]
+
+    @classmethod
+    def recorded(cls, values: object) -> Overview | None:
+        """The overview of an earlier record; None where it has none, or another version of fidpipe wrote it."""
+        try:
+            return cls.model_validate(values) if values else None
+        except ValidationError:
+            return None
+
+
+class PreviousRun(Result):
+    """The results that a run has replaced in its folder.
+
+    written, fidpipe : when they were written, and by which version
+    n_pairs : scored pairs
+    changes : in words, what is other now: settings, libraries, code, scans, pairs
+    means : by column of `pairs`
+    """
+
+    written: str
+    fidpipe: str
+    n_pairs: int
+    changes: tuple[str, ...]
+    means: dict[str, float | None]
+
+    @classmethod
+    def recorded(cls, values: object) -> PreviousRun | None:
+        """Those of an earlier record; None where it has none, or another version of fidpipe wrote it."""
+        try:
+            return cls.model_validate(values) if values else None
+        except ValidationError:
+            return None
+
+
 class BaselineSummary(Result):
     """A baseline over the pairs.
 
@@ -364,6 +512,7 @@ class RunHeader(Result):
     settings : by group and name, as they are in force
     stages : version of each stage's code
     libraries : version of each library, null where it is not installed
+    previous : the finished results of this folder that these replace; None where there were none, or none others
     """
 
     fidpipe: str
@@ -376,6 +525,7 @@ class RunHeader(Result):
     stages: dict[str, int]
     libraries: dict[str, str | None]
     machine: Machine
+    previous: PreviousRun | None = None
 
 
 class SurfaceStates(Result):
@@ -416,6 +566,7 @@ class RunRecord(RunHeader):
     wall_s : seconds of the last command by phase
     summary : by column of `pairs`; `cdc_unmatched_worst_mean` and the like: with unmatched objects counted as worst
     findings : None ({} in JSON) where no pair is scored
+    overview : None where no pair is scored, or an older fidpipe wrote the record
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
     metrics : what is behind the unmatched objects; None where an older fidpipe wrote the record
@@ -435,6 +586,7 @@ class RunRecord(RunHeader):
     ]
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
+    overview: Overview | None = None
     frames: dict[str, FrameSuspect] | None = None
     metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()

@@ -1,5 +1,5 @@
 """Pictures and pages from finished tables; computes no new score.
 
-terminal/, page/ and figures/ draw. What they share: results (reads a run), aggregates, quadrants and verdict
+terminal/, page/ and figures/ draw. What they share: results (reads a run), aggregates and verdict
 (count and judge), charts (of the pages), look (colours, names).
 """

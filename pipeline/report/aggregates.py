@@ -12,7 +12,7 @@ import pandas as pd
 
 from ...schemas.metrics import METRIC
 from ...stages.statistics.findings import BAND_EDGES_M
-from .quadrants import QUADRANTS, UNKNOWN
+from ..results.quadrants import QUADRANTS, UNKNOWN
 from .results import RunResults
 
 #: The two scores that are drawn side by side.

@@ -16,9 +16,9 @@ import plotly.graph_objects as go
 
 from ...schemas.metrics import METRIC
 from ..results.compare import ScoreChange
+from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .aggregates import SCORES, axis_title, boxes, evenly, histograms, quadrants, range_bands, stage_times
 from .look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
-from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .results import RunResults
 
 Chart = dict[str, Any]  #: data and layout

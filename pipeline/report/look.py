@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from html import escape
 
-from .quadrants import QUADRANTS, UNKNOWN
+from ..results.quadrants import QUADRANTS, UNKNOWN
 
 #: Signs that steer the text around them (controls, direction marks); as JavaScript also reads it.
 STEERING = r"[\u0000-\u001f\u007f-\u009f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff]"

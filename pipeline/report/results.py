@@ -23,11 +23,11 @@ from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ..engine.pool import one_blas_thread
+from ..results.findings import SHAPE_COLUMNS, shape_of
 from ..results.finished import FinishedRun
-from .quadrants import quadrant_of
+from ..results.overview import NO_LABEL
+from ..results.quadrants import quadrant_of
 
-SHAPES = ("linear", "planar", "scattered")
-_SHAPE_COLUMNS = ["linearity", "planarity", "scattering"]
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
@@ -218,10 +218,10 @@ def _with_coverage(objects: pd.DataFrame, coverage: pd.DataFrame) -> pd.DataFram
 
 def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     """Objects with bearing (degrees, 0 ahead, 90 left), the class that the report goes by, their pair and name."""
-    shape = np.array(SHAPES)[objects[_SHAPE_COLUMNS].fillna(0.0).to_numpy().argmax(axis=1)]
+    shape = shape_of(*(objects[name].to_numpy() for name in SHAPE_COLUMNS))
     return objects.assign(
         bearing_deg=np.degrees(np.arctan2(objects.cy, objects.cx)),
-        group=objects.label.fillna("(no label)") if objects.label.notna().any() else shape,
+        group=objects.label.fillna(NO_LABEL) if objects.label.notna().any() else shape,
         pair=objects.pair_id.map({name: i for i, name in enumerate(names)}),
         name=objects.side + " " + objects.community_id.astype(str),
     )

@@ -9,9 +9,10 @@ from typing import Any
 import pandas as pd
 
 from ...schemas.metrics import metric_of
+from ..results.overview import run_overview, verdict_sentence
+from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..storage.record import unmatched_worst
-from .aggregates import band_of, quadrants
-from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
+from .aggregates import band_of
 from .results import RunResults
 from .terminal.layout import number
 from .terminal.run import coverage_rows, surface_line, unmatched_lines
@@ -42,9 +43,9 @@ class Verdict:
 
 def verdict_of(results: RunResults) -> Verdict:
     """What the run says of the simulation."""
-    record = results.run.record
+    record, overview = results.run.record, run_overview(results.run)
     return Verdict(
-        sentence=_sentence(results),
+        sentence=verdict_sentence(overview.verdict) if overview else "",
         weakest=_weakest(results),
         unmatched=_as_text(unmatched_lines(record)),
         surface=_as_text([surface_line(record)]),
@@ -67,22 +68,6 @@ def limits_in_words() -> str:
 def _as_text(lines: Iterable[str]) -> str:
     """Lines of the terminal as sentences of one paragraph."""
     return " ".join(f"{line[0].upper()}{line[1:]}." for line in lines)
-
-
-def _sentence(results: RunResults) -> str:
-    n_of = {key: counted["n"] for key, counted in quadrants(results).items()}
-    n_missing = int((results.unmatched.status == "missing").sum())
-    n_hallucinated = len(results.unmatched) - n_missing
-    n_real, n_pairs = len(results.matched) + n_missing, len(results.pairs)
-    share = {key: f"{100 * n / n_real:.0f} %" for key, n in (n_of | {"missing": n_missing}).items()}
-    unknown = f", {share[UNKNOWN]} are too small to judge" if n_of[UNKNOWN] else ""
-    has = "object has" if n_hallucinated == 1 else "objects have"
-    return (
-        f"Of the {n_real:,} real objects in {n_pairs:,} pair{'s' * (n_pairs > 1)} of scans the simulation reproduces "
-        f"{share['faithful']} faithfully, {share['structure lost']} with the right shape but lost structure, "
-        f"{share['displaced']} with the right structure but displaced; {share['failed']} fail in both, "
-        f"{share['missing']} are missing{unknown}; {n_hallucinated:,} simulated {has} no real counterpart."
-    )
 
 
 def _weakest(results: RunResults) -> str:

@@ -1,13 +1,14 @@
 """The findings of a run: reads the objects and scores of its pairs, and keeps what they say together in `run.json`.
 
-Reads a few columns of three small files per pair, about a millisecond, and only when the results have changed.
+Reads a few columns of four small files per pair, and only when the results have changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.results import Findings
-from ...stages.arrays import IntArray
+from ...stages.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from ...stages.statistics.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
 from ..storage.files import key_of
@@ -25,6 +26,57 @@ from ..storage.tables import TableFolder
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
 _VERSION = 4
 _FILES_AT_ONCE = 200
+
+#: What an object is called by its shape, in the order of the columns that tell it.
+SHAPES = ("linear", "planar", "scattered")
+SHAPE_COLUMNS = ("linearity", "planarity", "scattering")
+_EXTENTS = ("extent_x", "extent_y", "extent_z")
+_OF_OBJECTS = ("community_id", "n_points", "range_m", "label", *_EXTENTS, *SHAPE_COLUMNS)
+_OF_COVERAGE = ("side", "community_id", "covered_0p3m")
+_OF_METRICS = ("real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap", "alignment_rms_m")
+_Objects = TypeVar("_Objects", SideObjects, MatchedObjects)
+
+
+@dataclass(frozen=True)
+class SideRows:
+    """The objects of one side of some pairs, (n,) each.
+
+    pair : place of the pair among `ObjectRows.pair_ids`
+    object_id : from 0 in each pair
+    label, shape : class, "" where there is none, and which of `SHAPES` it is
+    diagonal_m : of the axis-aligned bounding box
+    covered : share of its points that the other side has within 0.3 m
+    is_matched : whether the other side has it too
+    """
+
+    pair: IntArray
+    object_id: IntArray
+    n_points: IntArray
+    range_m: FloatArray
+    label: NDArray[Any]
+    shape: NDArray[np.str_]
+    diagonal_m: FloatArray
+    covered: FloatArray
+    is_matched: BoolArray
+
+
+@dataclass(frozen=True)
+class ObjectRows:
+    """The objects of some pairs.
+
+    real, sim : those of each side
+    pair : (m,) of each matched object, its place among `pair_ids`
+    scores : columns of `metrics`, (m,) each, NaN where null
+    real_rows, sim_rows : (m,) places of the matched objects in `real` and `sim`
+    """
+
+    pair_ids: list[str]
+    real: SideRows
+    sim: SideRows
+    pair: IntArray
+    scores: dict[str, NDArray[Any]]
+    real_rows: IndexArray
+    sim_rows: IndexArray
 
 
 def run_findings(
@@ -36,6 +88,7 @@ def run_findings(
     before: Findings | None,
     *,
     by_reference: bool = False,
+    watch: Callable[[ObjectRows], None] | None = None,
 ) -> Findings | None:
     """What the scored pairs say together, None where there are none.
 
@@ -50,6 +103,7 @@ def run_findings(
     tables_key : hash of all that the tables were made of
     before : the findings of the last record
     by_reference : whether the real side fixed the objects
+    watch : is told of the objects as they are read
     """
     if not pair_ids:
         return None
@@ -57,49 +111,101 @@ def run_findings(
     key = key_of(_VERSION, tables_key, pair_ids, times)
     if before is not None and before.key == key:
         return before
-    objects = read_objects(folder, pair_ids, by_reference=by_reference)
+    objects = read_objects(folder, pair_ids, by_reference=by_reference, watch=watch)
     contents, real_scans = ([hashes[pair_id][name] for pair_id in pair_ids] for name in ("content", "real"))
     claims = check_claims(*objects, contents, real_scans, times)
     return Findings(key=key, **vars(summarise_objects(*objects, pair_ids, times)), claims=tuple(claims))
 
 
 def read_objects(
-    folder: TableFolder, pair_ids: list[str], *, by_reference: bool = False
+    folder: TableFolder,
+    pair_ids: list[str],
+    *,
+    by_reference: bool = False,
+    watch: Callable[[ObjectRows], None] | None = None,
 ) -> tuple[SideObjects, SideObjects, MatchedObjects]:
     """All objects of either side, and the matched ones, of the pairs; indices of pairs are places in `pair_ids`.
 
-    Where the real side fixed the objects, what little is simulated of a missing object is no simulated object.
+    Parameters
+    ----------
+    by_reference : the real side fixed the objects: what little is simulated of a missing one is no simulated object
+    watch : is told of the objects, some pairs at a time, with more that is known of them
     """
-    paths = [folder.path("metrics", pair_id) for pair_id in pair_ids]
-    metrics, pair = read_columns(paths, ["real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap"])
-    sides, matched_rows = [], []
-    for side in SIDES:
-        paths = [folder.path("objects", pair_id, side) for pair_id in pair_ids]
-        objects, pair_of_object = read_columns(paths, ["range_m", "label"])
-        # The objects of a side are numbered from 0 in each pair, so that pair and id say the row.
-        first = np.concatenate([[0], np.cumsum(np.bincount(pair_of_object, minlength=len(pair_ids)))])
-        rows = first[pair] + metrics[f"{side}_id"]
-        is_matched = np.zeros(len(pair_of_object), dtype=np.bool_)
-        is_matched[rows] = True
-        label = np.array([label or "" for label in objects["label"].tolist()], dtype=np.str_)
-        sides.append(SideObjects(pair_of_object, objects["range_m"], label, is_matched))
-        matched_rows.append(rows)
-    real, sim = sides
-    if by_reference:
-        n_real, n_sim = (np.bincount(side.pair, minlength=len(pair_ids)) for side in sides)
-        ids = np.arange(len(sim.pair)) - np.repeat(np.cumsum(n_sim) - n_sim, n_sim)
-        own = sim.is_matched | (ids >= n_real[sim.pair])
-        sim = SideObjects(sim.pair[own], sim.range_m[own], sim.label[own], sim.is_matched[own])
-    scores = {name: metrics[name] for name in ("n_real", "n_sim", "cdc", "r_lambda", "r_gap")}
-    return real, sim, MatchedObjects(pair, real.range_m[matched_rows[0]], real.label[matched_rows[0]], **scores)
+    reals, sims, matched = [], [], []
+    for first, rows in _rows_of(folder, pair_ids, by_reference):
+        if watch:
+            watch(rows)
+        real, sim = (
+            SideObjects(first + side.pair, side.range_m, side.label.astype(np.str_), side.is_matched)
+            for side in (rows.real, rows.sim)
+        )
+        scores = {name: rows.scores[name] for name in ("n_real", "n_sim", "cdc", "r_lambda", "r_gap")}
+        own = rows.real_rows
+        matched.append(MatchedObjects(first + rows.pair, real.range_m[own], real.label[own], **scores))
+        reals.append(real)
+        sims.append(sim)
+    return _joined(reals), _joined(sims), _joined(matched)
 
 
-def read_columns(paths: list[Path], columns: list[str]) -> tuple[dict[str, NDArray[Any]], IntArray]:
+def _rows_of(folder: TableFolder, pair_ids: list[str], by_reference: bool) -> Iterator[tuple[int, ObjectRows]]:
+    """The objects of some pairs at a time, and the place of the first of these in `pair_ids`."""
+    for first in range(0, len(pair_ids), _FILES_AT_ONCE):
+        names = pair_ids[first : first + _FILES_AT_ONCE]
+        scores, pair = read_columns([folder.path("metrics", name) for name in names], _OF_METRICS)
+        coverage, _ = read_columns([folder.path("coverage", name) for name in names], _OF_COVERAGE)
+        sides, rows = {}, {}
+        for side in SIDES:
+            objects, pair_of_object = read_columns([folder.path("objects", name, side) for name in names], _OF_OBJECTS)
+            # The objects of a side are numbered from 0 in each pair, so that pair and id say the row.
+            n = np.bincount(pair_of_object, minlength=len(names))
+            rows[side] = (np.cumsum(n) - n)[pair] + scores[f"{side}_id"]
+            is_matched = np.zeros(len(pair_of_object), dtype=np.bool_)
+            is_matched[rows[side]] = True
+            own = (coverage["side"] == side) & ~np.isnan(coverage["community_id"])  # in the order of the objects
+            sides[side] = SideRows(
+                pair=pair_of_object,
+                object_id=objects["community_id"],
+                n_points=objects["n_points"],
+                range_m=objects["range_m"],
+                label=np.array([label or "" for label in objects["label"]], dtype=object),
+                shape=shape_of(*(objects[name] for name in SHAPE_COLUMNS)),
+                diagonal_m=np.sqrt(np.sum([objects[name] ** 2 for name in _EXTENTS], axis=0)),
+                covered=coverage["covered_0p3m"][own],
+                is_matched=is_matched,
+            )
+        if by_reference:
+            n_real = np.bincount(sides["real"].pair, minlength=len(names))
+            is_own = sides["sim"].is_matched | (sides["sim"].object_id >= n_real[sides["sim"].pair])
+            sides["sim"] = SideRows(**{name: column[is_own] for name, column in vars(sides["sim"]).items()})
+            rows["sim"] = (np.cumsum(is_own) - 1)[rows["sim"]]
+        yield first, ObjectRows(names, sides["real"], sides["sim"], pair, scores, rows["real"], rows["sim"])
+
+
+def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArray) -> NDArray[np.str_]:
+    """Which of `SHAPES` objects are: the largest of the three, (n,) strings; "linear" where all are null.
+
+    Examples
+    --------
+    >>> shape_of(np.array([0.2]), np.array([0.7]), np.array([0.1])).tolist()
+    ['planar']
+    """
+    largest = np.nan_to_num(np.column_stack([linearity, planarity, scattering])).argmax(axis=1)
+    shapes: NDArray[np.str_] = np.array(SHAPES)[largest]
+    return shapes
+
+
+def _joined(parts: Sequence[_Objects]) -> _Objects:
+    """The objects of all parts, one after the other."""
+    columns = (np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0]))
+    return type(parts[0])(*columns)
+
+
+def read_columns(paths: Sequence[Path], columns: Sequence[str]) -> tuple[dict[str, NDArray[Any]], IntArray]:
     """Columns of some files one after the other, nulls of numbers as NaN, and which file each row comes from."""
     chunks, n_rows = [], []
     for start in range(0, len(paths), _FILES_AT_ONCE):  # a table of few rows is larger than they are
         files = (pa.BufferReader(path.read_bytes()) for path in paths[start : start + _FILES_AT_ONCE])
-        parts = [pq.ParquetFile(file).read(columns=columns, use_threads=False) for file in files]
+        parts = [pq.ParquetFile(file).read(columns=list(columns), use_threads=False) for file in files]
         n_rows += [part.num_rows for part in parts]
         chunks.append(pa.concat_tables(parts).combine_chunks())
     table = pa.concat_tables(chunks)

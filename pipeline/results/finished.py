@@ -186,10 +186,11 @@ class FinishedRun:
         return self._row_of[pair_id]
 
     def check(self, pair_id: str) -> None:
-        """Raises `RunError` if a table of objects or scores of a scored pair is damaged."""
+        """Raises `RunError` if a table of objects, scores or coverage of a scored pair is damaged."""
         for side in SIDES:
             self.check_file(table_name("objects", pair_id, side))
-        self.check_file(table_name("metrics", pair_id))
+        for table in ("metrics", "coverage"):
+            self.check_file(table_name(table, pair_id))
 
     def objects_of(self, pair_id: str) -> PairObjects:
         """The objects of a scored pair; `RunError` if it failed or a table is damaged."""

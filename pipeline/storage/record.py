@@ -16,7 +16,17 @@ from typing import Any
 
 from ...schemas.columns import Row
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
-from ...schemas.results import Findings, FrameSuspect, Machine, PairCounts, RunHeader, RunRecord, ScoreSummary, Seconds
+from ...schemas.results import (
+    Findings,
+    FrameSuspect,
+    Machine,
+    PairCounts,
+    PreviousRun,
+    RunHeader,
+    RunRecord,
+    ScoreSummary,
+    Seconds,
+)
 from ...schemas.settings import Settings, departures, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
@@ -82,12 +92,15 @@ def json_parts(record: Mapping[str, Any]) -> Iterator[bytes]:
     yield b"\n"
 
 
-def run_header(dataset: Path, settings: Settings, stages: Mapping[str, int]) -> RunHeader:
+def run_header(
+    dataset: Path, settings: Settings, stages: Mapping[str, int], previous: PreviousRun | None = None
+) -> RunHeader:
     """What `run.json` holds from the start of a run: what it is made from and with.
 
     Parameters
     ----------
     stages : code version by stage
+    previous : the finished results that it replaces
     """
     return RunHeader(
         fidpipe=_version("fidpipe"),
@@ -102,7 +115,47 @@ def run_header(dataset: Path, settings: Settings, stages: Mapping[str, int]) -> 
         machine=Machine(
             python=platform.python_version(), system=platform.platform(), processor=_processor(), cores=os.cpu_count()
         ),
+        **({} if previous is None else {"previous": previous}),
     )
+
+
+def replaced_results(before: Mapping[str, Any], changes: Iterable[str]) -> PreviousRun | None:
+    """The finished results of a record: those that it holds, or, where it is that of a run that works, had before.
+
+    Parameters
+    ----------
+    changes : in words, what is other now
+    """
+    if not has_ended(before):
+        return PreviousRun.recorded(before.get("previous"))
+    return PreviousRun(
+        written=before["written"],
+        fidpipe=before["fidpipe"],
+        n_pairs=before["pairs"]["scored"],
+        changes=tuple(changes),
+        means={name: score["mean"] for name, score in before["summary"].items()},
+    )
+
+
+def has_same_summary(before: Mapping[str, Any], record: RunRecord) -> bool:
+    """Whether the scores of a record that has ended are those of another, of those that both have."""
+    if not has_ended(before):
+        return False
+    now = {name: score.as_dict() for name, score in record.summary.items()}
+    return all(now.get(name, score) == score for name, score in before["summary"].items())
+
+
+def changed_inputs(before: Mapping[str, Any], hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """In words, how many pairs have other scans than in the last record, or are new or gone."""
+    if not has_ended(before):
+        return []
+    old = before["inputs"]
+    counts = {
+        "of other scans": sum(old[pair_id] != dict(own) for pair_id, own in hashes.items() if pair_id in old),
+        "more": len(hashes.keys() - old.keys()),
+        "less": len(old.keys() - hashes.keys()),
+    }
+    return [f"{n} pair{'s' * (n > 1)} {what}" for what, n in counts.items() if n]
 
 
 def run_record(

@@ -11,11 +11,12 @@ from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC
 from ....stages.arrays import FloatArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
+from ...results.findings import SHAPES
+from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
 from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
-from ..quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
-from ..results import SHAPES, PairTables, RunResults
+from ..results import PairTables, RunResults
 from . import style
 
 NAMES = ("overview", "coverage", "unmatched", "distributions", "box_plots", "objects")

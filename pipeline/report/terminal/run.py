@@ -37,9 +37,9 @@ from ....schemas.results import (
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNDECIDED
-from ....stages.statistics.comparison import BLOCK_S
 from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
+from ...results.overview import independence
 from ...run import RunOutcome
 from ...storage.record import unmatched_worst
 from .layout import mean_and_spread, number, percent, plain_table
@@ -133,7 +133,7 @@ def claims_view(findings: Findings | None) -> RenderableType:
     lines = [
         "Estimate and interval are of what the rule names, over independent pairs: how far it would move if others had",
         "been recorded. Where that leaves both open a claim is not decided; by chance under one in twenty holds.",
-        *_on_independence(findings),
+        *independence(findings),
         *(f"not decided: {', '.join(numbers)}: {why}" for why, numbers in undecided.items()),
     ]
     rules = (Text(f"{i:>3}  {one.rule}") for i, one in enumerate(claims, 1))
@@ -146,18 +146,6 @@ def _interval_cells(claim: Claim) -> tuple[str, int]:
     digits = 3 if max(abs(claim.low), abs(claim.high)) < 10 else 1
     cells = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
     return "{}\n{} to {}".format(*cells), claim.n_pairs
-
-
-def _on_independence(findings: Findings | None) -> list[str]:
-    """Which pairs count as one, or that this is not known."""
-    if findings is None or not findings.claims:
-        return []
-    n_pairs, n_independent = findings.n_pairs, max(claim.n_pairs for claim in findings.claims)
-    if n_independent < n_pairs:
-        return [f"{n_pairs} pairs count as {n_independent}: copies, and scans within {BLOCK_S:g} s, count once"]
-    if n_pairs > 1 and all(scan.timestamp_s is None for scan in findings.scans.scans):
-        return ["no timestamps: each pair counts as independent, which neighbouring frames of a drive are not"]
-    return []
 
 
 def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
