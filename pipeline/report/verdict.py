@@ -1,56 +1,121 @@
-"""What a run says in a sentence, in six numbers, and where the simulation is weakest."""
+"""What a person asks first of a run, answered for the first screen of its page.
+
+Good enough, worst where, missing what, better than last time, and how far the numbers can be trusted. The answers are
+those of `results.overview`, which the terminal also gives; here they get references, links and pictures.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import base64
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from urllib.parse import quote
 
-import pandas as pd
-
+from ...schemas.columns import SIDES
+from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
+from ...schemas.results import HeadlineNumber, Overview, RunRecord, WorstObject
+from ..results.floor import RunExcess
+from ..results.gate import Criterion, judge_run
 from ..results.overview import run_overview, verdict_sentence
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..storage.record import unmatched_worst
-from .aggregates import band_of
-from .results import RunResults
-from .terminal.layout import number
+from .figures.thumbnails import around, thumbnail
+from .look import SIDE_COLOURS
+from .results import PairTables, RunResults
+from .terminal.layout import mean_and_spread, number, percent, signed
 from .terminal.run import coverage_rows, surface_line, unmatched_lines
 
+#: Of a class or a band at least so many real objects are wanted before it is called the one that lacks most.
 _FEWEST_TO_JUDGE = 20
-_NUMBERS = ["match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "n_missing", "n_hallucinated"]
+_SCORES = (
+    *("match_rate", "cdc_mean", "r_lambda_mean", "max_eigenvalue_shift_mean", "laplacian_change_mean", "r_gap_mean"),
+    *("alignment_rms_m_mean", "centroid_distance_m_mean"),
+)
+_STEADY = 5e-4  #: a mean that moved by less is shown as the same
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What stands beside a number: what it is, its value, and how the run stands to it ("better", "worse" or "")."""
+
+    name: str
+    value: str
+    is_now: str = ""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One of the five numbers; `good` says which end is the best, `reading` how it is read."""
+
+    name: str
+    mean: str
+    std: str
+    good: str
+    reading: str
+    references: list[Reference]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One of the worst objects: where it is shown, what it is and what is wrong, its points as a PNG in base64."""
+
+    link: str
+    title: str
+    what: str
+    png: str
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a run says of the simulation.
+    """The answers.
 
-    weakest : where it is weakest; "" where too few objects tell
-    unmatched : what is behind the objects that only one side has, a sentence for each side that has any
-    surface : how far the simulated surface is displaced, and how rough both are
-    coverage : headings, then a row for each side: which share of its surface the other side has
-    numbers : six scores with name, mean and std over pairs (NaN where null), digits to show, how to read them, and of
-        object scores of how many pairs they are and what they are with unmatched objects as worst
+    good_enough : sentences on the acceptance criteria that the run was last judged by, or how to judge it
+    is_met : whether they are all met; None where there are none
+    missing : sentences on what is missing and invented
+    moved : since the results that this run replaced; sentences
+    trust : what limits the trust in the numbers; sentences
+    scores, coverage : of the section that follows: headings, then a row for each score, and for each side
+    unmatched, surface : what is behind the unmatched objects, and how the simulated surface lies
     """
 
     sentence: str
-    weakest: str
+    good_enough: list[str]
+    is_met: bool | None
+    numbers: list[Tile]
+    worst: list[Picture]
+    failings: list[str]
+    missing: list[str]
+    moved: list[str]
+    trust: list[str]
+    scores: list[list[str]]
     unmatched: str
     surface: str
     coverage: list[list[str]]
-    numbers: list[dict[str, Any]]
 
 
-def verdict_of(results: RunResults) -> Verdict:
-    """What the run says of the simulation."""
+def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
+    """What the run says of the simulation, over a floor if there is one."""
     record, overview = results.run.record, run_overview(results.run)
+    if overview is None:
+        raise RunError(f"run {results.run.folder}: no pair is scored, so that nothing can be said of it")
+    is_met, good_enough = _good_enough(results, excess)
     return Verdict(
-        sentence=verdict_sentence(overview.verdict) if overview else "",
-        weakest=_weakest(results),
-        unmatched=_as_text(unmatched_lines(record)),
-        surface=_as_text([surface_line(record)]),
+        sentence=verdict_sentence(overview.verdict),
+        good_enough=good_enough,
+        is_met=is_met,
+        numbers=[_tile(one, record, excess) for one in overview.numbers],
+        worst=[_picture(results, one) for one in overview.worst],
+        failings=[_sentence(failing.words) for failing in overview.failings],
+        missing=list(_missing(overview, record)),
+        moved=list(_moved(overview, record)),
+        trust=[_sentence(one.words) for one in overview.trust if not (one.kind == "floor" and excess)],
+        scores=_score_rows(record),
+        unmatched=" ".join(map(_sentence, unmatched_lines(record))),
+        surface=_sentence(surface_line(record)),
         coverage=coverage_rows(record),
-        numbers=_numbers(results),
     )
 
 
@@ -65,56 +130,139 @@ def limits_in_words() -> str:
     )
 
 
-def _as_text(lines: Iterable[str]) -> str:
-    """Lines of the terminal as sentences of one paragraph."""
-    return " ".join(f"{line[0].upper()}{line[1:]}." for line in lines)
+def link_to(pair_id: str, side: str, object_id: int) -> str:
+    """The part of a report's address that opens one object, such as `#pair=0007&object=real%203`."""
+    return f"#pair={quote(pair_id, safe='')}&object={quote(f'{side} {object_id}')}"
 
 
-def _weakest(results: RunResults) -> str:
-    """The class with the smallest share of faithful real objects, and the range band with the largest of missing ones.
-
-    Only classes and bands with enough real objects count, where there are two of them.
-    """
-    missing = results.unmatched[results.unmatched.status == "missing"]
-    real = pd.concat([results.matched, missing], ignore_index=True)
-    classes = pd.Series(pd.Categorical(real.group, real.group.unique()))
-    parts = []
-    for kind, groups, word, is_so, sign in (
-        (results.class_is, classes, "faithful", real.quadrant == "faithful", -1),
-        ("range", band_of(real.range_m), "missing", real.status == "missing", 1),
-    ):
-        shares = is_so.groupby(groups, observed=True).agg(["mean", "size"]).query("size >= @_FEWEST_TO_JUDGE")
-        if len(shares) > 1:
-            worst = shares.iloc[int((sign * shares["mean"]).argmax())]
-            parts.append(f"{kind} {worst.name} ({100 * worst['mean']:.0f} % {word} of {worst['size']:.0f})")
-    return f"Weakest: {'; '.join(parts)}." if parts else ""
+def _sentence(text: str) -> str:
+    """A line of the terminal as a sentence; r_lambda and the like keep their names."""
+    return f"{text}." if text.startswith("r_") else f"{text[0].upper()}{text[1:]}."
 
 
-def _numbers(results: RunResults) -> list[dict[str, Any]]:
-    over_pairs = results.pairs.agg({column: ["mean", "std"] for column in _NUMBERS})
-    summary = results.run.record.summary
-    shift, change, rms = (
-        f"{metric_of(column).heading} {number(summary[column].mean, 2)}"
-        for column in ("max_eigenvalue_shift_mean", "laplacian_change_mean", "alignment_rms_m_mean")
+def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:
+    """The criteria of the folder's last gate, judged anew; else how to set some."""
+    folder = results.run.folder
+    criteria = _last_criteria(folder / "gate.json")
+    if criteria is None:
+        return None, [f"Nobody has said what is: fidpipe gate {folder} --max r_lambda.mean=0.4 judges by your limits."]
+    try:
+        result = judge_run(folder, criteria, None if excess is None else excess.floor)
+    except (RunError, ValueError) as error:
+        return None, [f"The criteria of {folder / 'gate.json'} cannot be judged again: {error}"]
+    unmet = [verdict for verdict in result.judged if not verdict.passed]
+    met = f"{len(result.judged) - len(unmet)} of {len(result.judged)} acceptance criteria are met"
+    if not unmet:
+        return True, [f"Yes: {met}."]
+    why = [f"{one.criterion.name}: {one.why or number(one.value)}" for one in unmet[:3]]
+    return False, [f"No: {met}.", *map(_sentence, why)]
+
+
+def _last_criteria(path: Path) -> list[Criterion] | None:
+    """The criteria that a gate wrote down; None where there are none that can be read."""
+    fields = Criterion.__dataclass_fields__
+    try:
+        written = json.loads(path.read_text(encoding="utf-8"))["criteria"]
+        return [Criterion(**{name: one[name] for name in fields}) for one in written]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _tile(one: HeadlineNumber, record: RunRecord, excess: RunExcess | None) -> Tile:
+    metric = metric_of(one.column)
+    references = []
+    if excess is not None and (floor := excess.scores[one.column].floor) is not None:
+        references.append(Reference("perfect simulator", number(floor)))
+    if one.last is not None:
+        references.append(Reference("last run", number(one.last), _change(one)))
+    if metric.paper is not None:
+        references.append(Reference("paper", number(metric.paper.mean)))
+    best = "1" if one.better == "higher" else "0"
+    n_all = record.pairs.scored
+    count = f"; mean of {one.n_pairs} of {n_all} pairs" if one.n_pairs < n_all else ""
+    return Tile(
+        name=metric.label,
+        mean=number(one.mean),
+        std=number(one.std),
+        good=f"{best} is best",
+        reading=f"{metric.reading}{count}",
+        references=references,
     )
-    beside = {"r_lambda_mean": f"; {shift} over {change}, {rms} m"}
-    return [
-        {
-            "name": metric_of(column).label,
-            "digits": 1 if metric_of(column).is_count else 3,
-            "reading": metric_of(column).reading + beside.get(column, ""),
-            "count": _count(results, column),
-            **over_pairs[column],
-        }
-        for column in _NUMBERS
-    ]
 
 
-def _count(results: RunResults, column: str) -> str:
-    """Of how many pairs the mean of an object score is, and what it is with unmatched objects as worst; else ""."""
-    worst = results.run.record.summary.get(unmatched_worst(metric_of(column).column))
-    if worst is None:
+def _score_rows(record: RunRecord) -> list[list[str]]:
+    """Headings, then for each score mean and deviation over pairs, how many, and the mean with unmatched as worst."""
+    rows = [["score", "mean ± std", "pairs", "unmatched as worst", "how to read it"]]
+    for column in _SCORES:
+        metric, score = metric_of(column), record.summary[column]
+        worst = record.summary.get(unmatched_worst(metric.column))
+        mean = mean_and_spread(score.mean, score.std)
+        pairs = f"{score.n_pairs} of {record.pairs.scored}"
+        rows.append([metric.label, mean, pairs, number(worst.mean) if worst else "", metric.reading or metric.meaning])
+    return rows
+
+
+def _change(one: HeadlineNumber) -> str:
+    """Whether a number is better or worse than in the last run, "" where it stayed."""
+    if one.mean is None or one.last is None or abs(one.mean - one.last) < _STEADY:
         return ""
-    return (
-        f"{results.pairs[column].count()} of {len(results.pairs)} pairs; {number(worst.mean)} with unmatched as worst"
+    return "better" if (one.mean > one.last) == (one.better == "higher") else "worse"
+
+
+def _picture(results: RunResults, one: WorstObject) -> Picture:
+    tables = PairTables(results, one.pair_id)
+    own = tables.clouds[one.side].members(one.object_id)
+    if one.status == "matched":
+        row = tables.matched[tables.matched.real_id == one.object_id].iloc[0]
+        clouds = {"real": own, "sim": tables.clouds["sim"].members(row.sim_id)}
+    else:
+        (other,) = set(SIDES) - {one.side}
+        clouds = {other: around(tables.clouds[other].points, own), one.side: own}
+    png = thumbnail([(points, SIDE_COLOURS[side]) for side, points in clouds.items()])
+    return Picture(
+        link=link_to(one.pair_id, one.side, one.object_id),
+        title=f"{one.label}, {one.range_m:.0f} m away, {one.n_points:,} points",
+        what=one.what,
+        png=base64.b64encode(png).decode("ascii"),
     )
+
+
+def _missing(overview: Overview, record: RunRecord) -> Iterator[str]:
+    """How many objects are missing and invented, and what they mostly are."""
+    of, n_pairs = overview.verdict, max(1, overview.verdict.n_pairs)
+    if not of.missing:
+        yield "No real object is missing."
+    else:
+        share = percent(of.missing / of.n_real)
+        yield f"{of.missing:,} of {of.n_real:,} real objects ({share}), {of.missing / n_pairs:.1f} a pair."
+    findings = record.findings
+    if of.missing and findings is not None:
+        kinds = [one for one in findings.classes if one.n_real >= _FEWEST_TO_JUDGE and one.missing_share]
+        bands = [one for one in findings.range_m.bands if one.n_real >= _FEWEST_TO_JUDGE and one.missing_share]
+        if len(findings.classes) > 1 and kinds:
+            kind = max(kinds, key=lambda one: one.missing_share or 0.0)
+            yield f"Most of all {kind.label}: {percent(kind.missing_share)} of {kind.n_real} are missing."
+        if bands:
+            band = max(bands, key=lambda one: one.missing_share or 0.0)
+            where = f"from {band.from_m:g} m on" if band.to_m is None else f"at {band.from_m:g} to {band.to_m:g} m"
+            yield f"Most of all {where}: {percent(band.missing_share)} of {band.n_real} are missing."
+    yield f"{of.hallucinated:,} simulated objects are invented, {of.hallucinated / n_pairs:.1f} a pair."
+
+
+def _moved(overview: Overview, record: RunRecord) -> Iterator[str]:
+    """What has changed since the results that this run replaced."""
+    last = record.previous
+    if last is None:
+        yield "These are the first results of this folder. To compare with another run: fidpipe compare OTHER THIS."
+        return
+    yield f"Against the results of {last.written} ({last.n_pairs} pairs, fidpipe {last.fidpipe}):"
+    moved = [
+        f"{one.label} {signed(one.mean - one.last)} ({_change(one)})"
+        for one in overview.numbers
+        if _change(one) and one.mean is not None and one.last is not None
+    ]
+    yield _sentence("; ".join(moved)) if moved else "None of the five numbers moved."
+    if last.changes:
+        yield _sentence(f"what differs: {'; '.join(last.changes)}")
+    if moved:
+        yield "Whether that is more than chance: fidpipe compare, with both runs kept."

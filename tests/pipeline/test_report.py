@@ -1,11 +1,13 @@
 """The report of a run: what it reads and refuses, what it says, and that no name can break it."""
 
 import base64
+import html
 import json
 import os
 import re
 import shutil
-from io import StringIO
+from io import BytesIO, StringIO
+from urllib.parse import parse_qs
 from xml.etree import ElementTree
 
 import numpy as np
@@ -268,25 +270,65 @@ def test_every_object_is_counted_once_in_the_sentence(report_run):
     assert f"Of the {len(objects):,} real objects" in verdict_of(results).sentence
 
 
-def test_six_numbers_are_the_means_of_pairs_parquet(report_run):
+def test_five_numbers_are_the_means_of_pairs_parquet_beside_the_papers(report_run):
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
-    numbers = {of["name"]: of for of in verdict_of(read_results(report_run)).numbers}
-    assert len(numbers) == 6
-    assert numbers["r_lambda"]["mean"] == pytest.approx(pairs.r_lambda_mean.mean())
-    assert numbers["r_lambda"]["std"] == pytest.approx(pairs.r_lambda_mean.std(ddof=1))
-    assert numbers["match rate"]["mean"] == pytest.approx(pairs.match_rate.mean())
+    tiles = {tile.name: tile for tile in verdict_of(read_results(report_run)).numbers}
+    assert len(tiles) == 5
+    assert tiles["r_lambda"].mean == f"{pairs.r_lambda_mean.mean():.3f}"
+    assert tiles["r_lambda"].std == f"{pairs.r_lambda_mean.std(ddof=1):.3f}"
+    assert tiles["match rate"].mean == f"{pairs.match_rate.mean():.3f}"
+    assert tiles["match rate"].good == "1 is best"
+    assert tiles["CDC"].good == "0 is best"
+    assert [(own.name, own.value) for own in tiles["CDC"].references] == [("paper", "0.750")]
 
 
-def test_an_object_score_says_of_how_many_pairs_it_is_and_what_it_is_with_unmatched_as_worst(report_run, written):
+def test_object_scores_say_of_how_many_pairs_they_are_and_what_they_are_with_unmatched_as_worst(report_run, written):
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
     n_unmatched = pairs.n_missing + pairs.n_hallucinated
     worst = (pairs.cdc_mean.fillna(0) * pairs.n_matched + 2 * n_unmatched) / (pairs.n_matched + n_unmatched)
-    numbers = {of["name"]: of["count"] for of in verdict_of(read_results(report_run)).numbers}
-    assert (
-        numbers["CDC"] == f"{pairs.cdc_mean.count()} of {len(pairs)} pairs; {worst.mean():.3f} with unmatched as worst"
-    )
-    assert numbers["match rate"] == numbers["missing objects"] == ""
-    assert f"; {numbers['CDC']}</p>" in words(written.page)
+    headings, *rows = verdict_of(read_results(report_run)).scores
+    of = {row[0]: dict(zip(headings, row, strict=True)) for row in rows}
+    assert of["CDC"]["pairs"] == f"{pairs.cdc_mean.count()} of {len(pairs)}"
+    assert of["CDC"]["unmatched as worst"] == f"{worst.mean():.3f}"
+    assert of["match rate"]["unmatched as worst"] == ""
+    assert f"<td>{worst.mean():.3f}</td>" in written.page.read_text("utf-8")
+
+
+def test_the_worst_objects_have_pictures_of_their_points_that_lead_into_the_3d_view(report_run, written):
+    overview = FinishedRun(report_run).record.overview
+    page = written.page.read_text("utf-8")
+    pictures = verdict_of(read_results(report_run)).worst
+    assert len(pictures) == len(overview.worst) == 3
+    for picture, worst in zip(pictures, overview.worst, strict=True):
+        asked = {"pair": [worst.pair_id], "object": [f"{worst.side} {worst.object_id}"]}
+        assert parse_qs(picture.link.removeprefix("#")) == asked
+        assert html.escape(picture.link) in page
+        with Image.open(BytesIO(base64.b64decode(picture.png))) as image:
+            alpha = np.asarray(image.getchannel("A"))
+        assert (alpha > 0).sum() > 100
+
+
+def test_a_gate_of_before_is_judged_anew_and_the_first_screen_says_whether_it_is_met(report_run, tmp_path):
+    folder = shutil.copytree(report_run, tmp_path / "run")
+    verdict = verdict_of(read_results(folder))
+    assert verdict.is_met is None
+    assert "Nobody has said what is" in verdict.good_enough[0]
+    for limit, is_met, said in (("1", True, "Yes: "), ("0", False, "No: ")):
+        command("gate", folder, "--max", f"cdc.mean={limit}", "--max", "pairs.failed=9", "--max", "pairs.changed=9")
+        verdict = verdict_of(read_results(folder))
+        assert (verdict.is_met, verdict.good_enough[0][: len(said)]) == (is_met, said)
+    assert any("cdc.mean <= 0: " in text.lower() for text in verdict.good_enough)
+    (folder / "gate.json").write_text('{"criteria": [{"name": 1}]}')
+    assert verdict_of(read_results(folder)).is_met is None
+
+
+def test_the_first_screen_counts_what_is_missing_and_invented(report_run):
+    status = pd.read_parquet(report_run / "matching").status
+    said = " ".join(verdict_of(read_results(report_run)).missing)
+    n_missing, n_invented = (status == "missing").sum(), (status == "hallucinated").sum()
+    n_real = (pd.read_parquet(report_run / "objects").side == "real").sum()
+    assert f"{n_missing:,} of {n_real:,} real objects" in said
+    assert f"{n_invented:,} simulated objects are invented" in said
 
 
 def test_a_class_says_of_how_many_objects_a_mean_is_where_some_have_no_score(report_run):

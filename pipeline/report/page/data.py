@@ -18,7 +18,6 @@ from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
 from ....stages.arrays import IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
-from ...datasets.frame_checks import frames_summary
 from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
@@ -100,14 +99,12 @@ def page_data(results: RunResults) -> dict[str, Any]:
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
     """What the page's template shows of the whole run; versions by group, what made it; scores over a floor if any."""
     record = results.run.record
-    n_pairs = len(results.pairs) + len(results.failures)
     return {
         "title": results.run.folder.resolve().name,
         "preset": preset_line(record),
-        "verdict": verdict_of(results),
+        "verdict": verdict_of(results, excess),
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
-        "frames": frames_summary(record.frames, n_pairs) if record.frames else "",
         "notes": _notes(results),
         "floor": excess
         and {
