@@ -21,6 +21,7 @@ def show(
     paper: Annotated[
         bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
     ] = False,
+    all_: Annotated[bool, typer.Option("--all", help="All tables of the run before its overview.")] = False,
     floor: Floor = None,
     as_json: AsJson = False,
 ) -> None:
@@ -48,6 +49,7 @@ def show(
     from ..report.terminal.show import object_view, pair_view
     from ..results.finished import FinishedRun, object_facts, pair_facts, run_facts
     from ..results.floor import excess_over
+    from ..results.overview import run_overview
 
     if paper and pair is not None:
         raise typer.BadParameter("--paper is about the whole run; leave out the pair")
@@ -62,7 +64,7 @@ def show(
             claims_view(finished.record.findings)
         )
     elif pair is None:
-        summary = summary_view(run, finished.rows, finished.record)
+        summary = summary_view(run, finished.rows, finished.record, run_overview(finished), with_all=all_)
         print_json(run_facts(finished) | over) if as_json else print_view(
             summary if excess is None else Group(summary, excess_view(excess))
         )

@@ -229,15 +229,12 @@ def _worst_matched(rows: ObjectRows, quadrant: NDArray[np.str_]) -> Iterator[_Ca
 
 
 def _worst_alone(rows: ObjectRows, side: str) -> Iterator[_Candidate]:
-    own, status, other = {
-        "real": (rows.real, "missing", "simulated"),
-        "sim": (rows.sim, "hallucinated", "real"),
-    }[side]
+    own, status = {"real": (rows.real, "missing"), "sim": (rows.sim, "hallucinated")}[side]
     is_gone = ~own.is_matched & (own.covered <= THERE)
     severity = np.where(is_gone, 1 - own.covered, 0.0) * np.log(np.maximum(own.n_points, 1))
     for i in _largest(severity):
         state = _STATES[surface_state(own.covered[i])]
-        what = f"{status}, {state}: {100 * own.covered[i]:.0f} % of its points have a {other} one within 0.3 m"
+        what = f"{status}, {state}: {100 * own.covered[i]:.0f} % of it covered within 0.3 m"
         yield _candidate(rows.pair_ids, own, side, i, severity[i], status, what)
 
 
@@ -314,12 +311,12 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
     n_independent = max((claim.n_pairs for claim in record.claims), default=pairs.scored)
     if n_independent < LEAST_PAIRS:
         few = f"{n_independent} independent pair{'s' * (n_independent != 1)}"
-        yield Caution(kind="pairs", words=f"{few}: too few to tell chance from change, which takes {LEAST_PAIRS}")
+        yield Caution(kind="pairs", words=f"{few}: too few to tell change from chance, which takes {LEAST_PAIRS}")
     for words in independence(record.findings):
         yield Caution(kind="independence", words=words)
     if objects.n_aligned and objects.n_badly_aligned >= _MANY_BADLY_ALIGNED * objects.n_aligned:
         share = f"{100 * objects.n_badly_aligned / objects.n_aligned:.0f} %"
-        beyond = f"nodes lie more than {BAD_ALIGNMENT:g} of the object's size apart"
+        beyond = f"its nodes lie more than {100 * BAD_ALIGNMENT:g} % of the object's size apart"
         yield Caution(
             kind="alignment", words=f"r_lambda of {share} of the matched objects stands on a bad alignment: {beyond}"
         )
@@ -328,5 +325,5 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
     yield Caution(
         kind="floor",
-        words=f"what a perfect simulator would score is not among these; fidpipe floor {record.dataset} tells",
+        words=f"what a perfect simulator would score is not known from this run: fidpipe floor {record.dataset}",
     )
