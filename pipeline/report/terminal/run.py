@@ -348,7 +348,7 @@ def _bands(findings: Findings) -> Table:
     )
 
 
-def _classes(findings: Findings) -> Table:
+def _classes(findings: Findings) -> RenderableType:
     classes, title = findings.classes, "By class (of the real object where both sides have it)"
     if len(classes) > _MOST_CLASSES:
         title = f"The {_MOST_CLASSES} most frequent of {len(classes)} classes (of the real object where both have it)"
@@ -356,13 +356,15 @@ def _classes(findings: Findings) -> Table:
         (own.label, *_unmatched(own), own.n_matched, *(_mean_of(own, score) for score in DISTRIBUTED))
         for own in classes[:_MOST_CLASSES]
     )
-    return plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+    table = plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+    is_partial = any(own.of_score(score).n != own.n_matched for own in classes for score in DISTRIBUTED)
+    return Group(table, *([Text("* without those that are too small for the score\n")] if is_partial else ()))
 
 
 def _mean_of(own: ClassFindings, score: str) -> str:
-    """A mean of a class; with its number of objects where that is not all which both sides have."""
+    """A mean of a class; with an asterisk where not all objects that both sides have are in it."""
     mean = own.of_score(score)
-    return number(mean.mean) + f" (of {mean.n})" * (mean.n != own.n_matched)
+    return number(mean.mean) + "*" * (mean.n != own.n_matched)
 
 
 def _scans(findings: Findings) -> Table:
