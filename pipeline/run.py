@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError, RunError
-from ..schemas.results import Findings, ObjectOverview, Overview, PreviousRun, RunHeader, RunRecord
+from ..schemas.results import Findings, JsonObject, ObjectOverview, Overview, PreviousRun, RunHeader, RunRecord
 from ..schemas.settings import Settings, preset_of, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.frame_checks import shared_files, swapped_sides
@@ -107,6 +107,16 @@ class RunOutcome:
         """Why each failed pair failed, or what was asked for besides its scores."""
         failed = self.pairs.filter(pc.equal(self.pairs.column("status"), "failed")).select(["pair_id", "reason"])
         return {row["pair_id"]: row["reason"] for row in failed.to_pylist()} | self.failed_extras
+
+    def as_dict(self) -> JsonObject:
+        """Plain values, for JSON: as `fidpipe show --json` gives them, with the jobs and what failed."""
+        return {
+            "folder": str(self.folder),
+            "record": self.record.as_dict(),
+            "pairs": [*self.rows],
+            "jobs": {"made": self.n_made, "reused": self.n_reused},
+            "failures": {**self.failures},
+        }
 
 
 def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:

@@ -47,12 +47,20 @@ Floor = Annotated[
 Replace = Annotated[
     bool, typer.Option("--replace", help="Replace finished results that were made with other settings.")
 ]
+AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")]
+AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]
 
 EXIT_WRONG_INPUT = 1
 EXIT_PAIRS_FAILED = 3
 EXIT_GATE_FAILED = 4
 EXIT_INTERRUPTED = 130
+
+
+def check_formats(as_json: bool, as_markdown: bool, as_csv: bool) -> None:
+    """Raises `typer.BadParameter` where more than one format is asked for."""
+    if as_json + as_markdown + as_csv > 1:
+        raise typer.BadParameter("--json, --markdown and --csv are formats of the same; give one of them")
 
 
 def check_machines(workers: int | None, scheduler: str | None) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pydantic import JsonValue
     from rich.console import RenderableType
 
+    from ...schemas.results import JsonObject
+
 
 def print_view(view: RenderableType) -> None:
     """Prints a view: as wide as the terminal, unwrapped into a file or a pipe."""
@@ -24,10 +26,21 @@ def print_view(view: RenderableType) -> None:
     Console(soft_wrap=not sys.stdout.isatty(), highlight=False).print(view)
 
 
-def print_outcome(view: RenderableType, failures: Mapping[str, str]) -> None:
-    """Prints what a command has made and ends it: `typer.Exit`, with the code for failed pairs if there are any."""
-    print_view(view)
+def print_outcome(result: RenderableType | JsonObject, failures: Mapping[str, str]) -> None:
+    """Prints what a command has made and ends it: `typer.Exit`, with the code for failed pairs if there are any.
+
+    Parameters
+    ----------
+    result : a view, or plain values, which are printed as JSON
+    """
+    print_json(result) if isinstance(result, dict) else print_view(result)
     raise typer.Exit(EXIT_PAIRS_FAILED if failures else 0)
+
+
+def print_text(text: str) -> None:
+    """Prints Markdown or CSV as it is, in UTF-8 whatever the terminal's language."""
+    sys.stdout.flush()
+    sys.stdout.buffer.write(text.encode())
 
 
 def print_json(values: JsonValue) -> None:

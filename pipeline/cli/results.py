@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder
-from .output import print_json, print_view
+from .options import EXIT_GATE_FAILED, AsCsv, AsJson, AsMarkdown, Floor, RunFolder, check_formats
+from .output import print_json, print_text, print_view
 
 
 def show(
@@ -21,14 +21,17 @@ def show(
     paper: Annotated[
         bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
     ] = False,
+    all_: Annotated[bool, typer.Option("--all", help="All tables of the run before its overview.")] = False,
     floor: Floor = None,
     as_json: AsJson = False,
+    as_markdown: AsMarkdown = False,
+    as_csv: AsCsv = False,
 ) -> None:
     """Show a finished run, one of its pairs, or one object; computes nothing.
 
     Examples
     --------
-    fidpipe show runs/dataset                  the summary that the run ended with
+    fidpipe show runs/dataset                  the overview that the run ended with; --all for every table
 
     fidpipe show runs/dataset --paper          which of the paper's claims hold here
 
@@ -39,41 +42,36 @@ def show(
     fidpipe show runs/dataset --floor runs/dataset-floor    each score over what a perfect simulator would score
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
+
+    fidpipe show runs/dataset --markdown       the overview, for a merge request
+
+    fidpipe show runs/dataset --csv > pairs.csv    one row per pair; of a pair one row per object
     """
-    from rich.console import Group
-
-    from ...schemas.results import JsonObject
-    from ..report.terminal.floor import excess_view, pair_excess_view
-    from ..report.terminal.run import claims_view, summary_view
-    from ..report.terminal.show import object_view, pair_view
-    from ..results.finished import FinishedRun, object_facts, pair_facts, run_facts
-    from ..results.floor import excess_over
-
+    check_formats(as_json, as_markdown, as_csv)
     if paper and pair is not None:
         raise typer.BadParameter("--paper is about the whole run; leave out the pair")
+    if all_ and (paper or pair is not None):
+        raise typer.BadParameter("--all is about the whole run; leave out --paper and the pair")
     if floor is not None and (paper or object_ is not None):
         raise typer.BadParameter("--floor is about the scores of a run or of a pair; leave out --paper and the object")
+    if (as_markdown or as_csv) and (paper or all_ or floor is not None):
+        raise typer.BadParameter(
+            "--markdown and --csv are of a run, a pair or an object; leave out --paper, --all and --floor"
+        )
+
+    from ..report.terminal import show as views
+    from ..results.finished import FinishedRun
+    from ..results.floor import excess_over
+
     finished = FinishedRun(run)
+    if as_markdown or as_csv:
+        print_text(views.as_text(finished, pair, object_, as_csv=as_csv))
+        return
     excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
-    over: JsonObject = {} if excess is None else {"excess": excess.as_dict()}
-    if paper:
-        claims = finished.record.claims
-        print_json([claim.as_dict() for claim in claims]) if as_json else print_view(
-            claims_view(finished.record.findings)
-        )
-    elif pair is None:
-        summary = summary_view(run, finished.rows, finished.record)
-        print_json(run_facts(finished) | over) if as_json else print_view(
-            summary if excess is None else Group(summary, excess_view(excess))
-        )
-    elif object_ is None:
-        facts = pair_facts(finished, pair)
-        print_json(facts.as_dict() | over) if as_json else print_view(
-            pair_view(facts) if excess is None else Group(pair_view(facts), pair_excess_view(excess, pair))
-        )
+    if as_json:
+        print_json(views.as_json(finished, pair, object_, excess, paper=paper))
     else:
-        one = object_facts(finished, pair, object_)
-        print_json({"pair_id": pair, **one.as_dict()}) if as_json else print_view(object_view(pair, one))
+        print_view(views.as_view(finished, pair, object_, excess, paper=paper, with_all=all_))
 
 
 def report(

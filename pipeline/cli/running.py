@@ -9,6 +9,7 @@ import typer
 
 from .options import (
     EXIT_WRONG_INPUT,
+    AsJson,
     Assignments,
     DatasetFolder,
     Preset,
@@ -19,7 +20,7 @@ from .options import (
     Workers,
     check_machines,
 )
-from .output import print_outcome, print_view
+from .output import print_json, print_outcome, print_view
 
 
 def check(
@@ -27,20 +28,25 @@ def check(
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
+    as_json: AsJson = False,
 ) -> None:
     """Show what would be read from a dataset, and what is wrong with it; computes nothing.
 
     Exits with 1 if anything is wrong.
 
-    Example:  fidpipe check dataset/ --set input.min_range_m=3
+    Examples
+    --------
+    fidpipe check dataset/ --set input.min_range_m=3
+
+    fidpipe check dataset/ --json | jq -r '.faults[]'
     """
     from ...schemas.settings import load
     from ..datasets.scan_checks import check_dataset
-    from ..report.terminal.status import check_view
+    from ..report.terminal.status import check_json, check_view
 
-    dataset_check = check_dataset(dataset, load(settings, assignments or [], preset=preset))
-    print_view(check_view(dataset_check))
-    raise typer.Exit(EXIT_WRONG_INPUT if dataset_check.faults else 0)
+    found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
+    print_json(check_json(found)) if as_json else print_view(check_view(found))
+    raise typer.Exit(EXIT_WRONG_INPUT if found.faults else 0)
 
 
 def run(
@@ -67,11 +73,13 @@ def run(
         ),
     ] = None,
     replace: Replace = False,
+    as_json: AsJson = False,
 ) -> None:
     """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
 
     What is there already and still right is not computed again. A finished run keeps its results: other settings need
-    --replace or another --out. Exits with 0 if all pairs are scored, 3 if some failed.
+    --replace or another --out. It ends with the verdict, five numbers and by how much they moved since the last run of
+    the folder, the worst objects and the commonest failings. Exits with 0 if all pairs are scored, 3 if some failed.
 
     Examples
     --------
@@ -86,6 +94,8 @@ def run(
     fidpipe run dataset/ --preset reference --out runs/dataset-reference    for comparing simulators
 
     fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
+
+    fidpipe run dataset/ --json | jq '.record.overview.numbers'    progress goes to standard error
     """
     from ...schemas.settings import load
     from ..engine import prefork
@@ -119,7 +129,7 @@ def run(
         replace=replace,
     )
     outcome = run_dataset(request, Reporter())
-    print_outcome(outcome_view(outcome), outcome.failures)
+    print_outcome(outcome.as_dict() if as_json else outcome_view(outcome), outcome.failures)
 
 
 def floor(
@@ -200,12 +210,17 @@ def floor(
 
 def status(
     run: RunFolder,
+    timings: Annotated[bool, typer.Option("--timings", help="Milliseconds by step, beside the paper's.")] = False,
 ) -> None:
-    """Show how far a run is: for each stage, how many pairs are done, stale, failed or to do.
+    """Show how far a run is: which stages all pairs have, and of the others how many are done, stale, failed or to do.
 
-    Example:  fidpipe status runs/dataset
+    Examples
+    --------
+    fidpipe status runs/dataset
+
+    fidpipe status runs/dataset --timings        where the time of a pair goes
     """
     from ..report.terminal.status import status_view
     from ..results.status import run_status
 
-    print_view(status_view(run_status(run)))
+    print_view(status_view(run_status(run), with_timings=timings))

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import nsmallest
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from ...schemas.results import (
     Verdict,
     WorstObject,
 )
+from ...schemas.settings import MatchingSettings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import THERE, surface_state
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
@@ -44,8 +46,11 @@ FEWEST_FAILING, FEWEST_OBJECTS = 3, 5
 #: An alignment is bad beyond this share of the diagonal of the real object's bounding box. Paired at random, the points
 #: of a filled cube give 0.41: the distance of two of them (root mean square: edge / sqrt 2) over edge sqrt 3.
 BAD_ALIGNMENT = 0.25
+#: So far apart it is bad whatever the object's size: as far as centroids may lie for two objects to be matched at all.
+BAD_ALIGNMENT_M = MatchingSettings().delta_m
 #: From this share of badly aligned objects on it is said.
 _MANY_BADLY_ALIGNED = 0.05
+BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
 
 _FAITHFUL, *_FAILED = QUADRANTS
@@ -55,8 +60,16 @@ _ALL, _THERE = "all", " there"  # beside the fates of objects: how many there ar
 _STATES = {"partly": "partly there", "absent": "absent"}
 
 
-def alignment_is_bad(alignment_rms_m: FloatArray, diagonal_m: FloatArray) -> BoolArray:
-    """Whether nodes are aligned so far apart that r_lambda says little, (n,) bool.
+@overload
+def alignment_is_bad(alignment_rms_m: float, diagonal_m: float) -> bool: ...
+
+
+@overload
+def alignment_is_bad(alignment_rms_m: FloatArray, diagonal_m: FloatArray) -> BoolArray: ...
+
+
+def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | FloatArray) -> bool | BoolArray:
+    """Whether nodes are aligned so far apart that r_lambda says little, (n,) bool; or of one object.
 
     Parameters
     ----------
@@ -65,11 +78,10 @@ def alignment_is_bad(alignment_rms_m: FloatArray, diagonal_m: FloatArray) -> Boo
 
     Examples
     --------
-    >>> alignment_is_bad(np.array([20.0, 1.0]), np.array([40.0, 6.0])).tolist()
-    [True, False]
+    >>> alignment_is_bad(np.array([20.0, 2.0, 1.0]), np.array([90.0, 6.0, 6.0])).tolist()
+    [True, True, False]
     """
-    is_bad: BoolArray = alignment_rms_m > BAD_ALIGNMENT * diagonal_m
-    return is_bad
+    return alignment_rms_m > np.minimum(BAD_ALIGNMENT * diagonal_m, BAD_ALIGNMENT_M)
 
 
 class Tally:
@@ -229,15 +241,12 @@ def _worst_matched(rows: ObjectRows, quadrant: NDArray[np.str_]) -> Iterator[_Ca
 
 
 def _worst_alone(rows: ObjectRows, side: str) -> Iterator[_Candidate]:
-    own, status, other = {
-        "real": (rows.real, "missing", "simulated"),
-        "sim": (rows.sim, "hallucinated", "real"),
-    }[side]
+    own, status = {"real": (rows.real, "missing"), "sim": (rows.sim, "hallucinated")}[side]
     is_gone = ~own.is_matched & (own.covered <= THERE)
     severity = np.where(is_gone, 1 - own.covered, 0.0) * np.log(np.maximum(own.n_points, 1))
     for i in _largest(severity):
         state = _STATES[surface_state(own.covered[i])]
-        what = f"{status}, {state}: {100 * own.covered[i]:.0f} % of its points have a {other} one within 0.3 m"
+        what = f"{status}, {state}: {100 * own.covered[i]:.0f} % of it covered within 0.3 m"
         yield _candidate(rows.pair_ids, own, side, i, severity[i], status, what)
 
 
@@ -314,19 +323,17 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
     n_independent = max((claim.n_pairs for claim in record.claims), default=pairs.scored)
     if n_independent < LEAST_PAIRS:
         few = f"{n_independent} independent pair{'s' * (n_independent != 1)}"
-        yield Caution(kind="pairs", words=f"{few}: too few to tell chance from change, which takes {LEAST_PAIRS}")
+        yield Caution(kind="pairs", words=f"{few}: too few to tell change from chance, which takes {LEAST_PAIRS}")
     for words in independence(record.findings):
         yield Caution(kind="independence", words=words)
     if objects.n_aligned and objects.n_badly_aligned >= _MANY_BADLY_ALIGNED * objects.n_aligned:
         share = f"{100 * objects.n_badly_aligned / objects.n_aligned:.0f} %"
-        beyond = f"nodes lie more than {BAD_ALIGNMENT:g} of the object's size apart"
-        yield Caution(
-            kind="alignment", words=f"r_lambda of {share} of the matched objects stands on a bad alignment: {beyond}"
-        )
+        words = f"r_lambda of {share} of the matched objects stands on a bad alignment: {BAD_ALIGNMENT_WORDS}"
+        yield Caution(kind="alignment", words=words)
     if record.preset != "reference":
         words = "each side is divided into objects by itself, and small changes move that; to compare simulators: "
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
     yield Caution(
         kind="floor",
-        words=f"what a perfect simulator would score is not among these; fidpipe floor {record.dataset} tells",
+        words=f"what a perfect simulator would score is not known from this run: fidpipe floor {record.dataset}",
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Container, Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -29,6 +28,7 @@ from ....schemas.results import (
     Claim,
     ClassFindings,
     Findings,
+    Overview,
     RunRecord,
     SeedSummary,
     SurfaceStates,
@@ -43,8 +43,10 @@ from ...results.overview import independence
 from ...run import RunOutcome
 from ...storage.record import unmatched_worst
 from .layout import mean_and_spread, number, percent, plain_table
+from .overview import overview_view
 
 _MOST_PAIRS = 20
+_FEW_PAIRS = 5
 _MOST_CLASSES = 8
 #: The scores of the paper's box plots.
 _BOXES = ("cdc", "r_lambda")
@@ -54,43 +56,82 @@ _COLOURS = {HOLDS: "green", FAILS: "red", UNDECIDED: "yellow"}
 
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
-    """The results of a run, as a newcomer should see them first."""
+    """What a run ends with: what failed, the pairs, and last the overview and where the results are."""
     record, folder = outcome.record, outcome.folder
     return Group(
-        _scores_view(folder, outcome.rows, record),
-        *_failures_parts(folder, outcome.rows, outcome.told_failures),
         Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
         Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
-        *([Text(f"to look at them: fidpipe report {folder}")] if record.pairs.scored else ()),
+        *_asked_for(record),
+        *_failures_parts(folder, outcome.rows, outcome.told_failures),
+        *_glance(folder, outcome.rows, record),
+        *([Text(f"by range, class and scan: fidpipe show {folder} --all")] if record.findings else ()),
+        *_report_parts(folder, record),
         *_frames_parts(outcome.rows, record),
     )
 
 
-def summary_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
-    """The pairs of a run, what they say together, which failed, and which seem to lie in another frame."""
+def summary_view(
+    folder: Path, rows: Sequence[Row], record: RunRecord, overview: Overview | None, *, with_all: bool = False
+) -> RenderableType:
+    """What a run ended with; or all that is known of it, the overview last.
+
+    Parameters
+    ----------
+    overview : as `run_overview` gives it
+    """
+    parts = _all_tables(rows, record) if with_all else []
     return Group(
-        _scores_view(folder, rows, record), *_failures_parts(folder, rows, frozenset()), *_frames_parts(rows, record)
+        *parts,
+        *_asked_for(record),
+        *_failures_parts(folder, rows, frozenset()),
+        *_glance(folder, rows, record, overview, with_pairs=not with_all),
+        *_report_parts(folder, record),
+        *_frames_parts(rows, record),
     )
 
 
-def _scores_view(folder: Path, rows: Sequence[Row], record: RunRecord) -> RenderableType:
+def _glance(
+    folder: Path, rows: Sequence[Row], record: RunRecord, overview: Overview | None = None, *, with_pairs: bool = True
+) -> list[RenderableType]:
+    """The preset, the pairs with the lowest match rate, and the overview."""
+    overview = overview or record.overview
+    if overview is None:
+        return [Text(preset_line(record))]
+    scored = [row for row in rows if row["status"] == "scored"]
+    pairs = [_pairs_table(scored, _FEW_PAIRS)] if with_pairs else []
+    return [Text(preset_line(record)), *pairs, overview_view(folder, record, overview)]
+
+
+def _report_parts(folder: Path, record: RunRecord) -> list[RenderableType]:
+    """Where the report of these results is, or the command that makes it."""
+    page, pairs = folder / "report.html", folder / "pairs.parquet"
+    if not record.pairs.scored:
+        return []
+    if page.exists() and page.stat().st_mtime >= pairs.stat().st_mtime:
+        return [Text(f"report: {page}")]
+    return [Text(f"{'the report there is older; ' * page.exists()}to look at them: fidpipe report {folder}")]
+
+
+def _asked_for(record: RunRecord) -> list[RenderableType]:
+    """The baselines and the spread over seeds, where they were asked for."""
+    baselines = [baselines_view(record.baselines)] if record.baselines else []
+    return [*baselines, *([seeds_view(record.seeds)] if record.seeds else [])]
+
+
+def _all_tables(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
     """The pairs of a run, and what they say together."""
-    parts: list[RenderableType] = [Text(preset_line(record))]
-    if record.findings:
-        parts += [_pairs_table([row for row in rows if row["status"] == "scored"]), _dataset_table(record)]
-        headings, *sides = coverage_rows(record)
-        title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
-        lines = (surface_line(record), *unmatched_lines(record))
-        parts += [plain_table(title, headings, sides), *map(Text, lines), Text()]
-        parts += _findings_parts(record.findings)
-        count = Counter(claim.verdict for claim in record.claims)
-        verdicts = f"{count[HOLDS]} hold here, {count[FAILS]} do not, {count[UNDECIDED]} are not decided"
-        parts.append(Text(f"the paper's claims: {verdicts}; see: fidpipe show {folder} --paper"))
-    if record.baselines:
-        parts.append(baselines_view(record.baselines))
-    if record.seeds:
-        parts.append(seeds_view(record.seeds))
-    return Group(*parts)
+    if record.findings is None:
+        return []
+    headings, *sides = coverage_rows(record)
+    title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
+    scored = [row for row in rows if row["status"] == "scored"]
+    return [
+        _pairs_table(scored, _MOST_PAIRS),
+        _dataset_table(record),
+        plain_table(title, headings, sides),
+        *map(Text, (surface_line(record), *unmatched_lines(record), "")),
+        *_findings_parts(record.findings),
+    ]
 
 
 def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> list[RenderableType]:
@@ -190,13 +231,13 @@ def seeds_view(seeds: SeedSummary) -> RenderableType:
     return Group(dataset, *map(Text, lines), pairs)
 
 
-def _pairs_table(scored: Sequence[Row]) -> Table:
+def _pairs_table(scored: Sequence[Row], most: int) -> Table:
     title = "Pairs (means over matched objects)"
-    if len(scored) > _MOST_PAIRS:
-        scored = sorted(scored, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
-        title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
-    headings = ("pair", "objects\nreal", "\nsim", "\nboth", "only\nreal", "only\nsim", *narrow_labels(HEADLINE_SCORES))
-    counts = ("n_communities_real", "n_communities_sim", "n_matched", "n_missing", "n_hallucinated")
+    if len(scored) > most:
+        scored = sorted(scored, key=lambda row: row["match_rate"])[:most]
+        title = f"The {most} pairs with the lowest match rate (means over matched objects)"
+    headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *narrow_labels(HEADLINE_SCORES))
+    counts = ("n_matched", "n_missing", "n_hallucinated")
     rows = ([row[column] for column in ("pair_id", *counts, *HEADLINE_SCORES)] for row in scored)
     table = plain_table(title, headings, rows)
     table.columns[0].min_width = 6
@@ -313,7 +354,7 @@ def _bands(findings: Findings) -> Table:
     )
 
 
-def _classes(findings: Findings) -> Table:
+def _classes(findings: Findings) -> RenderableType:
     classes, title = findings.classes, "By class (of the real object where both sides have it)"
     if len(classes) > _MOST_CLASSES:
         title = f"The {_MOST_CLASSES} most frequent of {len(classes)} classes (of the real object where both have it)"
@@ -321,13 +362,15 @@ def _classes(findings: Findings) -> Table:
         (own.label, *_unmatched(own), own.n_matched, *(_mean_of(own, score) for score in DISTRIBUTED))
         for own in classes[:_MOST_CLASSES]
     )
-    return plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+    table = plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+    is_partial = any(own.of_score(score).n != own.n_matched for own in classes for score in DISTRIBUTED)
+    return Group(table, *([Text("* without those that are too small for the score\n")] if is_partial else ()))
 
 
 def _mean_of(own: ClassFindings, score: str) -> str:
-    """A mean of a class; with its number of objects where that is not all which both sides have."""
+    """A mean of a class; with an asterisk where not all objects that both sides have are in it."""
     mean = own.of_score(score)
-    return number(mean.mean) + f" (of {mean.n})" * (mean.n != own.n_matched)
+    return number(mean.mean) + "*" * (mean.n != own.n_matched)
 
 
 def _scans(findings: Findings) -> Table:

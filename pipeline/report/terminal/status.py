@@ -5,19 +5,37 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from pydantic import JsonValue
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from ....schemas.columns import SIDES
 from ....schemas.paper import TIMINGS
-from ...datasets.scan_checks import DatasetCheck
+from ....schemas.results import JsonObject
+from ...datasets.scan_checks import DatasetCheck, ScanFacts
 from ...engine.costs import CostModel
 from ...results.status import STATES, RunStatus
 from ...storage.files import free_bytes, megabytes
 from ...storage.record import command_again
 from .layout import plain_table
 
+_MOST_FAILURES = 3
 RUNS = Path("runs")  #: where runs lie unless --out says otherwise
+
+
+def check_json(dataset: DatasetCheck) -> JsonObject:
+    """The same for programs: what was learnt of each scan by pair and side (null: it is missing), and what is wrong."""
+    pairs: list[JsonValue] = [
+        {"pair_id": pair.pair_id, **{side: _scan_json(sides.get(side)) for side in SIDES}}
+        for pair, sides in dataset.pairs
+    ]
+    return {
+        "dataset": str(dataset.folder),
+        "pairs": pairs,
+        "warnings": [*dataset.warnings],
+        "faults": [*dataset.faults],
+        "disk_bytes": _disk_bytes(dataset),
+    }
 
 
 def check_view(dataset: DatasetCheck) -> RenderableType:
@@ -39,26 +57,51 @@ def check_view(dataset: DatasetCheck) -> RenderableType:
         plain_table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *(Text(f"warning: {text}", style="yellow") for text in dataset.warnings),
         *(Text(f"fault: {text}", style="red") for text in dataset.faults),
-        _space_needed(sum(facts.n_raw for _, sides in dataset.pairs for facts in sides.values())),
+        _space_needed(_disk_bytes(dataset)),
         Text(verdict, style="red" if dataset.faults else "green"),
     )
 
 
-def status_view(status: RunStatus) -> RenderableType:
-    """Stages by pairs, where the time goes, and why pairs failed."""
+def status_view(status: RunStatus, *, with_timings: bool = False) -> RenderableType:
+    """How far a run is in about ten lines: stages that all pairs have in one, the others one by one; failed pairs.
+
+    Parameters
+    ----------
+    with_timings : where the time of a pair goes as well, beside the paper's
+    """
     is_open = any(counts["stale"] or counts["to do"] for counts in status.stages.values())
-    rows = ((stage, *(counts[state] or None for state in STATES)) for stage, counts in status.stages.items())
+    finished = [stage for stage, counts in status.stages.items() if counts["done"] == status.n_pairs]
+    lines = [f"done of all pairs: {', '.join(finished)}"] if finished else []
+    for stage, counts in status.stages.items():
+        if stage not in finished:
+            lines.append(f"{stage}: " + ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]))
+    failed = [f"failed: {pair_id}: {reason}" for pair_id, reason in status.failures.items()]
+    if len(failed) > _MOST_FAILURES:
+        failed[_MOST_FAILURES:] = [f"failed: {len(failed) - _MOST_FAILURES} more pairs, see pairs.parquet"]
     return Group(
-        plain_table(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}", ("stage", *STATES), rows),
-        *(_timing_tables(status.mean_seconds) if status.mean_seconds else ()),
-        *(Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()),
+        Text(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}", style="bold"),
+        *map(Text, lines),
+        *(Text(line, style="red") for line in failed),
+        *(_timing_tables(status.mean_seconds) if with_timings and status.mean_seconds else ()),
         *([Text(f"finish it with: {command_again(status.folder, status.dataset)}")] if is_open else ()),
     )
 
 
-def _space_needed(n_raw: int) -> Text:
+def _scan_json(facts: ScanFacts | None) -> JsonObject | None:
+    if facts is None:
+        return None
+    names = ("n_raw", "n_clean", "dropped", "low", "high", "azimuth_gap_deg", "fault")
+    return {name: getattr(facts, name) for name in names}
+
+
+def _disk_bytes(dataset: DatasetCheck) -> int:
+    """What the tables of a run may take."""
+    return CostModel().disk_bytes(sum(facts.n_raw for _, sides in dataset.pairs for facts in sides.values()))
+
+
+def _space_needed(need: int) -> Text:
     """What the tables of a run may take, and what is free where runs lie by default."""
-    need, free = CostModel().disk_bytes(n_raw), free_bytes(RUNS)
+    free = free_bytes(RUNS)
     text = f"a run needs about {megabytes(need)} on disk"
     if free is not None and need > free:
         return Text(f"warning: {text}; {megabytes(free)} are free here, give it another --out", style="yellow")
