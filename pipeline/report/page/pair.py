@@ -21,10 +21,10 @@ from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults, Spec
 
 #: What is told of a chosen object.
 FACTS = (
-    *("quadrant", "status", "reason", "group", "range_m", "bearing_deg", "n_points", "n_real", "n_sim", "n_keep"),
-    *("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance"),
-    *("gap_real", "gap_sim", "alignment_rms_m", "centroid_distance_m", *OBJECT_COVERAGE, *OBJECT_ROAD),
-)  # fmt: skip
+    *("cdc", "r_lambda", "r_gap", "quadrant", *OBJECT_COVERAGE, *OBJECT_ROAD, "centroid_distance_m", "alignment_rms_m"),
+    *("n_points", "n_real", "n_sim", "n_keep", "range_m", "bearing_deg", "group", "status", "reason"),
+    *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
+)
 _PLACE = ("cx", "cy", "cz")
 #: Columns of the objects, in the order of their rows in the page.
 MATCHED_COLUMNS = ("real_id", "sim_id", *_PLACE, *(name for name in FACTS if name != "n_points"))

@@ -13,6 +13,8 @@ import {
   objectTitle,
   ownPlaces,
   plotText,
+  rampBar,
+  roadDots,
   roadWords,
   SIDE_WORDS,
   SIDES,
@@ -75,14 +77,10 @@ function drawOverlay(pair, place) {
     Object.entries(box).map(([axis, [low, high]]) => [axis, [low - MARGIN_M, high + MARGIN_M]]),
   );
   const data = [];
-  const context = (set, name, colour, size) => {
-    const inside = insideOf(set, ranges);
-    data.push(dots(name, colour, size, { ...at(set, inside), opacity: 0.45, hoverinfo: "skip" }));
-  };
   for (const side of SIDES) {
     const isShown = byId(`show_${side}`).checked;
     if (isShown && byId("show_road").checked && !(side === "sim" && isAligned))
-      context(points.road[side], `road ${side}`, report.colours.none, 1.6);
+      data.push(roadDots(side, points.road[side], 1.8, insideOf(points.road[side], ranges)));
     if (isShown && byId("show_others").checked && !isAligned) {
       const others = insideOf(points[side], ranges).filter((i) => points[side].object[i] !== place);
       const text = others.map((i) => plotText(objectTitle(pair.objects[points[side].object[i]])));
@@ -104,7 +102,7 @@ function drawOverlay(pair, place) {
   const key = `${pair.name} ${object.name}`;
   const before = panel.key === key ? byId("overlay").layout?.scene?.camera : null;
   panel.key = key;
-  drawInSpace("overlay", data, before ?? cameraAt(ranges, ranges, 1.25 * size_m), ranges);
+  drawInSpace("overlay", data, before ?? cameraAt(ranges, ranges, 0.95 * size_m), ranges);
   sayOverlay(object, places, lines, isAligned);
 }
 
@@ -129,7 +127,7 @@ function ownDots({ points }, side, places, set, isAligned) {
       return dots(name, color, size, { ...at(set, some), symbol, hovertemplate: `${name}: ${PLACE}<extra></extra>` });
     };
     return [
-      trace(`left out, ${SIDE_WORDS[side]}`, false, report.colours.none, 2.2, "cross"),
+      trace(`left out, ${SIDE_WORDS[side]}`, false, paint("var(--soft)"), 3.4, "cross"),
       trace(`kept, ${SIDE_WORDS[side]}`, true, sideColour(side), 2.8, "circle"),
     ];
   }
@@ -139,7 +137,7 @@ function ownDots({ points }, side, places, set, isAligned) {
   const text = places.map((i) => distanceWords(steps[i]));
   const symbol = by === "distance" && side === "sim" ? "diamond" : "circle";
   const hovertemplate = `${SIDE_WORDS[side]}: ${PLACE}<br>%{text} to the other side<extra></extra>`;
-  return [dots(`own ${side}`, color, 2.2, { ...set, text, symbol, hovertemplate })];
+  return [dots(`own ${side}`, color, symbol === "diamond" ? 3.2 : 2.2, { ...set, text, symbol, hovertemplate })];
 }
 
 // Which lines of alignment are drawn: those of the object, evenly if there are many; `n` of how many.
@@ -178,12 +176,12 @@ function sayOverlay(object, places, lines, isAligned) {
   if (lines.length) told.push(`${counted(lines.length)} of ${counted(lines.n)} alignment lines.`);
   if (object.move) {
     const [x, y, z] = object.move.map((value) => value.toFixed(2));
-    const far = number(Math.hypot(...object.move), 2);
+    const far = Math.hypot(...object.move).toFixed(2);
     told.push(
       isAligned
-        ? `Aligned: simulated points moved by (${x}, ${y}, ${z}) m, ${far} m in all, so that the kept nodes of both sides ` +
-            "have one mean; nodes are aligned and alignment RMS is measured so. Nothing is turned. CDC is of the points as they lie."
-        : `As they lie: in the real sensor's frame, as CDC sees them. Aligned moves the simulated side by ${far} m.`,
+        ? `Aligned: simulated points moved by (${x}, ${y}, ${z}) m, so that the kept nodes of both sides have one mean, as ` +
+            "node alignment and its RMS have it; nothing is turned. CDC is of the points as they lie."
+        : `As they lie in the frame of the real sensor, as CDC has them; aligned moves simulated ones by ${far} m.`,
     );
   }
   say("overlay_note", told.join(" "));
@@ -197,13 +195,8 @@ function drawOverlayLegend(isAligned) {
   const entries = SIDES.map((side) => entry(sideColour(side), SIDE_WORDS[side]));
   if (by === "kept") entries.push(entry(null, "left out of the spectra", "+"));
   if (by === "distance") {
-    const shades = [0, 64, 128, 192, 255].map((step) => distanceShades()[step]);
-    const bar = element("span", null, {
-      class: "ramp",
-      style: `background: linear-gradient(to right, ${shades.join(",")})`,
-    });
     const end = isAligned ? "to the partner's points, aligned" : "to the nearest object point of the other side";
-    const bars = element("span", null, {}, "0", bar, `${report.far_m} m or more ${end}`);
+    const bars = element("span", null, {}, "0", rampBar(), `${report.far_m} m or more ${end}`);
     entries.splice(0, 2, bars, entry(null, "real", "●"), entry(null, "simulated", "◆"));
   }
   byId("overlay_legend").replaceChildren(...entries);

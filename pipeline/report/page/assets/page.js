@@ -18,7 +18,6 @@ makeTable(byId("pairs_table"), "pairs", report.pairs, (row) => linkTo(row.pair_i
 makeTable(byId("objects_table"), "objects", report.objects, (row) => linkTo(row.pair_id, row.object.split(", ")[0]));
 for (const change of ["click", "input"]) byId("objects_table").addEventListener(change, markRow);
 startTheme();
-await startScene();
 startCharts(redrawScene);
 for (const id of ["quadrants", "polar"]) {
   byId(id).on(
@@ -35,3 +34,4 @@ for (const id of ["quadrants", "polar"]) {
     },
   );
 }
+await startScene();

@@ -2,7 +2,7 @@
 // An object is called by side and community: "real 3", "sim 7"; a matched one has one name, that of its real side.
 
 import { byId, draw, isDark, paint, report } from "./draw.js";
-import { number, records, shorten, shown } from "./tables.js";
+import { element, number, records, shorten, shown } from "./tables.js";
 
 export const SIDES = ["real", "sim"];
 export const SIDE_WORDS = { real: "real", sim: "simulated" };
@@ -10,7 +10,7 @@ export const FAR = 255; // the distance to the other side is a byte, this one fo
 const AXES = { x: "x forward (m)", y: "y left (m)", z: "z up (m)" };
 export const other = (side) => (side === "real" ? "sim" : "real");
 export const sideColour = (side) => paint(report.colours.sides[side]);
-export const ramp = () => report.colours.ramps[isDark() ? "dark" : "light"];
+const ramp = () => report.colours.ramps[isDark() ? "dark" : "light"];
 export const say = (id, text) => {
   byId(id).textContent = shown(text);
 };
@@ -158,6 +158,9 @@ export function rampColour(share) {
   return `rgb(${mix(1)},${mix(3)},${mix(5)})`;
 }
 
+export const rampBar = () =>
+  element("span", null, { class: "ramp", style: `background: linear-gradient(to right, ${ramp().join(",")})` });
+
 // The colour of each distance that a byte can be.
 export const distanceShades = () => Array.from({ length: FAR + 1 }, (_, step) => rampColour(step / FAR));
 
@@ -167,6 +170,12 @@ export const distanceWords = (step) =>
 export function dots(name, color, size, { symbol = "circle", opacity = 1, ...more }) {
   const marker = { color, size, symbol, opacity, line: { width: 0 } };
   return { type: "scatter3d", mode: "markers", name, marker, ...more };
+}
+
+// Road points of a side, all or some of them, as a context that nothing is asked of.
+export function roadDots(side, road, size, places = null) {
+  const set = places ? at(road, places) : road;
+  return dots(`road ${side}`, paint("var(--line)"), size, { ...set, hoverinfo: "skip" });
 }
 
 // Lines between pairs of points: ends [a, b, a, b ...] of which each two are one.

@@ -16,8 +16,9 @@ import {
   ownPlaces,
   plotText,
   pointsOf,
-  ramp,
+  rampBar,
   rampColour,
+  roadDots,
   roadWords,
   SIDE_WORDS,
   SIDES,
@@ -112,14 +113,10 @@ function pointColours({ objects, points, drawn }, by) {
 
 function contextTraces({ points }) {
   const isRoadShown = byId("show_road").checked;
-  const road = SIDES.map((side) =>
-    dots(`road ${side}`, report.colours.none, 1.3, {
-      ...points.road[side],
-      opacity: 0.5,
-      hoverinfo: "skip",
-      visible: isRoadShown && byId(`show_${side}`).checked,
-    }),
-  );
+  const road = SIDES.map((side) => ({
+    ...roadDots(side, points.road[side], 1.5),
+    visible: isRoadShown && byId(`show_${side}`).checked,
+  }));
   const ink = paint("var(--ink)");
   const [sensor, ahead] = [0, SENSOR_AXIS_M].map((x) => ({ x, y: 0, z: 0 }));
   const axis = strokes("forward", ink, [sensor, ahead], 5);
@@ -150,10 +147,14 @@ function drawScene(camera = byId("scene").layout.scene.camera) {
   drawLegend(by);
 }
 
+function redrawPair() {
+  if (scene.pair !== null) drawScene();
+}
+
+// Draws pair and object anew, in the colours of the theme.
 export function redrawScene() {
-  if (scene.pair === null) return;
-  drawScene();
-  if (scene.chosen !== null) chooseObject(scene.chosen);
+  redrawPair();
+  if (scene.chosen !== null) drawPanel(scene.pair, placeOf(scene.chosen), linkWithin(scene.pair.name, scene.chosen));
 }
 
 function drawLegend(by) {
@@ -161,10 +162,7 @@ function drawLegend(by) {
   const entry = (colour, text) =>
     element("span", null, {}, element("i", null, { style: `background: ${colour}` }), text);
   const score = report.scores[by];
-  const bar = element("span", null, {
-    class: "ramp",
-    style: `background: linear-gradient(to right, ${ramp().join(",")})`,
-  });
+  const bar = rampBar();
   const entries = {
     side: () => [entry(sides.real, "real"), entry(sides.sim, "simulated")],
     status: () =>
@@ -184,7 +182,7 @@ function drawLegend(by) {
     element("span", null, {}, "0", bar, `${score.bound} (${score.name})`),
     entry(none, "no score"),
   ];
-  const road = byId("show_road").checked ? [entry(none, "road (removed as ground), thinned")] : [];
+  const road = byId("show_road").checked ? [entry("var(--line)", "road (removed as ground), thinned")] : [];
   byId("legend").replaceChildren(...(entries ?? ofScore)(), ...road);
 }
 
@@ -327,6 +325,7 @@ function refuse(text) {
 }
 
 function stepObject(step) {
+  if (scene.pair === null) return;
   const n = scene.pair.objects.length;
   const now = placeOf(scene.chosen);
   const first = step > 0 ? 0 : n - 1;
@@ -352,8 +351,7 @@ export async function startScene() {
       if (await openPair(byId("pair").value)) chooseObject(null, true);
     });
     byId("object").addEventListener("change", () => chooseObject(byId("object").value || null, true));
-    for (const id of ["colour", "show_real", "show_sim", "show_road"])
-      byId(id).addEventListener("change", () => drawScene());
+    for (const id of ["colour", "show_real", "show_sim", "show_road"]) byId(id).addEventListener("change", redrawPair);
     byId("previous").addEventListener("click", () => stepObject(-1));
     byId("next").addEventListener("click", () => stepObject(1));
     startPanel();
