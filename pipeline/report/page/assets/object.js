@@ -32,7 +32,7 @@ const panel = { key: null, draw: () => {} };
 // pair: {name, view, objects, points}; place: of the object among them; link: the address of both
 export function drawPanel(pair, place, link) {
   const object = pair.objects[place];
-  say("panel_title", `Pair ${shorten(pair.name, 60)}, object ${objectTitle(object)}`);
+  say("panel_title", `Pair ${shorten(pair.name, 60)}, ${objectTitle(object)}`);
   byId("object_link").href = link;
   const isTold = (key) => key in object && (object[key] !== null || !(object.side || key === "reason"));
   const facts = Object.entries(report.facts)
@@ -195,7 +195,7 @@ function drawOverlayLegend(isAligned) {
   const entries = SIDES.map((side) => entry(sideColour(side), SIDE_WORDS[side]));
   if (by === "kept") entries.push(entry(null, "left out of the spectra", "+"));
   if (by === "distance") {
-    const end = isAligned ? "to the partner's points, aligned" : "to the nearest object point of the other side";
+    const end = isAligned ? "to the partner, aligned" : "to the other side";
     const bars = element("span", null, {}, "0", rampBar(), `${report.far_m} m or more ${end}`);
     entries.splice(0, 2, bars, entry(null, "real", "●"), entry(null, "simulated", "◆"));
   }
