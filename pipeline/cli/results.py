@@ -85,15 +85,18 @@ def report(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder for page and figures.", show_default="the run's own")
     ] = None,
+    opens: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
 
     RUN/report.html: verdict, scores, missing and invented objects, tables, the points of some pairs in 3D (the worst,
     the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG and SVG.
 
+    An address that ends in #pair=0007&object=real%203 opens the page at that object.
+
     Examples
     --------
-    fidpipe report runs/dataset
+    fidpipe report runs/dataset --open
 
     fidpipe report runs/dataset --pairs '0007'
 
@@ -101,12 +104,17 @@ def report(
 
     fidpipe report runs/dataset --floor runs/dataset-floor
     """
+    import webbrowser
+
+    from ..engine.progress import Reporter
     from ..report.page.page import write_report
 
     made = write_report(run, pairs, one_page_a_pair=folder, out=out, floor=floor)
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
     print(f"figures: {made.figures[0].parent} ({', '.join(path.stem for path in made.figures[::2])}; PNG and SVG)")
+    if opens and not webbrowser.open(made.page.resolve().as_uri()):
+        Reporter().warn(f"no browser could be started; open {made.page} in one")
 
 
 def gate(

@@ -144,6 +144,11 @@ class DaskPool:
         ]
         return Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits, default=0)))
 
+    @property
+    def dashboard(self) -> str:
+        """See `Pool`; a cluster on this machine has none."""
+        return "" if self._address is None else str(self._client.dashboard_link)
+
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
         passed = [[handle.future for handle in arg] if is_handles(arg) else arg for arg in args]

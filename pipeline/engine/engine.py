@@ -139,6 +139,8 @@ class Engine:
                 library_versions(LIBRARIES),
                 self._modules,
             )
+            if self._pool.dashboard:
+                self.reporter.say(f"dask dashboard: {self._pool.dashboard}")
         return self._pool
 
     def start(self) -> None:

@@ -48,6 +48,10 @@ class Pool(Protocol):
     def memory(self) -> Memory:
         """What the tasks may occupy."""
 
+    @property
+    def dashboard(self) -> str:
+        """The address at which a browser shows the cluster at work; "" where it has none."""
+
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """Starts a task; those of higher priority first. With `keep` the result stays where it is made.
 
@@ -75,6 +79,7 @@ class InProcess:
     """Runs each task in this process when its outcome is asked for."""
 
     n_workers = 1
+    dashboard = ""
 
     def __init__(self, memory: int | None = None) -> None:
         self._memory = memory

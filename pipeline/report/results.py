@@ -18,7 +18,7 @@ import pandas as pd
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.coverage import nearest_distances
+from ...stages.coverage import COVERAGE_DISTANCES_M, cover, nearest_distances
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
@@ -30,6 +30,8 @@ from ..results.quadrants import quadrant_of
 
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
+#: How much of an object is road to the other side, as its panel shows it: of the real one, and of the simulated one.
+OBJECT_ROAD = tuple(f"road_{side}_0p3m" for side in SIDES)
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
 MOST_SPECTRUM_NODES = 1500
 _AGREES = 1e-6
@@ -154,11 +156,21 @@ class PairTables:
         self._run, self._pair_id = results.run, pair_id
 
     @cached_property
+    def _ground(self) -> dict[str, pd.DataFrame]:
+        columns = ["point_id", "x", "y", "z", "is_ground"]
+        return {side: self._columns("ground", side, columns) for side in SIDES}
+
+    @cached_property
+    def road(self) -> dict[str, FloatArray]:
+        """The points that were removed as ground, (r, 3) metres, by side."""
+        return {side: rows.loc[rows.is_ground, ["x", "y", "z"]].to_numpy() for side, rows in self._ground.items()}
+
+    @cached_property
     def clouds(self) -> dict[str, Cloud]:
         """The object points by side."""
         clouds = {}
         for side in SIDES:
-            points = self._columns("ground", side, ["point_id", "x", "y", "z", "is_ground"]).query("~is_ground")
+            points = self._ground[side].query("~is_ground")
             community = self._columns("communities", side, ["community_id"]).community_id
             clouds[side] = Cloud(points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), community.to_numpy())
         return clouds
@@ -168,6 +180,50 @@ class PairTables:
         """The distance of each object point of a side to the nearest one of the other side, (n,), by side."""
         real, sim = (self.clouds[side].points for side in SIDES)
         return dict(zip(SIDES, nearest_distances(real, sim), strict=True))
+
+    @cached_property
+    def matched_with_road(self) -> pd.DataFrame:
+        """`matched` with the columns `OBJECT_ROAD`."""
+        real, sim = (self._road_shares[side] for side in SIDES)
+        shares = (real[self.matched.real_id], sim[self.matched.sim_id])
+        return self.matched.assign(**dict(zip(OBJECT_ROAD, shares, strict=True)))
+
+    @cached_property
+    def unmatched_with_road(self) -> pd.DataFrame:
+        """`unmatched` with the columns `OBJECT_ROAD`, null for the side that does not have the object."""
+        ids, of_side = self.unmatched.community_id, self.unmatched.side
+        shares = {
+            name: [self._road_shares[side][i] if own == side else np.nan for i, own in zip(ids, of_side, strict=True)]
+            for name, side in zip(OBJECT_ROAD, SIDES, strict=True)
+        }
+        return self.unmatched.assign(**shares)
+
+    @cached_property
+    def _road_shares(self) -> dict[str, FloatArray]:
+        """By side and community: share of the points with a road point of the other side within 0.3 m.
+
+        NaN where the other side has no road points: nothing is known then.
+        """
+        shares = {}
+        for side, other in zip(SIDES, reversed(SIDES), strict=True):
+            cloud, road = self.clouds[side], self.road[other]
+            distance_m = nearest_distances(cloud.points, road)[0] if len(road) else np.full(len(cloud.points), np.nan)
+            covered = cover(distance_m, cloud.community).covered[:, COVERAGE_DISTANCES_M.index(0.3)]
+            shares[side] = covered if len(road) else np.full(len(covered), np.nan)
+        return shares
+
+    @cached_property
+    def alignment_moves(self) -> dict[int, FloatArray]:
+        """By real id, what moves the simulated object onto the real one: mean of kept real less simulated nodes, (3,).
+
+        The nodes are aligned with both sides centred so (`stages.selection`), and `alignment_rms_m` is of it.
+        """
+        real, sim = (
+            cloud.points[np.searchsorted(cloud.point_ids, self.selection[f"{side}_point_id"])]
+            for side, cloud in self.clouds.items()
+        )
+        moves = pd.DataFrame(real - sim).groupby(self.selection.real_id.to_numpy()).mean()
+        return {int(real_id): move for real_id, move in zip(moves.index, moves.to_numpy(), strict=True)}
 
     @cached_property
     def selection(self) -> pd.DataFrame:

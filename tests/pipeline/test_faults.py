@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 
 import pexpect
@@ -134,8 +136,9 @@ def scheduler(tmp_path):
     dask = [str(Path(FIDPIPE).with_name("dask"))]
     own = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     host = ["--host", "127.0.0.1"]
+    shown = ["--dashboard-address", "127.0.0.1:0"]
     processes = [
-        subprocess.Popen([*dask, "scheduler", "--scheduler-file", file, "--no-dashboard", "--port", "0", *host], **own),
+        subprocess.Popen([*dask, "scheduler", "--scheduler-file", file, *shown, "--port", "0", *host], **own),
         subprocess.Popen(
             [*dask, "worker", "--scheduler-file", file, "--nworkers", "2", "--no-dashboard", *host], **own
         ),
@@ -149,9 +152,13 @@ def scheduler(tmp_path):
         process.wait(30)
 
 
-def test_an_external_scheduler_gives_the_same_tables(dataset, finished, tmp_path, scheduler):
-    run(dataset, tmp_path / "run", workers=None, scheduler=scheduler)
+def test_an_external_scheduler_gives_the_same_tables_and_its_dashboard_is_told(dataset, finished, tmp_path, scheduler):
+    ended = command("run", dataset, "--out", tmp_path / "run", "--scheduler", scheduler)
+    assert ended.returncode == 0
     assert_same_tables(tmp_path / "run", finished)
+    told = re.search(r"dask dashboard: (http://127\.0\.0\.1:\d+/status)", ended.stderr)
+    with urllib.request.urlopen(told[1], timeout=30) as page:
+        assert page.status == 200
 
 
 def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):

@@ -1,36 +1,28 @@
-"""What a page holds: of a whole run data for its JavaScript and words for its template, of a pair points and spectra.
-
-Points are whole numbers of a small step, spectra 32-bit floats, both in base64: the page stays small and needs no other
-file.
-"""
+"""What a page holds of a whole run: data for its JavaScript and words for its template."""
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
-from ....stages.arrays import IndexArray
-from ....stages.coverage import COVERAGE_DISTANCES_M
 from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
-from ..results import OBJECT_COVERAGE, PairTables, RunResults, Spectra
+from ..results import OBJECT_COVERAGE, OBJECT_ROAD, RunResults
 from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
 from ..terminal.run import preset_line
 from ..verdict import limits_in_words, verdict_of
+from .pair import FACTS, FAR_M, MATCHED_COLUMNS, UNMATCHED_COLUMNS
 
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
 _MOST_FAILURES = 5
-_DIGITS = 6  # of the tables; the panel of an object has all
+_DIGITS = 6
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 _SCORES = (
@@ -45,33 +37,16 @@ _OBJECT_COLUMNS = (
     *("object", "pair_id", "group", "quadrant", "status", "range_m", "n_real", "n_sim", "n_keep"),
     *(*_SCORES, *OBJECT_COVERAGE),
 )
-#: About so many points of a side are drawn at most, and of each object at least `_FEWEST`, if it has them.
-_POINTS_PER_SIDE = 9000
-_FEWEST = 80
-_CURVE_POINTS = 200
-#: The distance of a point to the other side is a byte, the largest for this many metres and more.
-_FAR_M, _FAR = COVERAGE_DISTANCES_M[-1], 255
-_STEPS = 32767
 
 #: Headings of the columns that are no scores; other words stand for themselves.
 _HEADINGS = {
     "pair_id": "pair", "range_m": "range (m)", "bearing_deg": "bearing (°, left positive)", "n_points": "points",
     "n_real": "points, real", "n_sim": "points, simulated", "n_keep": "nodes kept",
+    **dict(zip(OBJECT_ROAD, ("real, road on sim side", "sim, road on real side"), strict=True)),
     **{name: name for name in ("object", "quadrant", "status", "reason")},
 }  # fmt: skip
-#: What is told of a chosen object.
-_FACTS = (
-    "quadrant", "status", "reason", "group", "range_m", "bearing_deg", "n_points", "n_real", "n_sim", "n_keep", "cdc",
-    "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim",
-    "alignment_rms_m", "centroid_distance_m", *OBJECT_COVERAGE,
-)  # fmt: skip
-#: Columns of the objects, in the order of their rows in the page.
-_MATCHED_COLUMNS = ("real_id", "sim_id", *(name for name in _FACTS if name != "n_points"))
-_UNMATCHED_COLUMNS = (
-    *("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points"),
-    *OBJECT_COVERAGE,
-)
-
+#: Decimals of what is told of an object: of metres so many that centimetres are seen.
+_FACT_DIGITS, _METRE_DIGITS = 3, 2
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """What the page's JavaScript reads of the whole run: charts, colours, tables; no points."""
@@ -86,13 +61,13 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "ramps": RAMPS,
             "none": GREY,
         },
-        "far_m": _FAR_M,
+        "far_m": FAR_M,
         "scores": {score: {"name": METRIC[score].label, "bound": METRIC[score].high} for score in SCORES},
         "pairs": _table(results, results.pairs, _PAIR_COLUMNS, pairs_note),
         "objects": _objects(results),
-        "facts": _headings(results, _FACTS),
-        "matched_columns": _MATCHED_COLUMNS,
-        "unmatched_columns": _UNMATCHED_COLUMNS,
+        "facts": _facts(results),
+        "matched_columns": MATCHED_COLUMNS,
+        "unmatched_columns": UNMATCHED_COLUMNS,
     }
 
 
@@ -123,44 +98,19 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     }
 
 
-def pair_view(results: RunResults, pair_id: str) -> dict[str, Any]:
-    """One pair for the page: points of both sides, objects, spectra; `RunError` if one of its tables is damaged."""
-    tables = PairTables(results, pair_id)
-    step_m = max(float(np.abs(cloud.points).max()) for cloud in tables.clouds.values()) / _STEPS
-    return {
-        "step_m": step_m,
-        "sides": {side: _encoded(tables, side, step_m) for side in SIDES},
-        "matched": plain_rows(tables.matched, _MATCHED_COLUMNS),
-        "unmatched": plain_rows(tables.unmatched, _UNMATCHED_COLUMNS),
-        "spectra": {str(real_id): _curve(spectra) for real_id, spectra in tables.spectra()},
-    }
-
-
-def thinned(community: Iterable[int], most: int) -> IndexArray:
-    """Indices of about `most` points, of each object the same share but at least `_FEWEST`; for display only.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> kept = thinned(np.repeat([0, 1], [10_000, 50]), most=1000)
-    >>> np.bincount(np.repeat([0, 1], [10_000, 50])[kept]).tolist()
-    [996, 50]
-    """
-    ids = np.asarray(community)
-    share = min(1.0, most / max(1, len(ids)))
-    rng, chosen = np.random.default_rng(0), []
-    for members in np.split(np.argsort(ids, kind="stable"), np.cumsum(np.bincount(ids))[:-1]):
-        n = min(len(members), max(_FEWEST, int(np.ceil(share * len(members)))))
-        chosen.append(rng.choice(members, n, replace=False))
-    kept: IndexArray = np.sort(np.concatenate(chosen))
-    return kept
-
-
 def _headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
     """By column of a table of pairs or objects, its heading: of scores that of the catalogue, class or shape by run."""
     known = {**_HEADINGS, "group": results.class_is}
     headings = {column: known.get(column) or metric_of(column).label for column in columns}
     return {column: re.sub(r"(?<=\d) (?=m\b)", "\N{NO-BREAK SPACE}", heading) for column, heading in headings.items()}
+
+
+def _facts(results: RunResults) -> dict[str, dict[str, Any]]:
+    """By what is told of a chosen object, its heading and its decimals."""
+    return {
+        key: {"title": title, "digits": 0 if key == "bearing_deg" else _METRE_DIGITS if key.endswith("_m") else _FACT_DIGITS}
+        for key, title in _headings(results, FACTS).items()
+    }
 
 
 def _table(results: RunResults, rows: pd.DataFrame, columns: Sequence[str], note: str) -> dict[str, Any]:
@@ -216,37 +166,3 @@ def _notes(results: RunResults) -> dict[str, str]:
 def _part(most: int, n_all: int, how: str) -> str:
     """Which part is shown, "" if all is."""
     return f" {most:,} of {n_all:,}{how}." if most < n_all else ""
-
-
-def _encoded(tables: PairTables, side: str, step_m: float) -> dict[str, Any]:
-    cloud = tables.clouds[side]
-    shown = thinned(cloud.community, _POINTS_PER_SIDE)
-    is_kept = np.isin(cloud.point_ids[shown], tables.selection[f"{side}_point_id"])
-    return {
-        "n": len(cloud.points),
-        "n_shown": len(shown),
-        "xyz": _base64(np.rint(cloud.points[shown].T / step_m), "<i2"),
-        "community": _base64(cloud.community[shown], "<i4"),
-        "kept": _base64(is_kept, "u1"),
-        "distance": _base64(np.rint(np.minimum(tables.distances_m[side][shown] / _FAR_M, 1) * _FAR), "u1"),
-    }
-
-
-def _curve(spectra: Spectra) -> dict[str, Any]:
-    if spectra.real is None or spectra.sim is None:
-        return {"reason": spectra.reason}
-    worst = int(np.argmax(np.abs(spectra.sim - spectra.real)))
-    n = len(spectra.real)
-    index = np.unique(np.append(np.linspace(0, n - 1, min(n, _CURVE_POINTS)).round(), worst)).astype(np.intp)
-    return {
-        "n": n,
-        "worst": int(np.searchsorted(index, worst)),
-        "index": _base64(index, "<i4"),
-        "real": _base64(spectra.real[index], "<f4"),
-        "sim": _base64(spectra.sim[index], "<f4"),
-    }
-
-
-def _base64(values: Any, dtype: str) -> str:
-    """Numbers as base64 of a little-endian type."""
-    return base64.b64encode(np.ascontiguousarray(values).astype(dtype).tobytes()).decode("ascii")

@@ -1,20 +1,8 @@
 // Puts the tables, the 3D view and the charts of a report together.
 
 import { byId, drawCharts, report, startCharts } from "./draw.js";
-import { openPair, redrawScene, showObject, startScene } from "./scene.js";
+import { linkTo, markRow, redrawScene, startScene } from "./scene.js";
 import { makeTable } from "./tables.js";
-
-// What a row of a table opens: the 3D view here, or the page of its pair.
-function opener(pair, name) {
-  const link = report.links[pair];
-  if (!report.views[pair]) return link ? (name ? `${link}#${encodeURIComponent(name)}` : link) : null;
-  if (name) return () => showObject(pair, name);
-  return () => {
-    openPair(pair);
-    byId("view").scrollIntoView();
-    byId("pair").focus({ preventScroll: true });
-  };
-}
 
 function startTheme() {
   const choice = byId("theme");
@@ -26,10 +14,10 @@ function startTheme() {
   });
 }
 
-makeTable(byId("pairs_table"), "pairs", report.pairs, (row) => opener(row.pair_id, null));
-makeTable(byId("objects_table"), "objects", report.objects, (row) => opener(row.pair_id, row.object.split(", ")[0]));
+makeTable(byId("pairs_table"), "pairs", report.pairs, (row) => linkTo(row.pair_id, null));
+makeTable(byId("objects_table"), "objects", report.objects, (row) => linkTo(row.pair_id, row.object.split(", ")[0]));
+for (const change of ["click", "input"]) byId("objects_table").addEventListener(change, markRow);
 startTheme();
-startScene();
 startCharts(redrawScene);
 for (const id of ["quadrants", "polar"]) {
   byId(id).on(
@@ -40,6 +28,10 @@ for (const id of ["quadrants", "polar"]) {
           customdata: [pair, name],
         },
       ],
-    }) => showObject(report.names[pair], name),
+    }) => {
+      const link = linkTo(report.names[pair], name);
+      if (link !== null) window.location.href = link;
+    },
   );
 }
+await startScene();

@@ -1,84 +1,97 @@
-// The 3D view of a pair, and the panel of a chosen object: its numbers, both point sets, its spectra, the nodes kept.
-// An object is called by side and community: "real 3", "sim 7"; a matched one has one name, that of its real side.
+// The 3D view of a pair: its points, the road, the sensor, which object is chosen, and the address of that object.
 
-import { byId, draw, isDark, paint, report } from "./draw.js";
-import { counted, element, NULL_SIGN, number, records, shorten, shown } from "./tables.js";
+import { byId, paint, report } from "./draw.js";
+import { closePanel, drawPanel, startPanel } from "./object.js";
+import {
+  at,
+  boxEdges,
+  cameraAt,
+  distanceShades,
+  distanceWords,
+  dots,
+  drawInSpace,
+  extent,
+  objectsOf,
+  objectTitle,
+  ownPlaces,
+  plotText,
+  pointsOf,
+  rampBar,
+  rampColour,
+  roadDots,
+  roadWords,
+  SIDE_WORDS,
+  SIDES,
+  say,
+  sideColour,
+  strokes,
+} from "./points.js";
+import { counted, element, shorten, shown } from "./tables.js";
 
-const SIDES = ["real", "sim"];
-const scene = { pair: null, points: null, objects: [], chosen: null, hovered: null };
+const MOST_DRAWN = 9000; // of a side in the whole pair, and of each object at least FEWEST_DRAWN; the panel has all
+const FEWEST_DRAWN = 80;
+const BOX_MARGIN_M = 0.2;
+const SENSOR_AXIS_M = 4;
+const MOST_SUGGESTED = 6;
+// pair: {name, view, objects, points, drawn, ranges}, the one that is open; wanted: the name of the one being opened
+const scene = { pair: null, wanted: null, chosen: null, hovered: null };
 const communityColour = (i) => `hsl(${Math.round((i * 137.508) % 360)}, 65%, ${[48, 62, 38][i % 3]}%)`;
-const ramp = () => report.colours.ramps[isDark() ? "dark" : "light"];
-const FAR = 255; // the distance to the other side is a byte, this one for report.far_m and more
-const PLACE = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>";
-const AXES = { x: "x forward (m)", y: "y left (m)", z: "z up (m)" };
-const say = (id, text) => {
-  byId(id).textContent = shown(text);
-};
 
-function decode(text, Type) {
-  return new Type(Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0)).buffer);
+// The address of a pair, or of an object, within the page that shows it.
+const linkWithin = (pair, name) =>
+  `#pair=${encodeURIComponent(pair)}${name ? `&object=${encodeURIComponent(name)}` : ""}`;
+
+// The address of a pair or of an object: here, on the page of its pair, or null if it is nowhere in 3D.
+export function linkTo(pair, name) {
+  if (report.views[pair]) return linkWithin(pair, name);
+  return report.links[pair] ? report.links[pair] + linkWithin(pair, name) : null;
 }
 
-export function openPair(pair) {
-  const view = report.views[pair];
-  if (!view) return false;
-  scene.pair = pair;
-  const matched = records(report.matched_columns, view.matched).map((row) => ({
-    ...row,
-    name: `real ${row.real_id}`,
-    fate: row.status === "too_small" ? "too small" : "matched",
-    owns: { real: row.real_id, sim: row.sim_id },
-  }));
-  const unmatched = records(report.unmatched_columns, view.unmatched).map((row) => ({
-    ...row,
-    name: `${row.side} ${row.community_id}`,
-    fate: row.status,
-    owns: { [row.side]: row.community_id },
-    cdc: null,
-    r_lambda: null,
-  }));
-  scene.objects = [...matched, ...unmatched];
-  scene.points = Object.fromEntries(
-    Object.entries(view.sides).map(([side, packed]) => [side, unpacked(side, packed, view.step_m)]),
-  );
-  byId("pair").value = pair;
-  const options = scene.objects.map((object) => element("option", objectTitle(object), { value: object.name }));
+// Opens a pair without choosing an object; false if another one was asked for meanwhile.
+async function openPair(name) {
+  scene.wanted = name;
+  const view = report.views[name];
+  const objects = objectsOf(view);
+  const points = await pointsOf(view, objects);
+  if (scene.wanted !== name) return false;
+  const drawn = Object.fromEntries(SIDES.map((side) => [side, drawnOf(points[side])]));
+  const sensor = { x: [0, SENSOR_AXIS_M], y: [0, 0], z: [0, 0] };
+  const ranges = extent([points.real, points.sim, points.road.real, points.road.sim, sensor]);
+  scene.pair = { name, view, objects, points, drawn, ranges };
+  byId("pair").value = name;
+  const options = objects.map((object) => element("option", objectTitle(object), { value: object.name }));
   byId("object").replaceChildren(element("option", "none", { value: "" }), ...options);
-  const parts = Object.entries(view.sides).map(
-    ([side, { n, n_shown }]) => `${counted(n_shown)} of ${counted(n)} object points (${side})`,
+  const parts = SIDES.map(
+    (side) => `${counted(drawn[side].length)} of ${counted(view.sides[side].n)} object points (${SIDE_WORDS[side]})`,
   );
-  say(
-    "scene_note",
-    `Shown: ${parts.join(", ")}. Points are thinned for display only; all scores are of all points. ` +
-      "Road points are not shown. Click a point, or choose in the list, to see its object.",
-  );
-  chooseObject(null);
-  drawScene();
+  say("scene_note", `Shown: ${parts.join(", ")}, thinned for display only; all scores are of all points.`);
+  suggest();
+  setChosen(null);
+  drawScene(wholePair());
   return true;
 }
 
-// The points of a side, each with the place of its object in scene.objects, and its distance to the other side. Where
-// the real side fixes the objects, the few simulated points of a missing one bear its number and belong to it.
-function unpacked(side, { xyz, community, kept, distance, n_shown: n }, step_m) {
-  const steps = decode(xyz, Int16Array);
-  const [x, y, z] = [0, 1, 2].map((k) =>
-    Float32Array.from(steps.subarray(k * n, (k + 1) * n), (step) => step * step_m),
+// Every so many points of each object, so that about MOST_DRAWN remain.
+function drawnOf({ object, ranges }) {
+  const every = Math.ceil(object.length / MOST_DRAWN);
+  return [...ranges.values()].flatMap(([from, to]) => {
+    const step = Math.max(1, Math.min(every, (to - from) / FEWEST_DRAWN));
+    const places = [];
+    for (let i = from; i < to; i += step) places.push(Math.floor(i));
+    return places;
+  });
+}
+
+// What to look at while no object is chosen: the worst matched objects and the largest unmatched ones.
+function suggest() {
+  const { name, objects } = scene.pair;
+  const lone = objects.filter(({ side }) => side).slice(0, MOST_SUGGESTED);
+  const worst = objects.filter(({ side }) => !side).slice(0, MOST_SUGGESTED);
+  const links = [...worst, ...lone].map((object) =>
+    element("li", null, {}, element("a", objectTitle(object), { href: linkWithin(name, object.name) })),
   );
-  const places = scene.objects.map((object, i) => [object, i]);
-  const missing = places.filter(([object]) => object.fate === "missing").map(([object, i]) => [object.owns.real, i]);
-  const owner = new Map([...missing, ...places.map(([object, i]) => [object.owns[side], i])]);
-  const object = Int32Array.from(decode(community, Int32Array), (id) => owner.get(id));
-  return { x, y, z, object, kept: decode(kept, Uint8Array), distance: decode(distance, Uint8Array) };
+  byId("suggested").replaceChildren(...links);
 }
-
-function objectTitle(object) {
-  const ids = object.side ? object.name : `real ${object.real_id}, sim ${object.sim_id}`;
-  const scores = object.side ? object.fate : `CDC ${number(object.cdc, 2)}, r_lambda ${number(object.r_lambda, 2)}`;
-  return `${ids}: ${shorten(object.group)}, ${scores}`;
-}
-
-// plotly reads a little markup in its texts: its meaning is taken away.
-const plotText = (text) => shorten(shown(text), 80).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
 function objectColour(object, i, by) {
   const { none, fates } = report.colours;
@@ -87,76 +100,61 @@ function objectColour(object, i, by) {
   return object[by] === null ? none : rampColour(object[by] / report.scores[by].bound);
 }
 
-function rampColour(share) {
-  const stops = ramp();
-  const at = Math.min(0.9999, Math.max(0, share)) * (stops.length - 1);
-  const [a, b] = [stops[Math.floor(at)], stops[Math.floor(at) + 1]];
-  const mix = (k) =>
-    Math.round(
-      Number.parseInt(a.slice(k, k + 2), 16) * (1 - (at % 1)) + Number.parseInt(b.slice(k, k + 2), 16) * (at % 1),
-    );
-  return `rgb(${mix(1)},${mix(3)},${mix(5)})`;
-}
-
-const sideColour = (side) => paint(report.colours.sides[side]);
-
-// By side, the colour of its points, one for all or one each.
-function pointColours(by) {
+// By side, the colour of its drawn points, one for all or one each.
+function pointColours({ objects, points, drawn }, by) {
   if (by === "side") return sideColour;
   if (by === "distance") {
-    const shades = Array.from({ length: FAR + 1 }, (_, step) => rampColour(step / FAR));
-    return (side) => Array.from(scene.points[side].distance, (step) => shades[step]);
+    const shades = distanceShades();
+    return (side) => drawn[side].map((i) => shades[points[side].distance[i]]);
   }
-  const colours = scene.objects.map((object, i) => objectColour(object, i, by));
-  return (side) => Array.from(scene.points[side].object, (i) => colours[i]);
+  const colours = objects.map((object, i) => objectColour(object, i, by));
+  return (side) => drawn[side].map((i) => colours[points[side].object[i]]);
 }
 
-const distanceWords = (step) =>
-  step === FAR
-    ? `${report.far_m} m or more to the other side`
-    : `${number((step / FAR) * report.far_m, 2)} m to the other side`;
-
-function dots(name, color, size, { symbol = "circle", ...more }) {
-  const marker = { color, size, symbol, line: { width: 0 } };
-  return { type: "scatter3d", mode: "markers", name, marker, ...more };
+function contextTraces({ points }) {
+  const isRoadShown = byId("show_road").checked;
+  const road = SIDES.map((side) => ({
+    ...roadDots(side, points.road[side], 1.5),
+    visible: isRoadShown && byId(`show_${side}`).checked,
+  }));
+  const ink = paint("var(--ink)");
+  const [sensor, ahead] = [0, SENSOR_AXIS_M].map((x) => ({ x, y: 0, z: 0 }));
+  const axis = strokes("forward", ink, [sensor, ahead], 5);
+  const mark = dots("sensor", ink, 5, { x: [0], y: [0], z: [0], symbol: "square", text: ["sensor"] });
+  const text = { mode: "markers+text", textposition: "top center", textfont: { color: ink, size: 13 } };
+  return [...road, axis, { ...mark, ...text, hovertemplate: "sensor; the line points ahead<extra></extra>" }];
 }
 
-// Draws points in space; axisOf(axis): what more is said of "x", "y" or "z".
-function drawInSpace(id, data, camera, { axisOf = () => ({}), uirevision, config } = {}) {
-  const axes = Object.entries(AXES).map(([axis, text]) => [`${axis}axis`, { title: { text }, ...axisOf(axis) }]);
-  const layout = { margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision };
-  draw(id, { data, layout: { ...layout, scene: { ...Object.fromEntries(axes), camera } } }, config);
-}
-
-function drawScene() {
+// Draws the pair; without a camera, as it is looked at now.
+function drawScene(camera = byId("scene").layout.scene.camera) {
+  const { pair } = scene;
   const by = byId("colour").value;
-  const titles = scene.objects.map((object) => plotText(objectTitle(object)));
-  const coloursOf = pointColours(by);
+  const titles = pair.objects.map((object) => plotText(objectTitle(object)) + plotText(` ${roadWords(object)}`));
+  const coloursOf = pointColours(pair, by);
   const traces = SIDES.map((side) => {
-    const { x, y, z, object, distance } = scene.points[side];
-    const more = (k) => (by === "distance" ? `<br>${distanceWords(distance[k])}` : "");
+    const own = pair.points[side];
+    const more = (i) => (by === "distance" ? `<br>${distanceWords(own.distance[i])} to the other side` : "");
     return dots(side, coloursOf(side), 1.8, {
-      ...{ x, y, z },
+      ...at(own, pair.drawn[side]),
       visible: byId(`show_${side}`).checked,
-      text: Array.from(object, (i, k) => titles[i] + more(k)),
-      hovertemplate: `${side}: %{text}<extra></extra>`,
+      text: pair.drawn[side].map((i) => titles[own.object[i]] + more(i)),
+      hovertemplate: `${SIDE_WORDS[side]}: %{text}<extra></extra>`,
     });
   });
-  traces.push(dots("chosen", paint("var(--ink)"), 3.6, { ...chosenPoints(), opacity: 0.9, hoverinfo: "skip" }));
-  const farthest_m = ["x", "y"].map((axis) =>
-    scene.points.real[axis].reduce((most, value) => Math.max(most, Math.abs(value)), 0),
-  );
-  const eye = { x: -0.75, y: -0.75, z: Math.min(1.1, 0.6 + 20 / Math.max(...farthest_m)) };
+  traces.push(strokes("chosen", paint("var(--ink)"), chosenBox(), 4), ...contextTraces(pair));
   const config = { displayModeBar: true, modeBarButtonsToRemove: ["resetCameraLastSave3d", "tableRotation"] };
-  const camera = { eye, center: { x: 0, y: 0, z: -0.1 } };
-  drawInSpace("scene", traces, camera, { uirevision: scene.pair, config });
+  drawInSpace("scene", traces, camera, pair.ranges, config);
   drawLegend(by);
 }
 
+function redrawPair() {
+  if (scene.pair !== null) drawScene();
+}
+
+// Draws pair and object anew, in the colours of the theme.
 export function redrawScene() {
-  if (scene.pair === null) return;
-  drawScene();
-  if (scene.chosen !== null) chooseObject(scene.chosen);
+  redrawPair();
+  if (scene.chosen !== null) drawPanel(scene.pair, placeOf(scene.chosen), linkWithin(scene.pair.name, scene.chosen));
 }
 
 function drawLegend(by) {
@@ -164,11 +162,12 @@ function drawLegend(by) {
   const entry = (colour, text) =>
     element("span", null, {}, element("i", null, { style: `background: ${colour}` }), text);
   const score = report.scores[by];
+  const bar = rampBar();
   const entries = {
     side: () => [entry(sides.real, "real"), entry(sides.sim, "simulated")],
     status: () =>
       Object.entries(fates)
-        .filter(([fate]) => scene.objects.some((object) => object.fate === fate))
+        .filter(([fate]) => scene.pair.objects.some((object) => object.fate === fate))
         .map(([fate, colour]) => entry(colour, fate)),
     community: () => [
       element("span", "One colour per object; matched objects have the same on both sides."),
@@ -179,30 +178,38 @@ function drawLegend(by) {
       element("span", "Far real points are missing surface, far simulated ones invented surface."),
     ],
   }[by];
-  const bar = element("span", null, {
-    class: "ramp",
-    style: `background: linear-gradient(to right, ${ramp().join(",")})`,
-  });
   const ofScore = () => [
     element("span", null, {}, "0", bar, `${score.bound} (${score.name})`),
     entry(none, "no score"),
   ];
-  byId("legend").replaceChildren(...(entries ?? ofScore)());
+  const road = byId("show_road").checked ? [entry("var(--line)", "road (removed as ground), thinned")] : [];
+  byId("legend").replaceChildren(...(entries ?? ofScore)(), ...road);
 }
 
-// Points of an object (its place in scene.objects) on one side: those kept for the spectra, those left out, or all.
-function pointsOf(side, place, isKept = null) {
-  const { x, y, z, object, kept } = scene.points[side];
-  const own = [];
-  for (let i = 0; i < object.length; i += 1)
-    if (object[i] === place && (isKept === null || kept[i] === isKept)) own.push(i);
-  return { x: own.map((i) => x[i]), y: own.map((i) => y[i]), z: own.map((i) => z[i]) };
+const placeOf = (name) => scene.pair.objects.findIndex((object) => object.name === name);
+
+// Where an object is: the points of both sides.
+function extentOf(place) {
+  const { points } = scene.pair;
+  return extent(SIDES.map((side) => at(points[side], ownPlaces(points, side, place))));
 }
 
-function chosenPoints() {
-  const place = scene.objects.findIndex((object) => object.name === scene.chosen);
-  const [a, b] = SIDES.map((side) => pointsOf(side, place));
-  return { x: [...a.x, ...b.x], y: [...a.y, ...b.y], z: [...a.z, ...b.z] };
+const chosenBox = () => (scene.chosen === null ? [] : boxEdges(extentOf(placeOf(scene.chosen)), BOX_MARGIN_M));
+
+function wholePair() {
+  const { points, ranges } = scene.pair;
+  const farthest_m = ["x", "y"].map((axis) =>
+    points.real[axis].reduce((most, value) => Math.max(most, Math.abs(value)), 0),
+  );
+  const eye = { x: -0.75, y: -0.75, z: Math.min(1.1, 0.6 + 20 / Math.max(...farthest_m)) };
+  const flatter = Math.cbrt((ranges.z[1] - ranges.z[0]) / 15);
+  return { eye: { ...eye, z: eye.z * Math.min(1, flatter) }, center: { x: 0, y: 0, z: -0.1 } };
+}
+
+function cameraOn(place) {
+  const own = extentOf(place);
+  const size_m = Math.hypot(...Object.values(own).map(([low, high]) => high - low));
+  return cameraAt(own, scene.pair.ranges, Math.max(6, 1.8 * size_m));
 }
 
 // A press and release on one spot chooses the object under it. Plotly's own click event comes once a frame as long as
@@ -210,8 +217,8 @@ function chosenPoints() {
 function wireScene() {
   const plot = byId("scene");
   plot.on("plotly_hover", ({ points: [{ data, pointNumber }] }) => {
-    const side = scene.points[data.name];
-    scene.hovered = side ? scene.objects[side.object[pointNumber]].name : null;
+    const { objects, points, drawn } = scene.pair;
+    scene.hovered = drawn[data.name] ? objects[points[data.name].object[drawn[data.name][pointNumber]]].name : null;
   });
   plot.on("plotly_unhover", () => {
     scene.hovered = null;
@@ -239,156 +246,117 @@ function wireScene() {
   );
 }
 
-function chooseObject(name) {
+function setChosen(name) {
   scene.chosen = name;
   byId("object").value = name ?? "";
   byId("panel").hidden = name === null;
-  if (name !== null) drawPanel(scene.objects.findIndex((object) => object.name === name));
-  if (byId("scene").data) {
-    const { x, y, z } = chosenPoints();
-    Plotly.restyle("scene", { x: [x], y: [y], z: [z] }, [2]);
+  byId("unchosen").hidden = name !== null;
+  markRow();
+}
+
+// Shows an object, or none, in list, table, address and panel; looksAt: whether the camera goes there too.
+function chooseObject(name, looksAt = false) {
+  const { pair } = scene;
+  setChosen(name);
+  const link = linkWithin(pair.name, name);
+  window.history.replaceState(null, "", link);
+  say("asked", "");
+  if (name === null) closePanel();
+  else drawPanel(pair, placeOf(name), link);
+  const camera = looksAt ? (name === null ? wholePair() : cameraOn(placeOf(name))) : undefined;
+  drawScene(camera);
+}
+
+// Marks the row of the chosen object in the table of objects, if that shows it now.
+export function markRow() {
+  const [objects, pairs] = ["object", "pair_id"].map((key) =>
+    report.objects.columns.findIndex((one) => one.key === key),
+  );
+  for (const row of byId("objects_table").querySelectorAll("tbody tr")) {
+    const [object, pair] = [objects, pairs].map((column) => row.cells[column].textContent);
+    const isChosen = object.split(", ")[0] === scene.chosen && pair === shown(scene.pair.name);
+    if (isChosen) row.setAttribute("aria-current", "true");
+    else row.removeAttribute("aria-current");
   }
 }
 
-function drawPanel(place) {
-  const object = scene.objects[place];
-  say("panel_title", `Pair ${shorten(scene.pair, 60)}, object ${objectTitle(object)}`);
-  const isTold = (key) => key in object && (object[key] !== null || !(object.side || key === "reason"));
-  const facts = Object.entries(report.facts)
-    .filter(([key]) => isTold(key))
-    .map(([key, title]) => {
-      const value = object[key];
-      const text = typeof value === "number" ? number(value, 6) : (value ?? NULL_SIGN);
-      return element(
-        "div",
-        null,
-        {},
-        element("span", title, { class: "name" }),
-        element("span", text, { class: "value", "data-key": key }),
-      );
-    });
-  byId("panel_numbers").replaceChildren(...facts);
-  drawSides(place, object);
-  drawSpectrum(object);
-}
-
-function drawSides(place, object) {
-  const sides = Object.keys(object.owns);
-  const all = sides.map((side) => pointsOf(side, place));
-  const axisOf = (axis) => {
-    const values = all.flatMap((points) => points[axis]);
-    return { range: [Math.min(...values) - 0.2, Math.max(...values) + 0.2], nticks: 4 };
-  };
-  const camera = { eye: { x: -1.6, y: -1.6, z: 1.1 }, center: { x: 0, y: 0, z: -0.15 } };
-  for (const side of SIDES) byId(`object_${side}`).parentElement.hidden = !sides.includes(side);
-  for (const [k, side] of sides.entries()) {
-    const kept = object.side ? all[k] : pointsOf(side, place, 1);
-    const traces = [
-      dots("kept", sideColour(side), 2.4, { ...kept, hovertemplate: object.side ? PLACE : `kept: ${PLACE}` }),
-    ];
-    if (!object.side) {
-      const leftOut = { ...pointsOf(side, place, 0), symbol: "cross", hovertemplate: PLACE };
-      traces.unshift(dots("left out", paint("var(--soft)"), 3, leftOut));
-    }
-    drawInSpace(`object_${side}`, traces, camera, { axisOf });
-    const n = counted(object.side ? object.n_points : object[`n_${side}`]);
-    const nodes = object.side
-      ? "Unmatched: no counterpart, no score."
-      : `Coloured dots: nodes kept for the spectral scores (${counted(object.n_keep)} of ${n}); grey crosses: left out.`;
-    const nShown = counted(all[k].x.length);
-    say(`object_${side}_note`, `${side === "real" ? "Real" : "Simulated"}: ${nShown} of ${n} points shown. ${nodes}`);
-  }
-  if (sides.length === 2) tieCameras();
-}
-
-// Turning one side of an object turns the other.
-function tieCameras() {
-  let isTurning = false;
-  const plots = SIDES.map((side) => byId(`object_${side}`));
-  plots.forEach((plot, i) => {
-    plot.removeAllListeners("plotly_relayout");
-    plot.on("plotly_relayout", async (change) => {
-      const camera = change["scene.camera"];
-      if (!camera || isTurning) return;
-      isTurning = true;
-      await Plotly.relayout(plots[1 - i], { "scene.camera": camera });
-      isTurning = false;
-    });
-  });
-}
-
-function drawSpectrum(object) {
-  const noCurve = { reason: "An unmatched object has no counterpart to compare spectra with" };
-  const spectrum = object.side ? noCurve : report.views[scene.pair].spectra[object.real_id];
-  byId("spectrum").hidden = Boolean(spectrum.reason);
-  if (spectrum.reason) {
-    say("spectrum_note", `Spectra: ${spectrum.reason}.`);
+// Shows what the address asks for: #pair=...&object=...; says so if there is no such thing here.
+export async function showAsked() {
+  const asked = new URLSearchParams(window.location.hash.slice(1));
+  const [pair, name] = [asked.get("pair"), asked.get("object")];
+  if (pair === null) return;
+  if (!report.views[pair] && report.links[pair]) {
+    window.location.replace(report.links[pair] + window.location.hash);
     return;
   }
-  const x = decode(spectrum.index, Int32Array);
-  const curves = SIDES.map((side) => decode(spectrum[side], Float32Array));
-  const data = curves.map((y, k) => ({
-    mode: "lines",
-    name: ["real", "simulated"][k],
-    x,
-    y,
-    line: { color: sideColour(SIDES[k]), width: 2, dash: ["solid", "dash"][k] },
-    hovertemplate: "eigenvalue %{x}: %{y:.4f}<extra></extra>",
-  }));
-  const ends = curves.map((curve) => curve[spectrum.worst]);
-  const color = paint("var(--ink)");
-  data.push({
-    mode: "lines+markers",
-    name: `largest shift ${Math.abs(ends[1] - ends[0]).toFixed(3)}`,
-    x: ends.map(() => x[spectrum.worst]),
-    y: ends,
-    line: { color, width: 3 },
-    marker: { color, size: 7 },
-  });
-  const layout = { xaxis: { title: { text: "number of the eigenvalue, in ascending order" } } };
-  draw("spectrum", { data, layout: { ...layout, yaxis: { title: { text: "eigenvalue (0 to 2)" } } } });
-  const part = x.length < spectrum.n ? `, ${x.length} of them drawn` : "";
-  const [above, below, ratio] = ["max_eigenvalue_shift", "laplacian_change", "r_lambda"].map((key) =>
-    number(object[key], 4),
-  );
-  say(
-    "spectrum_note",
-    `Spectra of the reduced Laplacians, ${counted(spectrum.n)} eigenvalues per side${part}. ` +
-      `r_lambda is the marked shift over the Laplacian change: ${above} / ${below} = ${ratio}.`,
-  );
-}
-
-export function showObject(pair, name) {
-  const link = report.links[pair];
-  if (link && !report.views[pair]) {
-    window.location.href = `${link}#${encodeURIComponent(name)}`;
+  say("asked", "");
+  if (!report.views[pair]) {
+    const isKnown = report.names.includes(pair);
+    refuse(
+      isKnown
+        ? `Pair ${shorten(pair, 60)} is not among those that this page shows in 3D; fidpipe report with --pairs or --folder shows it.`
+        : `There is no scored pair ${shorten(pair, 60)} in this run.`,
+    );
     return;
   }
-  if (scene.pair !== pair && !openPair(pair)) return;
-  chooseObject(name);
-  byId("panel").scrollIntoView({ behavior: "auto", block: "nearest" });
+  if (scene.pair?.name !== pair && !(await openPair(pair))) return;
+  byId("view").scrollIntoView();
+  if (name === null) {
+    chooseObject(null, true);
+    byId("pair").focus({ preventScroll: true });
+    return;
+  }
+  const { objects } = scene.pair;
+  const found =
+    objects.find((object) => object.name === name) ?? objects.find(({ sim_id }) => `sim ${sim_id}` === name);
+  if (!found) {
+    refuse(
+      `Pair ${shorten(pair, 60)} has no object ${shorten(name, 60)}; its objects are called as in the list below.`,
+    );
+    return;
+  }
+  chooseObject(found.name, true);
   byId("panel_title").focus({ preventScroll: true });
 }
 
-function stepObject(step) {
-  const n = scene.objects.length;
-  const now = scene.objects.findIndex((object) => object.name === scene.chosen);
-  const first = step > 0 ? 0 : n - 1;
-  chooseObject(scene.objects[now < 0 ? first : (now + step + n) % n].name);
+function refuse(text) {
+  say("asked", text);
+  byId("view").scrollIntoView();
 }
 
-export function startScene() {
+function stepObject(step) {
+  if (scene.pair === null) return;
+  const n = scene.pair.objects.length;
+  const now = placeOf(scene.chosen);
+  const first = step > 0 ? 0 : n - 1;
+  chooseObject(scene.pair.objects[now < 0 ? first : (now + step + n) % n].name, true);
+}
+
+export async function startScene() {
   const pairs = Object.keys(report.views);
-  if (!pairs.length) return;
-  byId("viewer").hidden = false;
-  byId("pair").append(...pairs.map((pair) => element("option", shorten(pair, 60), { value: pair, title: pair })));
-  byId("pair").addEventListener("change", () => openPair(byId("pair").value));
-  byId("object").addEventListener("change", () => chooseObject(byId("object").value || null));
-  for (const id of ["colour", "show_real", "show_sim"]) byId(id).addEventListener("change", drawScene);
-  byId("previous").addEventListener("click", () => stepObject(-1));
-  byId("next").addEventListener("click", () => stepObject(1));
-  openPair(pairs[0]);
-  wireScene();
-  const asked = decodeURIComponent(window.location.hash.slice(1));
-  if (scene.objects.some((object) => object.name === asked)) showObject(pairs[0], asked);
+  if (pairs.length && !("DecompressionStream" in window)) {
+    say("asked", "This browser cannot unpack the points: Chrome 80, Firefox 113, Safari 16.4 or a later one can.");
+    return;
+  }
+  // A link to what is shown already is followed all the same.
+  document.addEventListener("click", (event) => {
+    const link = event.target.closest('a[href^="#pair="]');
+    if (link && link.getAttribute("href") === window.location.hash) showAsked();
+  });
+  window.addEventListener("hashchange", showAsked);
+  if (pairs.length) {
+    byId("viewer").hidden = false;
+    byId("pair").append(...pairs.map((pair) => element("option", shorten(pair, 60), { value: pair, title: pair })));
+    byId("pair").addEventListener("change", async () => {
+      if (await openPair(byId("pair").value)) chooseObject(null, true);
+    });
+    byId("object").addEventListener("change", () => chooseObject(byId("object").value || null, true));
+    for (const id of ["colour", "show_real", "show_sim", "show_road"]) byId(id).addEventListener("change", redrawPair);
+    byId("previous").addEventListener("click", () => stepObject(-1));
+    byId("next").addEventListener("click", () => stepObject(1));
+    startPanel();
+    await openPair(pairs[0]);
+    wireScene();
+  }
+  await showAsked();
 }

@@ -1,0 +1,244 @@
+// The panel of a chosen object: both sides in one box, as they lie or aligned, its numbers, its spectra.
+
+import { byId, draw, paint, report } from "./draw.js";
+import {
+  at,
+  cameraAt,
+  decode,
+  distanceShades,
+  distanceWords,
+  dots,
+  drawInSpace,
+  extent,
+  objectTitle,
+  ownPlaces,
+  plotText,
+  rampBar,
+  roadDots,
+  roadWords,
+  SIDE_WORDS,
+  SIDES,
+  say,
+  sideColour,
+  strokes,
+} from "./points.js";
+import { counted, element, NULL_SIGN, number, shorten } from "./tables.js";
+
+const PLACE = "%{x:.2f}, %{y:.2f}, %{z:.2f} m";
+const MOST_LINES = 1500;
+const MARGIN_M = 0.3;
+const panel = { key: null, draw: () => {} };
+
+// pair: {name, view, objects, points}; place: of the object among them; link: the address of both
+export function drawPanel(pair, place, link) {
+  const object = pair.objects[place];
+  say("panel_title", `Pair ${shorten(pair.name, 60)}, ${objectTitle(object)}`);
+  byId("object_link").href = link;
+  const isTold = (key) => key in object && (object[key] !== null || !(object.side || key === "reason"));
+  const facts = Object.entries(report.facts)
+    .filter(([key]) => isTold(key))
+    .map(([key, { title, digits }]) => {
+      const value = object[key];
+      const text = typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN);
+      const cells = [
+        element("span", title, { class: "name" }),
+        element("span", text, { class: "value", "data-key": key, title: value ?? "no value" }),
+      ];
+      return element("div", null, {}, ...cells);
+    });
+  byId("panel_numbers").replaceChildren(...facts);
+  for (const id of ["lie", "show_lines"]) byId(id).disabled = !object.move;
+  panel.draw = () => drawOverlay(pair, place);
+  panel.draw();
+  drawSpectrum(pair, object);
+}
+
+export function startPanel() {
+  for (const id of ["lie", "object_colour", "show_lines", "show_others", "show_road", "show_real", "show_sim"])
+    byId(id).addEventListener("change", () => panel.draw());
+}
+
+export function closePanel() {
+  panel.draw = () => {};
+}
+
+// The points of one object of both sides in one box; simulated ones moved onto the real ones if that is chosen.
+function drawOverlay(pair, place) {
+  const object = pair.objects[place];
+  const { points } = pair;
+  const isAligned = Boolean(object.move) && byId("lie").value === "aligned";
+  const move = isAligned ? object.move : [0, 0, 0];
+  const places = Object.fromEntries(SIDES.map((side) => [side, ownPlaces(points, side, place)]));
+  const asLies = at(points.sim, places.sim);
+  const sets = { real: at(points.real, places.real), sim: shifted(asLies, move) };
+  // The box is that of both ways to lie, so that the eye can compare them.
+  const box = extent([sets.real, asLies, shifted(asLies, object.move ?? move)]);
+  const ranges = Object.fromEntries(
+    Object.entries(box).map(([axis, [low, high]]) => [axis, [low - MARGIN_M, high + MARGIN_M]]),
+  );
+  const data = [];
+  for (const side of SIDES) {
+    const isShown = byId(`show_${side}`).checked;
+    if (isShown && byId("show_road").checked && !(side === "sim" && isAligned))
+      data.push(roadDots(side, points.road[side], 1.8, insideOf(points.road[side], ranges)));
+    if (isShown && byId("show_others").checked && !isAligned) {
+      const others = insideOf(points[side], ranges).filter((i) => points[side].object[i] !== place);
+      const text = others.map((i) => plotText(objectTitle(pair.objects[points[side].object[i]])));
+      const hovertemplate = `other object, ${SIDE_WORDS[side]}: %{text}<extra></extra>`;
+      data.push(
+        dots(`others ${side}`, sideColour(side), 1.6, {
+          ...at(points[side], others),
+          text,
+          hovertemplate,
+          opacity: 0.3,
+        }),
+      );
+    }
+    if (isShown) data.push(...ownDots(pair, side, places[side], sets[side], isAligned));
+  }
+  const lines = object.move && byId("show_lines").checked ? linesOf(points, places) : [];
+  if (lines.length) data.push(strokes("lines", paint("var(--soft)"), lineEnds(points, lines, move), 1.5));
+  const size_m = Math.hypot(...Object.values(ranges).map(([low, high]) => high - low));
+  const key = `${pair.name} ${object.name}`;
+  const before = panel.key === key ? byId("overlay").layout?.scene?.camera : null;
+  panel.key = key;
+  drawInSpace("overlay", data, before ?? cameraAt(ranges, ranges, 0.95 * size_m), ranges);
+  sayOverlay(object, places, lines, isAligned);
+}
+
+const shifted = (set, move) =>
+  Object.fromEntries(["x", "y", "z"].map((axis, k) => [axis, set[axis].map((value) => value + move[k])]));
+
+function insideOf({ x, y, z }, ranges) {
+  const inside = [];
+  const holds = ([low, high], value) => low <= value && value <= high;
+  for (let i = 0; i < x.length; i += 1)
+    if (holds(ranges.x, x[i]) && holds(ranges.y, y[i]) && holds(ranges.z, z[i])) inside.push(i);
+  return inside;
+}
+
+// The object's own points of a side, coloured as chosen.
+function ownDots({ points }, side, places, set, isAligned) {
+  const by = byId("object_colour").value;
+  const { kept, distance, aligned } = points[side];
+  if (by === "kept") {
+    const trace = (name, isKept, color, size, symbol) => {
+      const some = places.flatMap((i, k) => (Boolean(kept[i]) === isKept ? [k] : []));
+      return dots(name, color, size, { ...at(set, some), symbol, hovertemplate: `${name}: ${PLACE}<extra></extra>` });
+    };
+    return [
+      trace(`left out, ${SIDE_WORDS[side]}`, false, paint("var(--soft)"), 3.4, "cross"),
+      trace(`kept, ${SIDE_WORDS[side]}`, true, sideColour(side), 2.8, "circle"),
+    ];
+  }
+  const steps = isAligned ? aligned : distance;
+  const shades = by === "distance" ? distanceShades() : null;
+  const color = shades ? places.map((i) => shades[steps[i]]) : sideColour(side);
+  const text = places.map((i) => distanceWords(steps[i]));
+  const symbol = by === "distance" && side === "sim" ? "diamond" : "circle";
+  const hovertemplate = `${SIDE_WORDS[side]}: ${PLACE}<br>%{text} to the other side<extra></extra>`;
+  return [dots(`own ${side}`, color, symbol === "diamond" ? 3.2 : 2.2, { ...set, text, symbol, hovertemplate })];
+}
+
+// Which lines of alignment are drawn: those of the object, evenly if there are many; `n` of how many.
+function linesOf({ lines, real }, places) {
+  const [from, to] = [places.real[0], places.real.at(-1)];
+  const own = [];
+  for (let i = 0; i < lines.real.length; i += 1)
+    if (lines.real[i] >= from && lines.real[i] <= to && real.object[lines.real[i]] === real.object[from]) own.push(i);
+  const every = Math.ceil(own.length / MOST_LINES);
+  return Object.assign(
+    own.filter((_, k) => k % every === 0),
+    { n: own.length },
+  );
+}
+
+function lineEnds({ lines, real, sim }, chosen, move) {
+  const end = ({ x, y, z }, i, [dx, dy, dz]) => ({ x: x[i] + dx, y: y[i] + dy, z: z[i] + dz });
+  return chosen.flatMap((i) => [end(real, lines.real[i], [0, 0, 0]), end(sim, lines.sim[i], move)]);
+}
+
+function sayOverlay(object, places, lines, isAligned) {
+  const sides = Object.keys(object.owns);
+  const parts = sides.map((side) => {
+    const n = object.side ? object.n_points : object[`n_${side}`];
+    return `${counted(places[side].length)} of ${counted(n)} ${SIDE_WORDS[side]} points`;
+  });
+  const told = [`${parts.join(", ")}.`];
+  if (object.side) {
+    const road = roadWords(object);
+    told.push(
+      `Unmatched: no counterpart, no score.${road ? ` ${road[0].toUpperCase()}${road.slice(1)} (within 0.3 m).` : ""}`,
+    );
+  } else {
+    told.push(`${counted(object.n_keep)} nodes a side are kept for the spectral scores.`);
+  }
+  if (lines.length) told.push(`${counted(lines.length)} of ${counted(lines.n)} alignment lines.`);
+  if (object.move) {
+    const [x, y, z] = object.move.map((value) => value.toFixed(2));
+    const far = Math.hypot(...object.move).toFixed(2);
+    told.push(
+      isAligned
+        ? `Aligned: simulated points moved by (${x}, ${y}, ${z}) m, so that the kept nodes of both sides have one mean, as ` +
+            "node alignment and its RMS have it; nothing is turned. CDC is of the points as they lie."
+        : `As they lie in the frame of the real sensor, as CDC has them; aligned moves simulated ones by ${far} m.`,
+    );
+  }
+  say("overlay_note", told.join(" "));
+  drawOverlayLegend(isAligned);
+}
+
+function drawOverlayLegend(isAligned) {
+  const by = byId("object_colour").value;
+  const entry = (colour, text, sign = "") =>
+    element("span", null, {}, element("i", sign, sign ? { class: "sign" } : { style: `background: ${colour}` }), text);
+  const entries = SIDES.map((side) => entry(sideColour(side), SIDE_WORDS[side]));
+  if (by === "kept") entries.push(entry(null, "left out of the spectra", "+"));
+  if (by === "distance") {
+    const end = isAligned ? "to the partner, aligned" : "to the other side";
+    const bars = element("span", null, {}, "0", rampBar(), `${report.far_m} m or more ${end}`);
+    entries.splice(0, 2, bars, entry(null, "real", "●"), entry(null, "simulated", "◆"));
+  }
+  byId("overlay_legend").replaceChildren(...entries);
+}
+
+function drawSpectrum(pair, object) {
+  const noCurve = { reason: "An unmatched object has no counterpart to compare spectra with" };
+  const spectrum = object.side ? noCurve : pair.view.spectra[object.real_id];
+  byId("spectrum").hidden = Boolean(spectrum.reason);
+  if (spectrum.reason) {
+    say("spectrum_note", `Spectra: ${spectrum.reason}.`);
+    return;
+  }
+  const x = decode(spectrum.index, Int32Array);
+  const curves = SIDES.map((side) => decode(spectrum[side], Float32Array));
+  const data = curves.map((y, k) => ({
+    mode: "lines",
+    name: SIDE_WORDS[SIDES[k]],
+    x,
+    y,
+    line: { color: sideColour(SIDES[k]), width: 2, dash: ["solid", "dash"][k] },
+    hovertemplate: "eigenvalue %{x}: %{y:.3f}<extra></extra>",
+  }));
+  const ends = curves.map((curve) => curve[spectrum.worst]);
+  const color = paint("var(--ink)");
+  data.push({
+    mode: "lines+markers",
+    name: `largest shift ${Math.abs(ends[1] - ends[0]).toFixed(3)}`,
+    x: ends.map(() => x[spectrum.worst]),
+    y: ends,
+    line: { color, width: 3 },
+    marker: { color, size: 7 },
+  });
+  const layout = { xaxis: { title: { text: "number of the eigenvalue, in ascending order" } } };
+  draw("spectrum", { data, layout: { ...layout, yaxis: { title: { text: "eigenvalue (0 to 2)" } } } });
+  const part = x.length < spectrum.n ? `, ${x.length} of them drawn` : "";
+  const [above, below, ratio] = ["max_eigenvalue_shift", "laplacian_change", "r_lambda"].map((key) =>
+    number(object[key], 3),
+  );
+  say(
+    "spectrum_note",
+    `Spectra of the reduced Laplacians, ${counted(spectrum.n)} eigenvalues per side${part}. ` +
+      `r_lambda is the marked shift over the Laplacian change: ${above} / ${below} = ${ratio}.`,
+  );
+}

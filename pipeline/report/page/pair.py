@@ -1,0 +1,204 @@
+"""What a page holds of one pair: its objects, the points of both sides, road, aligned nodes, spectra.
+
+Points are whole numbers of a small step. They and all else that is many are packed: sorted so that neighbours follow one
+another, each number less the one before it, low bytes before high ones, deflated, in base64. The browser undoes that.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from ....schemas.columns import SIDES
+from ....stages.arrays import BoolArray, FloatArray, IndexArray
+from ....stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
+from ..aggregates import plain_rows
+from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults, Spectra
+
+#: What is told of a chosen object.
+FACTS = (
+    *("cdc", "r_lambda", "r_gap", "quadrant", *OBJECT_COVERAGE, *OBJECT_ROAD, "centroid_distance_m", "alignment_rms_m"),
+    *("n_points", "n_real", "n_sim", "n_keep", "range_m", "bearing_deg", "group", "status", "reason"),
+    *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
+)
+_PLACE = ("cx", "cy", "cz")
+#: Columns of the objects, in the order of their rows in the page.
+MATCHED_COLUMNS = ("real_id", "sim_id", *_PLACE, *(name for name in FACTS if name != "n_points"))
+UNMATCHED_COLUMNS = (
+    *("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points"),
+    *(*_PLACE, *OBJECT_COVERAGE, *OBJECT_ROAD),
+)
+#: The distance of a point to the other side is a byte, the largest for this many metres and more.
+FAR_M = COVERAGE_DISTANCES_M[-1]
+_FAR = 255
+#: A page holds about so many object points at most, of an object at most `_MOST_OF_OBJECT`, at least `_FEWEST`.
+MOST_POINTS = 1_000_000
+_MOST_OF_OBJECT, _FEWEST = 20_000, 80
+_MOST_ROAD_POINTS, _ROAD_CELL_M = 4000, 0.4
+_CURVE_POINTS = 200
+_STEPS = 32767
+_RINGS_PER_RADIAN = 400
+
+
+def pair_view(results: RunResults, pair_id: str, most_points: int = MOST_POINTS) -> dict[str, Any]:
+    """One pair for the page: points of both sides, objects, aligned nodes, spectra.
+
+    Parameters
+    ----------
+    most_points : of both sides together, about; road points come on top
+
+    Raises
+    ------
+    RunError
+        One of the pair's tables is damaged.
+    """
+    tables = PairTables(results, pair_id)
+    clouds = [*(tables.clouds[side].points for side in SIDES), *tables.road.values()]
+    step_m = max(float(np.abs(points).max(initial=0.0)) for points in clouds) / _STEPS
+    shown = {side: _shown(tables, side, most_points // 2) for side in SIDES}
+    return {
+        "step_m": step_m,
+        "sides": {side: _counted(tables, side, shown[side]) for side in SIDES},
+        "packed": _packed(_points(tables, shown, step_m)),
+        "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
+        "matched": plain_rows(tables.matched_with_road, MATCHED_COLUMNS),
+        "unmatched": plain_rows(tables.unmatched_with_road, UNMATCHED_COLUMNS),
+        "spectra": {str(real_id): _curve(spectra) for real_id, spectra in tables.spectra()},
+    }
+
+
+def thinned(community: Iterable[int], most: int) -> IndexArray:
+    """Indices of about `most` points, of each object the same share but at least `_FEWEST`; for display only.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> kept = thinned(np.repeat([0, 1], [10_000, 50]), most=1000)
+    >>> np.bincount(np.repeat([0, 1], [10_000, 50])[kept]).tolist()
+    [996, 50]
+    """
+    ids = np.asarray(community)
+    share = min(1.0, most / max(1, len(ids)))
+    rng, chosen = np.random.default_rng(0), []
+    for members in np.split(np.argsort(ids, kind="stable"), np.cumsum(np.bincount(ids))[:-1]):
+        n = min(len(members), _MOST_OF_OBJECT, max(_FEWEST, int(np.ceil(share * len(members)))))
+        chosen.append(rng.choice(members, n, replace=False))
+    kept: IndexArray = np.sort(np.concatenate(chosen))
+    return kept
+
+
+def _shown(tables: PairTables, side: str, most: int) -> IndexArray:
+    """The points that the page holds, by object, of each ring by ring around the sensor."""
+    cloud = tables.clouds[side]
+    shown = thinned(cloud.community, most)
+    return shown[_ring_by_ring(cloud.points[shown], cloud.community[shown])]
+
+
+def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
+    """Order of points by `first`, by elevation and by azimuth: neighbours follow one another."""
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    order: IndexArray = np.lexsort((azimuth, np.rint(elevation * _RINGS_PER_RADIAN), first))
+    return order
+
+
+def _counted(tables: PairTables, side: str, shown: IndexArray) -> dict[str, Any]:
+    """How many points there are, and which objects those of the page belong to: ids, and so many points each."""
+    ids, counts = np.unique(tables.clouds[side].community[shown], return_counts=True)
+    return {"n": len(tables.clouds[side].points), "ids": ids.tolist(), "counts": counts.tolist()}
+
+
+def _points(tables: PairTables, shown: dict[str, IndexArray], step_m: float) -> dict[str, Any]:
+    """By name, what is packed of a pair; `lines` are the places of aligned nodes among the points of either side."""
+    columns: dict[str, Any] = {}
+    aligned = _aligned_distances(tables)
+    lines = np.ones(len(tables.selection), dtype=bool)
+    places = {}
+    for side, own in shown.items():
+        cloud = tables.clouds[side]
+        place = np.full(len(cloud.points), -1)
+        place[own] = np.arange(len(own))
+        nodes = np.searchsorted(cloud.point_ids, tables.selection[f"{side}_point_id"])
+        places[side] = place[nodes]
+        lines &= places[side] >= 0
+        columns |= _in_steps(side, cloud.points[own], step_m)
+        columns[f"{side}_distance"] = _as_bytes(tables.distances_m[side][own])
+        columns[f"{side}_aligned"] = _as_bytes(aligned[side][own])
+        columns[f"{side}_kept"] = _marked(len(place), nodes)[own].astype(np.uint8)
+        columns |= _in_steps(f"{side}_road", _some_road(tables.road[side]), step_m)
+    order = np.argsort(places["real"][lines], kind="stable")
+    return columns | {f"{side}_line": places[side][lines][order].astype(np.int32) for side in SIDES}
+
+
+def _marked(n: int, places: IndexArray) -> BoolArray:
+    marked = np.zeros(n, dtype=bool)
+    marked[places] = True
+    return marked
+
+
+def _aligned_distances(tables: PairTables) -> dict[str, FloatArray]:
+    """Of each point of a matched object, the distance to its partner, the simulated one moved onto the real one.
+
+    Infinite for the points of other objects.
+    """
+    real, sim = (tables.clouds[side] for side in SIDES)
+    found = {side: np.full(len(tables.clouds[side].points), np.inf) for side in SIDES}
+    for real_id, sim_id in zip(tables.matched.real_id, tables.matched.sim_id, strict=True):
+        moved = sim.members(sim_id) + tables.alignment_moves[real_id]
+        to_sim, to_real = nearest_distances(real.members(real_id), moved)
+        found["real"][real.community == real_id] = to_sim
+        found["sim"][sim.community == sim_id] = to_real
+    return found
+
+
+def _some_road(road: FloatArray) -> FloatArray:
+    """Road points evenly over the ground, one a cell and not more than `_MOST_ROAD_POINTS`; for display only."""
+    _, first = np.unique(np.floor(road[:, :2] / _ROAD_CELL_M), axis=0, return_index=True)
+    if len(first) > _MOST_ROAD_POINTS:
+        first = np.random.default_rng(0).choice(first, _MOST_ROAD_POINTS, replace=False)
+    return road[first][_ring_by_ring(road[first], np.zeros(len(first)))]
+
+
+def _in_steps(name: str, points: FloatArray, step_m: float) -> dict[str, Any]:
+    steps = np.rint(points / step_m).astype(np.int16)
+    return {f"{name}_{axis}": values for axis, values in zip("xyz", steps.T, strict=True)}
+
+
+def _as_bytes(distance_m: FloatArray) -> Any:
+    return np.rint(np.minimum(distance_m / FAR_M, 1) * _FAR).astype(np.uint8)
+
+
+def _packed(columns: dict[str, Any]) -> dict[str, Any]:
+    """Columns of bytes as they are, of wider integers as differences (modulo their width), low bytes first."""
+    content, parts = b"", []
+    for name, values in columns.items():
+        width = values.dtype.itemsize
+        if width > 1:
+            values = np.diff(values, prepend=values.dtype.type(0)).astype(f"<i{width}")
+        content += np.ascontiguousarray(values).view(np.uint8).reshape(-1, width).T.tobytes()
+        parts.append([name, width, len(values)])
+    return {"parts": parts, "deflated": base64.b64encode(zlib.compress(content, 9)).decode("ascii")}
+
+
+def _curve(spectra: Spectra) -> dict[str, Any]:
+    if spectra.real is None or spectra.sim is None:
+        return {"reason": spectra.reason}
+    worst = int(np.argmax(np.abs(spectra.sim - spectra.real)))
+    n = len(spectra.real)
+    index = np.unique(np.append(np.linspace(0, n - 1, min(n, _CURVE_POINTS)).round(), worst)).astype(np.intp)
+    return {
+        "n": n,
+        "worst": int(np.searchsorted(index, worst)),
+        "index": _base64(index, "<i4"),
+        "real": _base64(spectra.real[index], "<f4"),
+        "sim": _base64(spectra.sim[index], "<f4"),
+    }
+
+
+def _base64(values: Any, dtype: str) -> str:
+    """Numbers as base64 of a little-endian type."""
+    return base64.b64encode(np.ascontiguousarray(values).astype(dtype).tobytes()).decode("ascii")
