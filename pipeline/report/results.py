@@ -18,7 +18,7 @@ import pandas as pd
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.coverage import COVERAGE_DISTANCES_M, cover, nearest_distances
+from ...stages.coverage import nearest_distances
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
@@ -30,8 +30,8 @@ from ..results.quadrants import quadrant_of
 
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
-#: How much of an object is road to the other side, as its panel shows it: of the real one, and of the simulated one.
-OBJECT_ROAD = tuple(f"road_{side}_0p3m" for side in SIDES)
+#: How much of an object is road to the other side (below its ground cut): of the real one, and of the simulated one.
+OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
 MOST_SPECTRUM_NODES = 1500
 _AGREES = 1e-6
@@ -50,7 +50,7 @@ class RunResults:
     class_is : "class" where the scans are labelled, else "shape"
 
     Objects also have `pair`, the position of their pair among `pairs`, `name`, such as "real 3" (a matched one that of
-    its real side), and the columns `OBJECT_COVERAGE`, null for a side that does not have the object.
+    its real side), and the columns `OBJECT_COVERAGE` and `OBJECT_ROAD`, null for a side that does not have the object.
     """
 
     run: FinishedRun
@@ -182,37 +182,6 @@ class PairTables:
         return dict(zip(SIDES, nearest_distances(real, sim), strict=True))
 
     @cached_property
-    def matched_with_road(self) -> pd.DataFrame:
-        """`matched` with the columns `OBJECT_ROAD`."""
-        real, sim = (self._road_shares[side] for side in SIDES)
-        shares = (real[self.matched.real_id], sim[self.matched.sim_id])
-        return self.matched.assign(**dict(zip(OBJECT_ROAD, shares, strict=True)))
-
-    @cached_property
-    def unmatched_with_road(self) -> pd.DataFrame:
-        """`unmatched` with the columns `OBJECT_ROAD`, null for the side that does not have the object."""
-        ids, of_side = self.unmatched.community_id, self.unmatched.side
-        shares = {
-            name: [self._road_shares[side][i] if own == side else np.nan for i, own in zip(ids, of_side, strict=True)]
-            for name, side in zip(OBJECT_ROAD, SIDES, strict=True)
-        }
-        return self.unmatched.assign(**shares)
-
-    @cached_property
-    def _road_shares(self) -> dict[str, FloatArray]:
-        """By side and community: share of the points with a road point of the other side within 0.3 m.
-
-        NaN where the other side has no road points: nothing is known then.
-        """
-        shares = {}
-        for side, other in zip(SIDES, reversed(SIDES), strict=True):
-            cloud, road = self.clouds[side], self.road[other]
-            distance_m = nearest_distances(cloud.points, road)[0] if len(road) else np.full(len(cloud.points), np.nan)
-            covered = cover(distance_m, cloud.community).covered[:, COVERAGE_DISTANCES_M.index(0.3)]
-            shares[side] = covered if len(road) else np.full(len(covered), np.nan)
-        return shares
-
-    @cached_property
     def alignment_moves(self) -> dict[int, FloatArray]:
         """By real id, what moves the simulated object onto the real one: mean of kept real less simulated nodes, (3,).
 
@@ -263,13 +232,16 @@ def _read(run: FinishedRun, table: str, names: Iterable[str]) -> pd.DataFrame:
 
 
 def _with_coverage(objects: pd.DataFrame, coverage: pd.DataFrame) -> pd.DataFrame:
-    """Objects with how much of each the other side has, in the column of their own side."""
+    """Objects with how much of each the other side has, and how much is road there, in the column of their own side."""
     keys, own = ["pair_id", "side", "community_id"], coverage[coverage.community_id.notna()]
-    rows = objects.merge(own[[*keys, "covered_0p3m"]], on=keys, validate="1:1")
+    of_sides = {"covered_0p3m": OBJECT_COVERAGE, "road_share": OBJECT_ROAD}
+    rows = objects.merge(own[[*keys, *of_sides]], on=keys, validate="1:1")
     columns = {
-        name: rows.covered_0p3m.where(rows.side == side) for name, side in zip(OBJECT_COVERAGE, SIDES, strict=True)
+        name: rows[share].where(rows.side == side)
+        for share, names in of_sides.items()
+        for name, side in zip(names, SIDES, strict=True)
     }
-    return rows.drop(columns="covered_0p3m").assign(**columns)
+    return rows.drop(columns=list(of_sides)).assign(**columns)
 
 
 def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
@@ -287,13 +259,13 @@ def _matched_and_not(
     metrics: pd.DataFrame, matching: pd.DataFrame, objects: pd.DataFrame
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Scores with what is known of the real objects, worst first; the objects without a partner, largest first."""
-    of_real, of_sim = OBJECT_COVERAGE
+    of_real, of_sim = zip(OBJECT_COVERAGE, OBJECT_ROAD, strict=True)
     real, sim = (
-        objects[objects.side == side].rename(columns={"community_id": f"{side}_id"}).drop(columns=["n_points", other])
+        objects[objects.side == side].rename(columns={"community_id": f"{side}_id"}).drop(columns=["n_points", *other])
         for side, other in (("real", of_sim), ("sim", of_real))
     )
     matched = metrics.merge(real, on=["pair_id", "real_id"], validate="1:1")
-    matched = matched.merge(sim[["pair_id", "sim_id", of_sim]], on=["pair_id", "sim_id"], validate="1:1")
+    matched = matched.merge(sim[["pair_id", "sim_id", *of_sim]], on=["pair_id", "sim_id"], validate="1:1")
     matched["quadrant"] = quadrant_of(matched.cdc.to_numpy(), matched.r_lambda.to_numpy(dtype=float))
     alone = [
         objects[objects.side == side].merge(

@@ -21,8 +21,8 @@ from fidpipe.pipeline.report.charts import run_charts
 from fidpipe.pipeline.report.figures.run import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data, page_words
-from fidpipe.pipeline.report.page.pair import pair_view, thinned
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
+from fidpipe.pipeline.report.page.pair import pair_view, thinned
 from fidpipe.pipeline.report.page.render import render
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.report.terminal.run import summary_view

@@ -1,7 +1,7 @@
 """What a page holds of one pair: its objects, the points of both sides, road, aligned nodes, spectra.
 
-Points are whole numbers of a small step. They and all else that is many are packed: sorted so that neighbours follow one
-another, each number less the one before it, low bytes before high ones, deflated, in base64. The browser undoes that.
+Points are whole numbers of a small step. They and all else that is many are packed: sorted so that neighbours follow
+one another, each number less the one before it, low bytes before high ones, deflated, in base64. The browser undoes it.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def pair_view(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
         "sides": {side: _counted(tables, side, shown[side]) for side in SIDES},
         "packed": _packed(_points(tables, shown, step_m)),
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
-        "matched": plain_rows(tables.matched_with_road, MATCHED_COLUMNS),
-        "unmatched": plain_rows(tables.unmatched_with_road, UNMATCHED_COLUMNS),
+        "matched": plain_rows(tables.matched, MATCHED_COLUMNS),
+        "unmatched": plain_rows(tables.unmatched, UNMATCHED_COLUMNS),
         "spectra": {str(real_id): _curve(spectra) for real_id, spectra in tables.spectra()},
     }
 

@@ -168,7 +168,7 @@ function sayOverlay(object, places, lines, isAligned) {
   if (object.side) {
     const road = roadWords(object);
     told.push(
-      `Unmatched: no counterpart, no score.${road ? ` ${road[0].toUpperCase()}${road.slice(1)} (within 0.3 m).` : ""}`,
+      `Unmatched: no counterpart, no score.${road ? ` ${road[0].toUpperCase()}${road.slice(1)}: below the ground cut there.` : ""}`,
     );
   } else {
     told.push(`${counted(object.n_keep)} nodes a side are kept for the spectral scores.`);

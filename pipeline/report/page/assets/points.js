@@ -137,7 +137,7 @@ export function objectTitle(object) {
 
 // What share of an unmatched object is road to the other side, in words; "" if none is.
 export function roadWords(object) {
-  const share = object.side ? object[`road_${object.side}_0p3m`] : null;
+  const share = object.side ? object[`road_share_${object.side}`] : null;
   return share >= 0.005
     ? `${Math.round(100 * share)} % of it is road on the ${SIDE_WORDS[other(object.side)]} side`
     : "";
