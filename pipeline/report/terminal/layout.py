@@ -1,7 +1,9 @@
-"""The look that all tables of the terminal share."""
+"""The look that all tables of the terminal share, and the same tables as Markdown and CSV."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 
@@ -39,6 +41,32 @@ def plain_table(
     return table
 
 
+def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    r"""A table as GitHub and GitLab show it; columns that hold no text are set to the right, None is an empty cell.
+
+    Examples
+    --------
+    >>> print(markdown_table(["pair", "CDC"], [["a|b", 0.5]]), end="")
+    | pair | CDC |
+    | :--- | ---: |
+    | a\\|b | 0.500 |
+    """
+    cells = [list(row) for row in rows]
+    is_text = [any(isinstance(row[i], str) for row in cells) for i in range(len(headings))]
+    rule = [":---" if text else "---:" for text in is_text]
+    lines = [map(_in_markdown, headings), rule, *(map(_in_markdown, row) for row in cells)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def csv_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table as spreadsheets open it (RFC 4180, lines end with a line feed); floats in full, None is an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(headings)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
 def number(value: float | None, digits: int = 3) -> str:
     """A number as the terminal shows it; a dash where there is none."""
     return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
@@ -57,6 +85,12 @@ def percent(value: float | None) -> str:
 def mean_and_spread(mean: float | None, std: float | None, digits: int = 3) -> str:
     """A mean with its standard deviation, each a dash where there is none."""
     return f"{number(mean, digits)} ± {number(std, digits)}"
+
+
+def _in_markdown(value: object) -> str:
+    """A cell; what would end it or its line is written otherwise."""
+    text = "" if value is None else number(value) if isinstance(value, float) else str(value)
+    return " ".join(text.split()).replace("|", "\\|")
 
 
 def _cell(value: object, digits: int) -> Text:
