@@ -49,7 +49,7 @@ def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) ->
     >>> print(markdown_table(["pair", "CDC"], [["a|b", 0.5]]), end="")
     | pair | CDC |
     | :--- | ---: |
-    | a\\|b | 0.500 |
+    | a\|b | 0.500 |
     """
     cells = [list(row) for row in rows]
     is_text = [any(isinstance(row[i], str) for row in cells) for i in range(len(headings))]
