@@ -10,7 +10,16 @@ from plotly.offline import get_plotlyjs
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.report.page.compare import compare_page
-from fidpipe.pipeline.report.terminal.compare import remarks, score_table, verdict
+from fidpipe.pipeline.report.terminal.compare import (
+    compare_csv,
+    compare_markdown,
+    compare_view,
+    decision,
+    remarks,
+    score_table,
+    verdict,
+    with_arrow,
+)
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
@@ -168,9 +177,11 @@ def test_pairs_that_are_not_common_are_left_out_with_the_reason(versions, tmp_pa
     run(data, tmp_path / "run", pattern="[!x]*")
     found = compare_runs([versions[0], tmp_path / "run"])[0]
     assert found.pairs == (HOSTILE[3],)
+    assert found.failed == (HOSTILE[1],)
+    assert set(found.lost) == set(HOSTILE) - {HOSTILE[3]}
     assert found.left_out == {
         HOSTILE[0]: "the real scans differ",
-        HOSTILE[1]: f"failed in {tmp_path / 'run'}",
+        HOSTILE[1]: f"failed in {tmp_path / 'run'} ({data / 'sim1.bin'}: the file is empty, points are wanted)",
         **{HOSTILE[i]: f"not in {tmp_path / 'run'}" for i in (2, 4, 5)},
     }
     assert by_name(found)["CDC"].verdict == "undecided"
@@ -232,7 +243,7 @@ def test_the_chart_has_a_dot_for_each_pair_and_the_interval_of_each_score(versio
         sum(value is not None for value in of.of_pairs.values()) for of in found[0].scores
     ]
     assert len(intervals) == sum(of.difference.low is not None for of in found[0].scores) > 0
-    assert chart["layout"]["yaxis"]["ticktext"] == [of.name for of in found[0].scores]
+    assert chart["layout"]["yaxis"]["ticktext"] == [with_arrow(of) for of in found[0].scores]
     assert all(abs(x) <= 1 for of in dots for x in of["x"])
 
 

@@ -31,7 +31,7 @@ from ..terminal.compare import (
 from ..terminal.floor import both_excesses_table
 from ..terminal.history import arrowed, history_decision, history_remarks
 from ..terminal.layout import number, signed
-from .pictures import draw_change, frame, report_link
+from .pictures import FRAME, draw_change, report_link
 from .render import render
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
@@ -64,14 +64,14 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
         method=method,
         arrows=ARROWS_NOTE,
         groups_note=GROUPS_NOTE,
-        frame=frame(),
+        frame=FRAME,
     )
 
 
 def history_page(history: History) -> str:
     """The page of runs in a row: the decision, the runs, their scores, and a line for each score."""
     names = [shortened_middle(str(run.folder), 24) for run in history.runs]
-    rows = [["score", *(f"{i}: {name}" for i, name in enumerate(names, start=1))]]
+    rows: list[list[Any]] = [["score", *(f"{i}: {name}" for i, name in enumerate(names, start=1))]]
     for score in history.scores:
         cells = [(number(step.mean), step.since_first, step.since_last) for step in score.steps]
         rows.append([arrowed(score), *cells])
@@ -97,17 +97,21 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
     by_name = {score.name: score.of_pairs for score in comparison.scores}
     pairs = sorted(comparison.pairs, key=lambda name: -(by_name["r_lambda"][name] or 0.0))[:MOST_PAIRS]
     changes = [[name, *(signed(by_name[score][name]) for score in _PAIR_SCORES)] for name in pairs]
+    line = decision(comparison).partition("; ")
     runs = [FinishedRun(folder) for folder in (comparison.base, comparison.other)]
     links = [[report_link(run.folder, one, start) for run in runs] for one in objects[:MOST_OBJECTS]]
     return {
         "comparison": comparison,
-        "decision": decision(comparison),
+        "decision": line[0],
+        "chance": line[2],
         "verdict": verdict(comparison),
         "remarks": remarks(comparison),
         "scores": score_table(comparison),
         "excess": both_excesses_table(*comparison.excess) if comparison.excess else [],
         "pictures": [draw_change(one, runs[0], runs[1], start) for one in worst_changes(comparison.objects)],
-        "has_reports": any(link for own in links for link in own),
+        "without_report": [
+            run.folder for run, own in zip(runs, zip(*links, strict=True), strict=False) if not any(own)
+        ],
         "kinds": kind_table(comparison),
         "groups": [
             (what, group_table(what, own))

@@ -6,25 +6,28 @@ They stand in the page as drawings of its own colours. The camera looks from the
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, urlencode
 
 import numpy as np
 
+from ....schemas.metrics import METRIC
 from ....stages.arrays import BoolArray, FloatArray
 from ...results.finished import FinishedRun
-from ...results.followed import ObjectChange
+from ...results.followed import SHARED_SCORES, ObjectChange
 from ...storage.tables import file_stem
 from ..figures.style import VIEW
 from ..results import Cloud
 from ..terminal.layout import number
 from .page import PAGE, PAGES
 
-_WIDTH, _HEIGHT, _MARGIN = 300.0, 210.0, 8.0
+#: Width and height of a panel, in the units of its paths.
+FRAME = (300, 210)
+_MARGIN = 8.0
 _MOST_DOTS = 1000
 _TURN_DEG = 25.0
+_TITLES = ("real", "simulated, before", "simulated, after")
 _PAD_M = 0.3
 _BARS_M = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
@@ -46,9 +49,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class Picture:
-    """An object that has changed: a sentence, three panels of the same size, and a bar of some metres as scale."""
+    """What has become of an object, a sentence that names it, three panels, and a bar of some metres as their scale."""
 
-    title: str
+    kind: str
     sentence: str
     panels: tuple[Panel, ...]
     bar: float
@@ -78,26 +81,30 @@ def draw_change(change: ObjectChange, base: FinishedRun, other: FinishedRun, sta
     box = np.concatenate(shown)
     low, high = box.min(axis=0) - _PAD_M, box.max(axis=0) + _PAD_M
     camera = _Camera(low, high)
-    words = [f"{change.n_points:,} points"]
-    for own, when in zip(is_own, ("before", "after"), strict=True):
-        scores = [f"{name} {number(getattr(change, f'{score}_{when}'))}" for score, name in _SCORES]
-        words.append(f"{own.sum():,} points, {', '.join(scores)}" if own.any() else "no simulated object")
-    names = {"real": real, "before": sims[0], "after": sims[1]}
-    links = ["", *(report_link(run.folder, change, start) for run in (base, other))]
+    words, links = [f"{change.n_points:,} points"], [""]
+    for run, cloud, own, when in zip((base, other), sims, is_own, ("before", "after"), strict=True):
+        scores = [f"{METRIC[score].label} {number(getattr(change, f'{score}_{when}'))}" for score in SHARED_SCORES]
+        n_others = np.count_nonzero(_inside(cloud.points, low, high))
+        words.append(
+            f"{own.sum():,} points, {', '.join(scores)}"
+            if own.any()
+            else f"not matched; {n_others:,} points of other objects here"
+        )
+        links.append(report_link(run.folder, change, start))
     panels = [
         Panel(
-            title={"real": "real", "before": "simulated, before", "after": "simulated, after"}[name],
+            title=title,
             words=text,
             own=camera.path(cloud.points[own]),
             others=camera.path(cloud.points[~own & _inside(cloud.points, low, high)]),
             link=link,
         )
-        for (name, cloud), own, text, link in zip(names.items(), (is_real, *is_own), words, links, strict=True)
+        for title, cloud, own, text, link in zip(_TITLES, (real, *sims), (is_real, *is_own), words, links, strict=True)
     ]
     what = change.label or f"{change.shape} object"
     return Picture(
-        title=f"{change.kind}: {what}, {change.range_m:.1f} m away",
-        sentence=f"pair {change.pair_id}, real {change.real_id}",
+        kind=change.kind,
+        sentence=f"{what}, {change.range_m:.1f} m away; pair {change.pair_id}, real {change.real_id}",
         panels=tuple(panels),
         bar=camera.bar_m * camera.scale,
         bar_m=camera.bar_m,
@@ -115,9 +122,6 @@ def report_link(run: Path, change: ObjectChange, start: Path) -> str:
         return f"{quote(os.path.relpath(page.resolve(), start.resolve()))}#{words}"
     except ValueError:  # another drive
         return f"{page.resolve().as_uri()}#{words}"
-
-
-_SCORES = (("cdc", "CDC"), ("r_lambda", "r_lambda"))
 
 
 class _Camera:
@@ -138,15 +142,15 @@ class _Camera:
         corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
         u, v = corners @ self._right, corners @ self._up
         size = np.array([np.ptp(u), np.ptp(v)])
-        self.scale = float(((np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN) / size).min())
+        self.scale = float(((np.array(FRAME) - 2 * _MARGIN) / size).min())
         self._middle = np.array([(u.min() + u.max()) / 2, (v.min() + v.max()) / 2])
-        self.bar_m = max((m for m in _BARS_M if m * self.scale <= _WIDTH / 3), default=_BARS_M[0])
+        self.bar_m = max((m for m in _BARS_M if m * self.scale <= FRAME[0] / 3), default=_BARS_M[0])
 
     def path(self, points: FloatArray) -> str:
         """Points as an SVG path of dots; evenly over their order where they are too many."""
         chosen = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_DOTS)).round().astype(int))]
-        x = _WIDTH / 2 + (chosen @ self._right - self._middle[0]) * self.scale
-        y = _HEIGHT / 2 - (chosen @ self._up - self._middle[1]) * self.scale
+        x = FRAME[0] / 2 + (chosen @ self._right - self._middle[0]) * self.scale
+        y = FRAME[1] / 2 - (chosen @ self._up - self._middle[1]) * self.scale
         return "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(x, y, strict=True))
 
 
@@ -159,10 +163,6 @@ def _cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:
 
 
 def _inside(points: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
-    inside: BoolArray = ((points >= low) & (points <= high)).all(axis=1)
-    return inside
-
-
-def frame() -> Sequence[float]:
-    """Width and height of a panel, in the units of its paths."""
-    return _WIDTH, _HEIGHT
+    """(n,) which points lie in a box."""
+    is_outside = (points < low) | (points > high)
+    return ~is_outside[:, 0] & ~is_outside[:, 1] & ~is_outside[:, 2]

@@ -69,9 +69,9 @@ def _of_scores(comparison: Comparison) -> str:
 
 def verdict(comparison: Comparison) -> str:
     """In words, which scores are better and which are worse, and what broke although too few pairs decide."""
-    named = {word: [score.name for score in comparison.scores if score.verdict == word] for word in ("better", "worse")}
+    named = {word: [score.name for score in comparison.scores if score.verdict == word] for word in ("worse", "better")}
     parts = [f"{word}: {', '.join(names)}" for word, names in named.items() if names]
-    for word in ("better", "worse"):
+    for word in ("worse", "better"):
         far = [score for score in comparison.scores if score.is_far and score.verdict == "undecided"]
         words = [f"{score.name} ({_moved(score)})" for score in far if score.direction == word]
         if words:
