@@ -82,8 +82,11 @@ class ScoreChange:
 
     @property
     def called(self) -> str:
-        """The verdict, or the direction of a move far beyond the noise where too few pairs decide."""
-        return self.direction if self.is_far else self.verdict
+        """The verdict; also worse where it moved to the worse far beyond the noise, though too few pairs decide.
+
+        That is not enough for better: a simulator that loses objects also invents fewer.
+        """
+        return "worse" if self.is_far and self.direction == "worse" else self.verdict
 
     @property
     def beyond_seeds(self) -> bool | None:
@@ -135,15 +138,11 @@ class Comparison:
 
     @property
     def decision(self) -> str:
-        """Of all scores together: worse where one is or a pair fails that did not, else better, same or undecided.
-
-        A move far beyond the noise is enough for worse and not for better: a simulator that loses objects also invents
-        fewer.
-        """
-        verdicts = {score.verdict for score in self.scores}
-        if self.failed or "worse" in {score.called for score in self.scores}:
+        """Of all scores together: worse where one is or a pair fails that did not, else better, same or undecided."""
+        called = {score.called for score in self.scores}
+        if self.failed or "worse" in called:
             return "worse"
-        return "better" if "better" in verdicts else "same" if verdicts == {"same"} else "undecided"
+        return "better" if "better" in called else "same" if called == {"same"} else "undecided"
 
     @property
     def kinds(self) -> dict[str, int]:

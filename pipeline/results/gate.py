@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
+from ...stages.statistics.comparison import LEAST_PAIRS
 from .compare import Comparison, ScoreChange
 from .finished import FinishedRun, partition_note
 from .floor import excess_over
@@ -152,10 +153,21 @@ class BaseResult:
         """What is not as wanted."""
         return tuple(check for check in self.checks if check.fault)
 
+    @property
+    def note(self) -> str:
+        """What such a gate cannot see; "" where it can."""
+        n = self.comparison.n_blocks
+        if n >= LEAST_PAIRS or "undecided" in self.fail_on:
+            return ""
+        return (
+            f"with {n} independent pairs ({LEAST_PAIRS} are wanted) this gate fails only on breaks far beyond the "
+            "noise; --fail-on undecided fails instead"
+        )
+
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON: the comparison and what was judged."""
         checks: JsonObject = {"fail_on": list(self.fail_on), "checks": [dict(vars(check)) for check in self.checks]}
-        return self.comparison.as_dict() | checks | {"passed": not self.failed}
+        return self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
 
 
 def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseResult:

@@ -106,7 +106,7 @@ def read_history(folders: Sequence[Path], *, by_date: bool = False, allow_differ
         since_first[0],
         *(compare_two(a, b, allow_different_settings, only=pairs) for a, b in pairwise(others)),
     ]
-    notes = list(dict.fromkeys(note for one in since_first for note in (*one.settings, *one.notes)))
+    notes = list(dict.fromkeys(f"differs: {note}" for one in since_first for note in (*one.settings, *one.notes)))
     if not by_date and dates != sorted(dates):
         notes.append("the runs are not in the order in which they were made; --by-date orders them so")
     return History(

@@ -54,7 +54,7 @@ def decision(comparison: Comparison) -> str:
 def _of_scores(comparison: Comparison) -> str:
     n, pairs = len(comparison.scores), _pairs(comparison.n_blocks)
     worse = [score for score in comparison.scores if score.called == "worse"]
-    better = [score for score in comparison.scores if score.verdict == "better"]
+    better = [score for score in comparison.scores if score.called == "better"]
     if not worse and not better:
         few = f" (at least {LEAST_PAIRS} are wanted)" if comparison.n_blocks < LEAST_PAIRS else ""
         moved = [score.direction for score in comparison.scores]

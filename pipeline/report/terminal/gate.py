@@ -43,6 +43,7 @@ def base_view(result: BaseResult) -> RenderableType:
     outcome = f"{len(failed)} of {len(result.checks)} checks failed" if failed else "passed"
     return Group(
         *(Text(f"failed: {check.name}: {check.found}", style="red") for check in failed),
+        *[Text(f"note: {result.note}", style="yellow")] * bool(result.note),
         Text(f"gate on {' or '.join(result.fail_on)}: {outcome}", style="red" if failed else "green"),
     )
 

@@ -11,9 +11,9 @@ from ..look import ARROWS, shortened_middle
 from .compare import ARROWS_NOTE
 from .layout import csv_table, markdown_table, number, plain_table
 
-MARKS = {"better": "+", "worse": "-", "same": "=", "undecided": "."}
+_MARKS = {"better": "+", "worse": "-", "same": "=", "undecided": "."}
 _MARKS_NOTE = (
-    "Behind each mean, against the first run and against the one before: + better, - worse, = same, . undecided."
+    "Under each mean, against the first run and against the one before: + better, - worse, = same, . undecided."
 )
 _COLOURS = {"better": "green", "worse": "red"}
 
@@ -24,7 +24,7 @@ def history_view(history: History) -> RenderableType:
         (str(i), run.written[:16].replace("T", " "), run.n_scored, run.n_failed, shortened_middle(str(run.folder), 40))
         for i, run in enumerate(history.runs, start=1)
     ]
-    rows = [[Text(_short(score)), *map(_marked, score.steps)] for score in history.scores]
+    rows = [[Text(arrowed(score)), *map(_marked, score.steps)] for score in history.scores]
     columns = [str(i) for i in range(1, len(history.runs) + 1)]
     pairs = f"{len(history.pairs)} pairs that all runs have scored"
     return Group(
@@ -58,11 +58,14 @@ def history_remarks(history: History) -> list[str]:
         else f"the comparison calls a score better or worse by chance in {100 * share:.0f} % of the cases or fewer"
     ]
     if history.n_blocks < LEAST_PAIRS:
-        lines.append(f"{history.n_blocks} independent pairs are too few for intervals, {LEAST_PAIRS} are wanted")
+        lines.append(
+            f"{history.n_blocks} independent pairs are too few for intervals and verdicts, {LEAST_PAIRS} are wanted; "
+            "only moves to the worse far beyond the noise are named"
+        )
     if history.left_out:
         name, why = next(iter(history.left_out.items()))
         lines.append(f"{len(history.left_out)} pairs are left out of all runs; the first: {name}: {why}")
-    return [*lines, *(f"differs: {note}" for note in history.notes)]
+    return [*lines, *history.notes]
 
 
 def arrowed(score: ScoreHistory) -> str:
@@ -70,22 +73,22 @@ def arrowed(score: ScoreHistory) -> str:
     return f"{score.name} {ARROWS[score.higher_is_better]}"
 
 
-def history_table(history: History) -> list[list[str]]:
-    """Headings, then one row per score and run: mean, interval, and the verdicts against the first and the last."""
-    rows = [["score", "run", "made", "mean", "from", "to", "against the first", "against the one before"]]
-    for score in history.scores:
-        for run, step in zip(history.runs, score.steps, strict=True):
-            numbers = (number(step.mean), number(step.low), number(step.high))
-            verdicts = (step.since_first or "-", step.since_last or "-")
-            rows.append([arrowed(score), str(run.folder), run.written, *numbers, *verdicts])
-    return rows
-
-
 def history_markdown(history: History) -> str:
-    """The decision and the table for a merge request."""
-    headings, *rows = history_table(history)
+    """The decision for a merge request, and a table of scores by runs."""
+    headings = ["score", *(f"{i}: {run.folder}" for i, run in enumerate(history.runs, start=1))]
+    rows = [
+        [
+            arrowed(score),
+            *(
+                number(step.mean) + (f" ({step.since_first}, {step.since_last})" if step.since_first else "")
+                for step in score.steps
+            ),
+        ]
+        for score in history.scores
+    ]
     lines = "".join(f"- {line}\n" for line in history_remarks(history))
-    return f"**{history_decision(history)}**\n\n{ARROWS_NOTE}.\n\n{markdown_table(headings, rows)}\n{lines}"
+    note = f"{ARROWS_NOTE}. In brackets: against run 1, and against the run before."
+    return f"**{history_decision(history)}**\n\n{markdown_table(headings, rows)}\n{note}\n\n{lines}"
 
 
 def history_csv(history: History) -> str:
@@ -102,13 +105,9 @@ def history_csv(history: History) -> str:
     return csv_table(columns, rows)
 
 
-def _short(score: ScoreHistory) -> str:
-    return arrowed(score).replace(" objects", "").replace("simulated covered", "sim covered")
-
-
 def _marked(step: Step) -> Text:
-    """The mean in three digits, with a mark for each verdict."""
+    """The mean in three digits, and under it a mark for each verdict."""
     text = Text(number(step.mean, 3 if abs(step.mean or 0.0) < 10 else 1))
-    for verdict in (step.since_first, step.since_last):
-        text.append(MARKS.get(verdict, ""), style=_COLOURS.get(verdict, ""))
-    return text if step.since_first else text.append("  ")
+    for gap, verdict in (("\n", step.since_first), (" ", step.since_last)):
+        text.append(gap).append(_MARKS.get(verdict, ""), style=_COLOURS.get(verdict, ""))
+    return text
