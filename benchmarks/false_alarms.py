@@ -3,8 +3,9 @@
     python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims]
 
 `compare`: as many scores as it judges, of pairs that differ by chance alone; a false alarm is any score that is called
-better or worse. Beside it the power: how often the first score is decided where its mean change is one or two standard
-deviations. The old rule (BCa bootstrap over pairs, each score for itself) is kept here only.
+better or worse, and `compare --fail-on worse` fails where any is worse, or moved so far beyond the noise. Beside it the
+power: how often the first score is decided where its mean change is one or two standard deviations. The old rule (BCa
+bootstrap over pairs, each score for itself) is kept here only.
 
 `claims`: datasets whose numbers know nothing of each other, and how often each claim holds on them; beside it how often
 the estimate alone is on the claim's side, which was the rule before. Power: datasets as the paper describes them.
@@ -62,11 +63,13 @@ CASES = (
 
 
 def decided_now(change, blocks):
-    """Which scores are called better or worse, and which are said to have moved far beyond noise."""
+    """Which scores are called better or worse, which are said to have moved far beyond noise, and which fail a gate."""
     found = [paired_difference(np.zeros(len(own)), own, blocks) for own in change]
     p_values = holm([one.p for one in found])
-    decided = [judge(one, True, p) in ("better", "worse") for one, p in zip(found, p_values, strict=True)]
-    return np.array(decided), np.array(far_beyond_noise(found, [None] * len(found)))
+    verdicts = np.array([judge(one, True, p) for one, p in zip(found, p_values, strict=True)])
+    is_far = np.array(far_beyond_noise(found, [None] * len(found)))
+    fell = np.array([(one.difference or 0.0) < 0 for one in found])
+    return np.isin(verdicts, ("better", "worse")), is_far, (verdicts == "worse") | (is_far & fell)
 
 
 def decided_before(change, n_resamples=999):
@@ -86,7 +89,7 @@ def decided_before(change, n_resamples=999):
 
 
 def rates(make, n, repeats, seed=0):
-    """How often any score is decided though nothing differs, and how often one is said to be far beyond noise."""
+    """How often any score is decided, said to be far beyond noise, and fails a gate, though nothing differs."""
     rng = np.random.default_rng(seed)
     found = [[own.any() for own in decided_now(*make(rng, n))] for _ in range(repeats)]
     return tuple(np.mean(found, axis=0))
@@ -228,8 +231,11 @@ def of_claims(repeats):
 
 def of_compare(repeats):
     print(f"{repeats} repeats, {N_SCORES} scores; binomial error of 5 %: {np.sqrt(0.05 * 0.95 / repeats):.1%}")
-    print("| case | before: one score | before: any score | now: any score | far by chance | power 1 std | 2 std |")
-    print("|---|---|---|---|---|---|---|")
+    print(
+        "| case | before: one score | before: any score | now: any score | far by chance | --fail-on worse fails "
+        "| power 1 std | 2 std |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
     for name, make, n in CASES:
         powers = (power(make, n, step, repeats) for step in (1.0, 2.0))
         cells = (*rates_before(make, n, max(1, repeats // 4)), *rates(make, n, repeats), *powers)

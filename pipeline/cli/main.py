@@ -16,8 +16,9 @@ import typer
 
 from .datasets import synth, twin
 from .experiments import ablate, perturb
+from .judging import compare, gate
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from .results import compare, gate, report, show
+from .results import report, show
 from .running import check, floor, run, status
 
 _SECONDS_TO_STOP = 10.0

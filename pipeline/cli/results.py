@@ -1,4 +1,4 @@
-"""The commands that read finished runs: show, report, gate, compare."""
+"""The commands that show finished runs: show, report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_GATE_FAILED, AsCsv, AsJson, AsMarkdown, Floor, RunFolder, check_formats
+from .options import AsCsv, AsJson, AsMarkdown, Floor, RunFolder, check_formats
 from .output import print_json, print_text, print_view
 
 
@@ -116,114 +116,3 @@ def report(
     if opens and not webbrowser.open(made.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {made.page} in one")
 
-
-def gate(
-    run: RunFolder,
-    at_most: Annotated[
-        list[str] | None,
-        typer.Option("--max", metavar="MEASURE=NUMBER", help="The measure may be at most this; repeatable."),
-    ] = None,
-    at_least: Annotated[
-        list[str] | None,
-        typer.Option("--min", metavar="MEASURE=NUMBER", help="The measure must be at least this; repeatable."),
-    ] = None,
-    criteria: Annotated[
-        Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
-    ] = None,
-    floor: Floor = None,
-    junit: Annotated[
-        Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
-    ] = None,
-    json_: Annotated[
-        Path | None, typer.Option("--json", help="The same as JSON.", show_default="RUN/gate.json")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for gate.xml and gate.json.", show_default="the run's own")
-    ] = None,
-) -> None:
-    """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
-
-    A criterion on something that could not be computed fails. So do, unless other bounds are given for pairs.failed,
-    pairs.to_do and pairs.changed, a run with failed pairs, one that is not finished, and one whose scans have changed.
-    Where the run's folder may not be written (a read-only medium), the verdict is printed alone.
-
-    Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
-    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
-    excess.r_lambda.mean and excess.cdc.area; a wrong name lists all.
-
-    Examples
-    --------
-    fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
-
-    fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
-
-    fidpipe gate runs/dataset --criteria acceptance.toml
-
-    fidpipe gate runs/dataset --floor runs/dataset-floor --max excess.cdc.mean=0.1
-    """
-    from ...schemas.errors import RunError
-    from ..engine.progress import Reporter
-    from ..report.terminal.gate import gate_view, junit_xml
-    from ..results.gate import judge_run, parse_word, read_criteria
-    from ..storage.files import write_whole
-    from ..storage.record import dumps
-
-    wanted = read_criteria(criteria) if criteria else []
-    wanted += [parse_word(word, "max") for word in at_most or []]
-    wanted += [parse_word(word, "min") for word in at_least or []]
-    if not wanted:
-        raise typer.BadParameter("no criterion is given; --max, --min or --criteria is wanted")
-    result = judge_run(run, wanted, floor)
-    for asked, name, content in (
-        (junit, "gate.xml", junit_xml(result)),
-        (json_, "gate.json", dumps(result.as_dict())),
-    ):
-        try:
-            write_whole(asked or (out or run) / name, content)
-        except RunError as error:
-            if asked or out:
-                raise
-            Reporter().warn(str(error))  # the verdict does not depend on it
-    print_view(gate_view(result))
-    raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
-
-
-def compare(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN_A RUN_B [RUN_C]...", help="Folders of runs; the first is the base.", show_default=False
-        ),
-    ],
-    html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Write compare.html to this folder.")] = None,
-    floor: Floor = None,
-    as_json: AsJson = False,
-    allow_different_settings: Annotated[
-        bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
-    ] = False,
-) -> None:
-    """Compare simulator versions on the same real scans: which scores, and which objects, got better or worse.
-
-    Differences are paired (Student's t over pairs, Holm over the scores). Real objects are followed from run to run:
-    those that vanished from the simulation, appeared in it, got better or worse.
-
-    Examples
-    --------
-    fidpipe compare runs/build41 runs/build42
-
-    fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
-
-    fidpipe compare runs/build41 runs/build42 --floor runs/build41-floor    says which differences are smaller than it
-    """
-    from ..report.page.compare import compare_page
-    from ..report.terminal.compare import compare_view
-    from ..results.compare import compare_runs
-    from ..storage.files import write_whole
-
-    if len(runs) < 2:
-        raise typer.BadParameter("one run is given, two or more are wanted")
-    comparisons = compare_runs(runs, allow_different_settings=allow_different_settings, floor=floor)
-    if page := html or (out and out / "compare.html"):
-        write_whole(page, compare_page(comparisons).encode())
-    print_json([each.as_dict() for each in comparisons]) if as_json else print_view(compare_view(comparisons))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from ...schemas.metrics import METRIC
-from ...stages.statistics.findings import BAND_EDGES_M
+from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from ..results.quadrants import QUADRANTS, UNKNOWN
 from .results import RunResults
 
@@ -84,9 +83,7 @@ def boxes(results: RunResults, column: str, groups: Iterable[str]) -> list[dict[
 
 def band_of(range_m: pd.Series[float]) -> pd.Series[Any]:
     """The band of distance from the sensor that each range is in, such as "10 to 20 m", in order."""
-    names = [f"{low:.0f} to {high:.0f} m" for low, high in pairwise(BAND_EDGES_M)]
-    edges = [*BAND_EDGES_M, math.inf]
-    return pd.cut(range_m, edges, right=False, labels=[*names, f"over {BAND_EDGES_M[-1]:.0f} m"])
+    return pd.cut(range_m, [*BAND_EDGES_M, math.inf], right=False, labels=list(BAND_NAMES))
 
 
 def range_bands(results: RunResults) -> pd.DataFrame:

@@ -16,9 +16,10 @@ import plotly.graph_objects as go
 
 from ...schemas.metrics import METRIC
 from ..results.compare import ScoreChange
+from ..results.history import ScoreHistory
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .aggregates import SCORES, axis_title, boxes, evenly, histograms, quadrants, range_bands, stage_times
-from .look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
+from .look import ARROWS, FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
 from .results import RunResults
 
 Chart = dict[str, Any]  #: data and layout
@@ -235,12 +236,57 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
         figure.add_annotation(x=1.03, xref="paper", xanchor="left", y=i, text=f"±{reach:.2g}", showarrow=False)
     figure.add_vline(0, line={"color": _SOFT, "width": 1})
     figure.update_xaxes(range=[-1.05, 1.05], visible=False, fixedrange=True)
-    names, n = [score.name for score in scores], len(scores)
+    names, n = [f"{score.name} {ARROWS[score.higher_is_better]}" for score in scores], len(scores)
     figure.update_yaxes(
         tickvals=list(range(n)), ticktext=names, range=[n - 0.5, -0.5], showgrid=False,
         showline=False, zeroline=False, fixedrange=True,
     )  # fmt: skip
     figure.update_layout(showlegend=False, height=34 * n + 24, margin={"l": 10, "r": 75, "t": 12, "b": 12})
+    return _plain(figure)
+
+
+def history_chart(score: ScoreHistory, names: Sequence[str]) -> Chart:
+    """A line of a score's means over the runs; a bar is the interval of the change since the first run.
+
+    Parameters
+    ----------
+    names : of the runs, in their order; they may be alike
+    """
+    steps, x = score.steps, list(range(1, len(names) + 1))
+    above, below = (
+        [
+            0.0 if end is None or step.mean is None else abs(end - step.mean)
+            for step, end in zip(steps, ends, strict=True)
+        ]
+        for ends in ([step.high for step in steps], [step.low for step in steps])
+    )
+    figure = go.Figure()
+    figure.add_scatter(
+        mode="lines+markers",
+        x=x,
+        y=[step.mean for step in steps],
+        text=[
+            f"{in_chart(name)}<br>against the first: {step.since_first or '-'}"
+            for name, step in zip(names, steps, strict=True)
+        ],
+        hovertemplate="%{text}<br>%{y:.3f}<extra></extra>",
+        error_y={"array": above, "arrayminus": below, "symmetric": False, "color": _SOFT, "thickness": 1.5, "width": 3},
+        line={"color": _SOFT, "width": 1.5},
+        marker={
+            "size": 9,
+            "color": _INK,
+            "symbol": [
+                {"better": "triangle-up", "worse": "triangle-down"}.get(step.since_first, "circle") for step in steps
+            ],
+        },
+        cliponaxis=False,
+    )
+    figure.add_hline(steps[0].mean, line={"color": _SOFT, "width": 1, "dash": "dot"}) if steps[
+        0
+    ].mean is not None else None
+    figure.update_xaxes(tickvals=x, range=[0.6, len(names) + 0.4], showgrid=False, title_text="run", fixedrange=True)
+    figure.update_yaxes(fixedrange=True)
+    figure.update_layout(showlegend=False, margin={"l": 50, "r": 12, "t": 10, "b": 40})
     return _plain(figure)
 
 

@@ -20,6 +20,9 @@ SCORE_COLOURS = {"r_lambda": BLUE, "cdc": ORANGE}
 FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILLION, "too small": PURPLE}
 QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILLION, GREY), strict=True))
 
+#: Where a score is better, by whether higher is.
+ARROWS = {True: "↑", False: "↓"}
+
 #: From 0, faithful, to 1, failed: the parts of plasma that are seen on white and on black.
 RAMPS = {
     "light": ("#0d0887", "#5302a3", "#8b0aa5", "#b83289", "#db5c68", "#fca636"),
@@ -63,6 +66,20 @@ def shown(text: object) -> str:
 def shortened(text: str, most: int = 22) -> str:
     """A text of at most `most` signs, the last one an ellipsis where something is left out."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def shortened_middle(text: str, most: int) -> str:
+    """A text of at most `most` signs, an ellipsis in its middle: names of scans and builds often differ at their end.
+
+    Examples
+    --------
+    >>> shortened_middle("runs/nightly/build-0412", 12)
+    'runs/n…-0412'
+    """
+    if len(text) <= most:
+        return text
+    n_end = (most - 1) // 2
+    return f"{text[: most - 1 - n_end]}…{text[-n_end:]}"
 
 
 def in_chart(name: str, most: int = 22) -> str:

@@ -1,13 +1,13 @@
 """Compares finished runs of the same real scans: simulator versions, the first one being the base of the others.
 
-Pairs are the same if they have the same name and the same real scan, by content. Objects are followed through the real
-side, whose communities are the same where scan and settings are; that too is checked by content.
+Pairs are the same if they have the same name and the same real scan, by content. CDC and r_lambda are also compared
+over those objects alone that both runs have matched (`followed`).
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -25,14 +25,14 @@ from ...stages.statistics.comparison import (
     far_beyond_noise,
     holm,
     judge,
-    kinds_of_change,
     paired_difference,
 )
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name
-from .finished import FinishedRun, PairObjects, differences, partition_note, settings_changes
+from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
+from .followed import SHARED_SCORES, GroupChange, ObjectChange, by_class, by_range, follow, same_real_side
 
 #: What is compared: columns of `pairs`.
 SCORES = (
@@ -47,9 +47,8 @@ SCORES = (
     "covered_real_0p3m",
     "covered_sim_0p3m",
 )
-#: Columns of `metrics` that are also compared over those objects alone that both runs have matched.
-SHARED_SCORES = ("cdc", "r_lambda")
-_PLACE = ("n_points", "cx", "cy", "cz")
+#: So many runs fit into one table, and into one look.
+MOST_RUNS = 8
 
 
 @dataclass(frozen=True)
@@ -82,6 +81,14 @@ class ScoreChange:
         return direction(change, self.higher_is_better) if change else ""
 
     @property
+    def called(self) -> str:
+        """The verdict; also worse where it moved to the worse far beyond the noise, though too few pairs decide.
+
+        That is not enough for better: a simulator that loses objects also invents fewer.
+        """
+        return "worse" if self.is_far and self.direction == "worse" else self.verdict
+
+    @property
     def beyond_seeds(self) -> bool | None:
         """Whether the difference is more than seeds make; None where that is not known."""
         if self.seed_noise is None or self.difference.difference is None:
@@ -97,37 +104,13 @@ class ScoreChange:
 
 
 @dataclass(frozen=True)
-class ObjectChange:
-    """A real object before and after; scores are None where it is missing or a score is null."""
-
-    pair_id: str
-    real_id: int
-    label: str | None
-    range_m: float
-    n_points: int
-    kind: str
-    cdc_before: float | None
-    cdc_after: float | None
-    r_lambda_before: float | None
-    r_lambda_after: float | None
-
-    @property
-    def change(self) -> float:
-        """The largest rise of a score, or fall where none rose; for sorting."""
-        steps = [
-            after - before
-            for before, after in ((self.cdc_before, self.cdc_after), (self.r_lambda_before, self.r_lambda_after))
-            if before is not None and after is not None
-        ]
-        return max(steps, key=abs, default=0.0)
-
-
-@dataclass(frozen=True)
 class Comparison:
     """One run against the base.
 
     pairs : names of the pairs that are compared
     left_out : by pair, why it is not compared
+    lost : of these, the pairs that the base has scored
+    failed : of these, the pairs that failed in the other run, whose means would else look better without them
     unfollowed : pairs whose real communities differ, so that their objects cannot be followed
     settings : settings that differ, in words
     notes : what else differs
@@ -141,6 +124,8 @@ class Comparison:
     other: Path
     pairs: tuple[str, ...]
     left_out: dict[str, str]
+    lost: tuple[str, ...]
+    failed: tuple[str, ...]
     unfollowed: tuple[str, ...]
     settings: tuple[str, ...]
     notes: tuple[str, ...]
@@ -152,16 +137,39 @@ class Comparison:
     excess: tuple[RunExcess, RunExcess] | None = None
 
     @property
+    def decision(self) -> str:
+        """Of all scores together: worse where one is or a pair fails that did not, else better, same or undecided."""
+        called = {score.called for score in self.scores}
+        if self.failed or "worse" in called:
+            return "worse"
+        return "better" if "better" in called else "same" if called == {"same"} else "undecided"
+
+    @property
     def kinds(self) -> dict[str, int]:
         """How many real objects have become what."""
         count = Counter(change.kind for change in self.objects)
         return {kind: count[kind] for kind in KINDS}
 
+    @property
+    def by_class(self) -> tuple[GroupChange, ...]:
+        """What has become of the real objects of each class, or shape."""
+        return by_class(self.objects)
+
+    @property
+    def by_range(self) -> tuple[GroupChange, ...]:
+        """What has become of the real objects of each band of range."""
+        return by_range(self.objects)
+
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
         excess = None if self.excess is None else [each.as_dict() for each in self.excess]
-        own = asdict(replace(self, excess=None))
-        return own | {"base": str(self.base), "other": str(self.other), "kinds": self.kinds, "excess": excess}
+        groups = {"by_class": self.by_class, "by_range": self.by_range}
+        return (
+            asdict(replace(self, excess=None))
+            | {"base": str(self.base), "other": str(self.other), "decision": self.decision}
+            | {"kinds": self.kinds, "excess": excess}
+            | {name: [asdict(group) for group in own] for name, own in groups.items()}
+        )
 
 
 def compare_runs(
@@ -180,30 +188,43 @@ def compare_runs(
         the floor is another's.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    comparisons = []
-    for other in others:
-        differing = settings_changes(base, other)
-        if differing and not allow_different_settings:
-            raise RunError(
-                f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(differing)}), so that a "
-                "difference need not be the simulator's; evaluate both alike, or give --allow-different-settings"
-            )
-        comparisons.append(_compare(base, other, differing, floor))
-    return comparisons
+    return [compare_two(base, other, allow_different_settings, floor) for other in others]
 
 
-def _compare(base: FinishedRun, other: FinishedRun, differing: list[str], floor: Path | None) -> Comparison:
-    left_out = _not_comparable(base, other)
-    names = tuple(row["pair_id"] for row in base.scored if row["pair_id"] not in left_out)
-    if not names:
+def compare_two(
+    base: FinishedRun,
+    other: FinishedRun,
+    allow_different_settings: bool = False,
+    floor: Path | None = None,
+    only: Container[str] | None = None,
+) -> Comparison:
+    """One run against another, as `compare_runs` does.
+
+    Parameters
+    ----------
+    only : names of pairs to compare; by default all that can be
+    """
+    differing = settings_changes(base, other)
+    if differing and not allow_different_settings:
+        raise RunError(
+            f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(differing)}), so that a "
+            "difference need not be the simulator's; evaluate both alike, or give --allow-different-settings"
+        )
+    left_out = pairs_left_out(base, other)
+    comparable = [row["pair_id"] for row in base.scored if row["pair_id"] not in left_out]
+    names = tuple(name for name in comparable if only is None or name in only)
+    lost = tuple(row["pair_id"] for row in base.scored if row["pair_id"] in left_out)
+    tried = {row["pair_id"] for row in other.rows}
+    failed = tuple(name for name in lost if name in tried and other.row(name)["status"] != "scored")
+    if not comparable and not failed:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'none is scored'})")
     changes: dict[str, list[ObjectChange]] = {}
     for name in names:
         before, after = base.objects_of(name), other.objects_of(name)
-        if _same_real_side(before, after):
-            changes[name] = _follow(name, before, after)
-    excess = None if floor is None else (excess_over(base, floor, names), excess_over(other, floor, names))
+        if same_real_side(before, after):
+            changes[name] = follow(name, before, after)
+    excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
     times_s = _times_s(base, other)
     blocks = blocks_of([base.record.inputs[name]["real"] for name in names], [times_s.get(name) for name in names])
     scores = [
@@ -215,6 +236,8 @@ def _compare(base: FinishedRun, other: FinishedRun, differing: list[str], floor:
         other=other.folder,
         pairs=names,
         left_out=left_out,
+        lost=lost,
+        failed=failed,
         unfollowed=tuple(name for name in names if name not in changes),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
@@ -261,7 +284,7 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     return stages + [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
 
 
-def _not_comparable(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
+def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
     """Pairs that cannot be compared, and why."""
     rows = [{row["pair_id"]: row for row in run.rows} for run in (base, other)]
     why = {}
@@ -270,44 +293,12 @@ def _not_comparable(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
             if name not in own:
                 why[name] = f"not in {run.folder}"
             elif own[name]["status"] != "scored":
-                why[name] = f"failed in {run.folder}"
+                why[name] = f"failed in {run.folder} ({own[name]['reason']})"
         if name not in why:
             a, b = (run.record.inputs.get(name, {}).get("real") for run in (base, other))
             if a is None or a != b:
                 why[name] = "the real scans differ"
     return why
-
-
-def _same_real_side(before: PairObjects, after: PairObjects) -> bool:
-    """Whether the real communities are the same, by number of points and centroids."""
-    a, b = ([tuple(row[name] for name in _PLACE) for row in pair.sides["real"]] for pair in (before, after))
-    return a == b
-
-
-def _follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[ObjectChange]:
-    real = before.sides["real"]
-    matched = [{row["real_id"]: row for row in pair.matched} for pair in (before, after)]
-    is_before, is_after = (np.array([i in own for i in range(len(real))], dtype=np.bool_) for own in matched)
-    cdc, r_lambda = (
-        [[own.get(i, {}).get(score) for i in range(len(real))] for own in matched] for score in SHARED_SCORES
-    )
-    floats = (tuple(np.array(scores, dtype=np.float64)) for scores in (cdc, r_lambda))  # None becomes NaN
-    kinds = kinds_of_change(is_before, is_after, *floats)
-    return [
-        ObjectChange(
-            pair_id=pair_id,
-            real_id=i,
-            label=row["label"],
-            range_m=row["range_m"],
-            n_points=row["n_points"],
-            kind=str(kinds[i]),
-            cdc_before=cdc[0][i],
-            cdc_after=cdc[1][i],
-            r_lambda_before=r_lambda[0][i],
-            r_lambda_after=r_lambda[1][i],
-        )
-        for i, row in enumerate(real)
-    ]
 
 
 def _score_change(
@@ -346,7 +337,7 @@ def _change(
     seed_noise: float | None = None,
 ) -> ScoreChange:
     """The change of a score, yet without a verdict."""
-    before, after = np.array([*zip(*values.values(), strict=True)], dtype=np.float64)  # None becomes NaN
+    before, after = np.array([*values.values()], dtype=np.float64).reshape(-1, 2).T  # None becomes NaN
     difference = paired_difference(before, after, blocks)
     of_pairs = {name: None if a is None or b is None else b - a for name, (a, b) in values.items()}
     return ScoreChange(heading, higher_is_better, difference, "undecided", of_pairs, seed_noise)
@@ -354,7 +345,7 @@ def _change(
 
 def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
     """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
-    if column not in SEEDED_SCORES:
+    if column not in SEEDED_SCORES or not names:
         return None
     records = [run.store.ledger.job_of_file(table_name("seeds", name)) for name in names]
     repeats = [record.facts["scores"][column] for record in records if record is not None]

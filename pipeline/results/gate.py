@@ -1,4 +1,4 @@
-"""Acceptance criteria on a finished run: each has a measure, a bound and a verdict.
+"""Acceptance criteria on a finished run: each has a measure, a bound and a verdict. And a run against a base, for CI.
 
 Four criteria are there unless the user gives another max for them: no pair failed, none is still to do, of none the
 simulated scan seems to lie in another frame, and none has scans, labels or T_real_sim other than those that were
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,11 +19,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
+from ...stages.statistics.comparison import LEAST_PAIRS
+from .compare import Comparison, ScoreChange
 from .finished import FinishedRun, partition_note
 from .floor import excess_over
 from .measures import Measures
 
 Bound = Literal["max", "min"]
+#: What a comparison may fail on.
+FAIL_ON = ("worse", "undecided")
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,83 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = 
         met = value is not None and (value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit)
         judged.append(Judged(criterion, value, met, measured.why and f"could not be computed: {measured.why}"))
     return GateResult(folder, run.record.dataset, tuple(judged), tuple(notes))
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that is wanted, what is found, in words, and a word for the fault; "" where all is well."""
+
+    name: str
+    found: str
+    fault: str
+
+
+@dataclass(frozen=True)
+class BaseResult:
+    """A comparison, judged for CI.
+
+    fail_on : words of `FAIL_ON`
+    """
+
+    comparison: Comparison
+    fail_on: tuple[str, ...]
+    checks: tuple[Check, ...]
+
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """What is not as wanted."""
+        return tuple(check for check in self.checks if check.fault)
+
+    @property
+    def note(self) -> str:
+        """What such a gate cannot see; "" where it can."""
+        n = self.comparison.n_blocks
+        if n >= LEAST_PAIRS or "undecided" in self.fail_on:
+            return ""
+        return (
+            f"with {n} independent pairs ({LEAST_PAIRS} are wanted) this gate fails only on breaks far beyond the "
+            "noise; --fail-on undecided fails instead"
+        )
+
+    def as_dict(self) -> JsonObject:
+        """Plain values, for JSON: the comparison and what was judged."""
+        checks: JsonObject = {"fail_on": list(self.fail_on), "checks": [dict(vars(check)) for check in self.checks]}
+        return self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
+
+
+def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseResult:
+    """Judges a run against its base.
+
+    A score fails if it is worse after the correction for all scores, or moved to the worse far beyond the noise where
+    too few pairs decide. Every pair that the base has scored must have been compared: one that fails now fails the
+    gate, for a simulator that loses its hardest pairs looks better in the means. With "undecided" a score also fails
+    of which nothing can be said, whatever it does: too few independent pairs.
+    """
+    n_base = len(comparison.pairs) + len(comparison.lost)
+    why = [f"{name}: {comparison.left_out[name]}" for name in comparison.lost]
+    every = Check(
+        "every pair that the base has scored is compared",
+        f"{len(comparison.pairs)} of {n_base} pairs are compared" + (f"; {'; '.join(why)}" if why else ""),
+        "not compared" if why else "",
+    )
+    scores = [Check(f"{score.name} is not worse", _found(score), _fault(score, fail_on)) for score in comparison.scores]
+    return BaseResult(comparison, tuple(word for word in FAIL_ON if word in fail_on), (every, *scores))
+
+
+def _fault(score: ScoreChange, fail_on: Collection[str]) -> str:
+    if score.called == "worse":
+        return "worse"
+    return "undecided" if "undecided" in fail_on and score.difference.why else ""
+
+
+def _found(score: ScoreChange) -> str:
+    change = score.difference
+    if change.before is None or change.after is None:
+        return f"undecided: {change.why}"
+    p = "" if score.p is None else f", p {score.p:.3g}"
+    why = f": {change.why}" if change.why else ""
+    far = ", but moved far beyond the noise" if score.is_far and score.verdict == "undecided" else ""
+    return f"{change.before:.6g} to {change.after:.6g}{p}: {score.verdict}{far}{why}"
 
 
 def parse_word(word: str, bound: Bound) -> Criterion:

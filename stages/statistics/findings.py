@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,10 @@ from ..summary import mean_and_std
 
 #: Edges of the range bands, metres; the last band has no end.
 BAND_EDGES_M = (0.0, 10.0, 20.0, 30.0, 50.0)
+BAND_NAMES = (
+    *(f"{low:.0f} to {high:.0f} m" for low, high in pairwise(BAND_EDGES_M)),
+    f"over {BAND_EDGES_M[-1]:.0f} m",
+)
 #: Scans of the paper's box plots, and how far apart in time they must be.
 N_SCANS, SCAN_GAP_S = 4, 60.0
 #: Width of the bins whose tallest one tells a sharp peak from a broad one.

@@ -1,17 +1,39 @@
 """Simulator versions on the same real scans: known differences, refusals, and pages that no name can break."""
 
+import csv
+import io
 import json
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
+from urllib.parse import parse_qs, unquote, urlsplit
+from xml.etree import ElementTree
 
 import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
+from rich.console import Console
+from typer.testing import CliRunner
 
+from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.report.page.compare import compare_page
-from fidpipe.pipeline.report.terminal.compare import remarks, score_table, verdict
+from fidpipe.pipeline.report.page.page import write_report
+from fidpipe.pipeline.report.page.pictures import draw_change
+from fidpipe.pipeline.report.terminal.compare import (
+    compare_csv,
+    compare_markdown,
+    compare_view,
+    decision,
+    remarks,
+    score_table,
+    verdict,
+    with_arrow,
+)
 from fidpipe.pipeline.results.compare import compare_runs
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.followed import worst_changes
+from fidpipe.pipeline.results.gate import judge_comparison
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from reports import embedded
@@ -168,9 +190,11 @@ def test_pairs_that_are_not_common_are_left_out_with_the_reason(versions, tmp_pa
     run(data, tmp_path / "run", pattern="[!x]*")
     found = compare_runs([versions[0], tmp_path / "run"])[0]
     assert found.pairs == (HOSTILE[3],)
+    assert found.failed == (HOSTILE[1],)
+    assert set(found.lost) == set(HOSTILE) - {HOSTILE[3]}
     assert found.left_out == {
         HOSTILE[0]: "the real scans differ",
-        HOSTILE[1]: f"failed in {tmp_path / 'run'}",
+        HOSTILE[1]: f"failed in {tmp_path / 'run'} ({data / 'sim1.bin'}: the file is empty, points are wanted)",
         **{HOSTILE[i]: f"not in {tmp_path / 'run'}" for i in (2, 4, 5)},
     }
     assert by_name(found)["CDC"].verdict == "undecided"
@@ -232,7 +256,7 @@ def test_the_chart_has_a_dot_for_each_pair_and_the_interval_of_each_score(versio
         sum(value is not None for value in of.of_pairs.values()) for of in found[0].scores
     ]
     assert len(intervals) == sum(of.difference.low is not None for of in found[0].scores) > 0
-    assert chart["layout"]["yaxis"]["ticktext"] == [of.name for of in found[0].scores]
+    assert chart["layout"]["yaxis"]["ticktext"] == [with_arrow(of) for of in found[0].scores]
     assert all(abs(x) <= 1 for of in dots for x in of["x"])
 
 
@@ -250,3 +274,190 @@ def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
     assert found["CDC (objects in both)"].beyond_seeds is None
     assert by_name(compare_runs(versions)[0])["CDC"].seed_noise is None
     assert "more than seeds make" in compare_page(compare_runs(runs))
+
+
+def shown(view):
+    console = Console(width=80, highlight=False)
+    with console.capture() as capture:
+        console.print(view)
+    return capture.get()
+
+
+def test_the_first_line_is_the_decision_with_the_independent_pairs_and_the_rate_of_chance(versions):
+    for order, word in ((versions, "worse"), (versions[::-1], "better"), ([versions[0]] * 2, "same")):
+        found = compare_runs(order)[0]
+        assert found.decision == word
+        assert decision(found).startswith(f"{word}: ")
+        assert "6 independent pairs" in decision(found)
+        assert shown(compare_view([found])).startswith(f"{word}: ")
+        assert ("in 5 % of such comparisons or fewer" in decision(found)) == (word != "same")
+    n_worse = sum(score.called == "worse" for score in compare_runs(versions)[0].scores)
+    assert f"{n_worse} of 12 scores worse" in decision(compare_runs(versions)[0])
+    few = replace(compare_runs(versions)[0], n_blocks=5)
+    unsure = replace(few, scores=tuple(replace(score, verdict="undecided", is_far=False) for score in few.scores))
+    assert decision(unsure).startswith(
+        "undecided: no difference can be told from chance with 5 independent pairs (at least 6 are wanted); "
+    )
+
+
+def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(versions):
+    found = compare_runs(versions)[0]
+    for groups in (found.by_class, found.by_range):
+        assert sum(group.n for group in groups) == len(found.objects)
+        for kind in found.kinds:
+            assert sum(group.kinds[kind] for group in groups) == found.kinds[kind]
+    good, bad = (
+        pd.read_parquet(folder / "metrics").merge(
+            pd.read_parquet(folder / "objects").query("side == 'real'"),
+            left_on=["pair_id", "real_id"],
+            right_on=["pair_id", "community_id"],
+        )
+        for folder in versions
+    )
+    both = good.merge(bad, on=["pair_id", "real_id"], suffixes=("", "_after"))
+    near = both[both.range_m < 10]
+    group = next(group for group in found.by_range if group.name == "0 to 10 m")
+    assert group.n_both == len(near) > 0
+    assert group.cdc == pytest.approx((near.cdc_after - near.cdc).mean())
+    assert {group.name for group in found.by_class} <= {"linear", "planar", "scattered"}
+
+
+def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
+    text = shown(compare_view(compare_runs(versions)))
+    assert max(map(len, text.splitlines())) <= 80
+    rows = [line for line in text.splitlines() if "xxxx" in line]
+    assert rows
+    assert all("…" in line and line.split()[-1].replace(".", "").strip("-").isdigit() | ("-" in line) for line in rows)
+
+
+def test_markdown_and_csv_hold_the_scores(versions):
+    found = compare_runs(versions)[0]
+    rows = list(csv.DictReader(io.StringIO(compare_csv([found]))))
+    assert [row["score"] for row in rows] == [score.name for score in found.scores]
+    assert [float(row["change"]) for row in rows] == [score.difference.difference for score in found.scores]
+    assert {row["better is"] for row in rows if row["score"] == "match rate"} == {"higher"}
+    text = compare_markdown([found])
+    assert text.startswith("**worse: ")
+    assert "| CDC ↓ | worse |" in text or "| CDC ↓ | undecided |" in text
+    assert "described, not judged" in text
+
+
+def test_the_worst_changes_have_pictures_linked_into_both_reports(versions, tmp_path):
+    runs = [shutil.copytree(folder, tmp_path / folder.name) for folder in versions]
+    for folder in runs:
+        write_report(folder)
+    found = compare_runs(runs)
+    worst = worst_changes(found[0].objects)
+    assert 0 < len(worst) <= 5
+    assert {one.kind for one in worst} <= {"worse", "vanished"}
+    page = Tags()
+    page.feed(compare_page(found, tmp_path / "pages"))
+    assert page.tags.count("svg") == 3 * len(worst)
+    links = [urlsplit(link) for link in page.links if link != "data:,"]
+    wanted = {(one.pair_id, f"real {one.real_id}") for one in worst}
+    for folder in runs:
+        own = [link for link in links if (tmp_path / "pages" / unquote(link.path)).resolve() == folder / "report.html"]
+        told = [parse_qs(link.fragment, strict_parsing=True) for link in own]
+        assert wanted <= {(words["pair"][0], words["object"][0]) for words in told}
+    assert all("+" not in link.fragment and " " not in link.fragment for link in links)
+
+
+def test_a_picture_shows_the_points_of_its_object(versions, tmp_path):
+    found = compare_runs(versions)[0]
+    one = next(change for change in found.objects if change.kind == "vanished")
+    picture = draw_change(one, *map(FinishedRun, versions), tmp_path)
+    real, before, after = picture.panels
+    assert real.own.count("M") == min(one.n_points, 1000)
+    assert before.own.count("M") > 0
+    assert after.own == ""
+    assert after.words.startswith("not matched; ")
+    assert {panel.link for panel in picture.panels} == {""}, "no run has a report"
+
+
+def gate(*words):
+    return CliRunner().invoke(app, ["compare", *map(str, words)])
+
+
+def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(versions, tmp_path):
+    good, bad = versions
+    passed = gate(good, good, "--fail-on", "worse", "--out", tmp_path / "same")
+    assert passed.exit_code == 0, passed.output
+    assert "gate on worse: passed" in passed.output
+    failed = gate(good, bad, "--fail-on", "worse", "--junit", tmp_path / "a.xml", "--json-file", tmp_path / "a.json")
+    assert failed.exit_code == 4
+    assert gate(bad, good, "--fail-on", "worse", "--out", tmp_path / "better").exit_code == 0
+    (judged,) = json.loads((tmp_path / "a.json").read_text())["comparisons"]
+    assert (judged["decision"], judged["passed"]) == ("worse", False)
+    faults = {check["name"]: check["fault"] for check in judged["checks"]}
+    worse = {f"{score['name']} is not worse" for score in judged["scores"] if score["verdict"] == "worse"}
+    assert {name for name, fault in faults.items() if fault} >= worse > set()
+    suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
+    assert (suite.get("tests"), suite.get("failures")) == ("13", str(sum(map(bool, faults.values()))))
+    assert {case.get("name") for case in suite.iter("testcase") if case.find("failure") is not None} == {
+        name for name, fault in faults.items() if fault
+    }
+    assert {path.name for path in (tmp_path / "same").iterdir()} == {"compare.html", "compare.json", "compare.xml"}
+
+
+def test_a_pair_that_is_no_longer_scored_fails_a_gate_though_all_others_are_the_same(versions, tmp_path):
+    data = shutil.copytree(versions[0].parent / "data-good", tmp_path / "data")
+    (data / "sim1.bin").write_bytes(b"")
+    run(data, tmp_path / "run")
+    (found,) = compare_runs([versions[0], tmp_path / "run"])
+    assert found.failed == found.lost == (HOSTILE[1],)
+    assert {score.verdict for score in found.scores} == {"same"}
+    assert found.decision == "worse"
+    assert decision(found).startswith("worse: 1 of 6 pairs that were scored before fail now; ")
+    result = judge_comparison(found, ["worse"])
+    assert [check.name for check in result.failed] == ["every pair that the base has scored is compared"]
+    assert HOSTILE[1] in result.failed[0].found
+    assert judge_comparison(compare_runs([tmp_path / "run", versions[0]])[0], ["worse"]).failed == ()
+
+
+def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versions, tmp_path):
+    data = shutil.copytree(versions[0].parent / "data-good", tmp_path / "data")
+    for i in range(len(HOSTILE)):
+        (data / f"sim{i}.bin").write_bytes(b"")
+    run(data, tmp_path / "run")
+    result = gate(versions[0], tmp_path / "run", "--fail-on", "worse")
+    assert result.exit_code == 4, result.output
+    assert result.output.startswith("worse: all 6 pairs that were scored before fail now")
+    assert (tmp_path / "run" / "compare.xml").exists()
+    assert json.loads((tmp_path / "run" / "compare.json").read_text())["comparisons"][0]["decision"] == "worse"
+    page = compare_page(compare_runs([versions[0], tmp_path / "run"]))
+    assert "all 6 pairs that were scored before fail now" in page
+
+
+def test_undecided_fails_where_nothing_can_be_judged_and_worse_says_what_it_cannot_see(versions, tmp_path):
+    found = compare_runs(versions)[0]
+    few = replace(
+        found,
+        n_blocks=5,
+        scores=tuple(
+            replace(score, verdict="undecided", is_far=False, difference=replace(score.difference, why="too few"))
+            for score in found.scores
+        ),
+    )
+    assert judge_comparison(few, ["worse"]).failed == ()
+    assert "5 independent pairs" in judge_comparison(few, ["worse"]).note
+    assert len(judge_comparison(few, ["undecided"]).failed) == 12
+    assert judge_comparison(found, ["worse"]).note == ""
+    broken = replace(few.scores[0], is_far=True)
+    moved = judge_comparison(replace(few, scores=(broken, *few.scores[1:])), ["worse"]).failed
+    assert [check.fault for check in moved] == ["worse"] * (broken.direction == "worse") != []
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (["--fail-on", "nose"], "worse or undecided is wanted"),
+        (["--junit", "a.xml"], "give it as well"),
+        (["--json", "--csv"], "one of them is wanted"),
+        (["--by-date"], "--history"),
+        (["--history", "--fail-on", "worse"], "without it"),
+    ],
+)
+def test_options_that_do_not_go_together_are_wrong_usage(versions, words, fault):
+    result = gate(*versions, *words)
+    assert result.exit_code == 2
+    assert fault in " ".join(result.output.replace("│", " ").split())

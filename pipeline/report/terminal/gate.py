@@ -1,4 +1,4 @@
-"""A judged run in the terminal, and as JUnit XML for CI.
+"""A judged run or comparison in the terminal, and as JUnit XML for CI.
 
 The XML is written with the standard library: it is three elements deep, and what a library would add is a dependency.
 """
@@ -6,12 +6,13 @@ The XML is written with the standard library: it is three elements deep, and wha
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from ...results.gate import GateResult, Judged
+from ...results.gate import BaseResult, Check, GateResult, Judged
 from .layout import plain_table
 
 #: What XML 1.0 cannot hold, not even escaped.
@@ -36,24 +37,46 @@ def gate_view(result: GateResult) -> RenderableType:
     )
 
 
-def junit_xml(result: GateResult) -> bytes:
-    """A JUnit test suite: one test case per criterion."""
-    n_failed = sum(not judged.passed for judged in result.judged)
-    counts = {"tests": str(len(result.judged)), "failures": str(n_failed), "errors": "0"}
-    root = ElementTree.Element("testsuites", counts)
-    suite = ElementTree.SubElement(root, "testsuite", {"name": _clean(f"fidpipe gate {result.run}")} | counts)
-    for judged in result.judged:
-        about = {"classname": "fidpipe.gate", "name": _clean(judged.criterion.name), "time": "0"}
-        case = ElementTree.SubElement(suite, "testcase", about)
-        words = _clean(_in_words(judged))
-        if judged.passed:
-            ElementTree.SubElement(case, "system-out").text = words
-        else:
-            kind = "bound" if judged.value is not None else "not computed"
-            ElementTree.SubElement(case, "failure", {"message": words, "type": kind}).text = words
+def base_view(result: BaseResult) -> RenderableType:
+    """What failed against the base, and the verdict."""
+    failed = result.failed
+    outcome = f"{len(failed)} of {len(result.checks)} checks failed" if failed else "passed"
+    return Group(
+        *(Text(f"failed: {check.name}: {check.found}", style="red") for check in failed),
+        *[Text(f"note: {result.note}", style="yellow")] * bool(result.note),
+        Text(f"gate on {' or '.join(result.fail_on)}: {outcome}", style="red" if failed else "green"),
+    )
+
+
+def gate_checks(result: GateResult) -> list[Check]:
+    """The criteria in words, as JUnit has them."""
+    words = {True: "bound", False: "not computed"}
+    return [
+        Check(judged.criterion.name, _in_words(judged), "" if judged.passed else words[judged.value is not None])
+        for judged in result.judged
+    ]
+
+
+def junit_xml(command: str, suites: Mapping[str, Sequence[Check]]) -> bytes:
+    """JUnit test suites by name, of a command of fidpipe: one test case per check."""
+    root = ElementTree.Element("testsuites", _counts([check for checks in suites.values() for check in checks]))
+    for name, checks in suites.items():
+        about = {"name": _clean(f"fidpipe {command} {name}")} | _counts(checks)
+        suite = ElementTree.SubElement(root, "testsuite", about)
+        for check in checks:
+            own = {"classname": f"fidpipe.{command}", "name": _clean(check.name), "time": "0"}
+            case, words = ElementTree.SubElement(suite, "testcase", own), _clean(check.found)
+            if check.fault:
+                ElementTree.SubElement(case, "failure", {"message": words, "type": check.fault}).text = words
+            else:
+                ElementTree.SubElement(case, "system-out").text = words
     ElementTree.indent(root)
     content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
+
+
+def _counts(checks: Sequence[Check]) -> dict[str, str]:
+    return {"tests": str(len(checks)), "failures": str(sum(bool(check.fault) for check in checks)), "errors": "0"}
 
 
 def _in_words(judged: Judged) -> str:

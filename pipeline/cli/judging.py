@@ -1,0 +1,219 @@
+"""The commands that judge finished runs: gate, compare."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder
+from .output import print_json, print_view
+
+
+def gate(
+    run: RunFolder,
+    at_most: Annotated[
+        list[str] | None,
+        typer.Option("--max", metavar="MEASURE=NUMBER", help="The measure may be at most this; repeatable."),
+    ] = None,
+    at_least: Annotated[
+        list[str] | None,
+        typer.Option("--min", metavar="MEASURE=NUMBER", help="The measure must be at least this; repeatable."),
+    ] = None,
+    criteria: Annotated[
+        Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
+    ] = None,
+    floor: Floor = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
+    ] = None,
+    json_: Annotated[
+        Path | None, typer.Option("--json", help="The same as JSON.", show_default="RUN/gate.json")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for gate.xml and gate.json.", show_default="the run's own")
+    ] = None,
+) -> None:
+    """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
+
+    A criterion on something that could not be computed fails. So do, unless other bounds are given for pairs.failed,
+    pairs.to_do and pairs.changed, a run with failed pairs, one that is not finished, and one whose scans have changed.
+    Where the run's folder may not be written (a read-only medium), the verdict is printed alone.
+
+    Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
+    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
+    excess.r_lambda.mean and excess.cdc.area; a wrong name lists all.
+
+    Examples
+    --------
+    fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
+
+    fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
+
+    fidpipe gate runs/dataset --criteria acceptance.toml
+
+    fidpipe gate runs/dataset --floor runs/dataset-floor --max excess.cdc.mean=0.1
+    """
+    from ..report.terminal.gate import gate_checks, gate_view, junit_xml
+    from ..results.gate import judge_run, parse_word, read_criteria
+    from ..storage.record import dumps
+
+    wanted = read_criteria(criteria) if criteria else []
+    wanted += [parse_word(word, "max") for word in at_most or []]
+    wanted += [parse_word(word, "min") for word in at_least or []]
+    if not wanted:
+        raise typer.BadParameter("no criterion is given; --max, --min or --criteria is wanted")
+    result = judge_run(run, wanted, floor)
+    folder = out or run
+    _write_for_ci(junit, folder / "gate.xml", junit_xml("gate", {str(run): gate_checks(result)}), is_asked=bool(out))
+    _write_for_ci(json_, folder / "gate.json", dumps(result.as_dict()), is_asked=bool(out))
+    print_view(gate_view(result))
+    raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
+
+
+def compare(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN_A RUN_B [RUN_C]...",
+            help="Folders of runs, up to eight; the first is the base.",
+            show_default=False,
+        ),
+    ],
+    html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write compare.html (and with --fail-on the files for CI) here.")
+    ] = None,
+    floor: Floor = None,
+    as_json: AsJson = False,
+    as_markdown: Annotated[
+        bool, typer.Option("--markdown", help="Markdown on standard output, for a merge request.")
+    ] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="CSV on standard output: a row per run and score.")] = False,
+    fail_on: Annotated[
+        str | None,
+        typer.Option(
+            "--fail-on",
+            metavar="worse|undecided",
+            help="Exit with 4 if a score is worse or a pair no longer scored; undecided: or a score cannot be judged.",
+        ),
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="JUnit XML of --fail-on.", show_default="RUN_B/compare.xml")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json-file", help="The same as JSON.", show_default="RUN_B/compare.json")
+    ] = None,
+    history: Annotated[
+        bool, typer.Option("--history", help="All runs in one table, each against the first and the one before.")
+    ] = False,
+    by_date: Annotated[
+        bool, typer.Option("--by-date", help="With --history: in the order in which the runs were made.")
+    ] = False,
+    allow_different_settings: Annotated[
+        bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
+    ] = False,
+) -> None:
+    """Compare simulator versions on the same real scans: which scores, and which objects, got better or worse.
+
+    Differences are paired (Student's t over pairs, Holm over the scores). Real objects are followed from run to run:
+    those that vanished from the simulation, appeared in it, got better or worse.
+
+    Exit codes: 0 compared; 1 a run or setting is wrong; 2 wrong usage; 4 --fail-on found a score that is worse, or a
+    pair that the base has scored and that is no longer scored (or cannot be compared). Of equal simulators
+    --fail-on worse fails by chance in about 3 % of the cases or fewer (docs/faults.md). With fewer than 6 independent
+    pairs only breaks far beyond the noise are found; --fail-on undecided then fails.
+
+    Examples
+    --------
+    fidpipe compare runs/build41 runs/build42
+
+    fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
+
+    fidpipe compare runs/build41 runs/build42 --floor runs/build41-floor    says which differences are smaller than it
+
+    fidpipe compare runs/baseline runs/nightly --fail-on worse --junit build/compare.xml    a gate for CI
+
+    fidpipe compare runs/baseline runs/nightly --markdown >> comment.md
+
+    fidpipe compare runs/build4? --history --html history.html    how has the simulator developed?
+    """
+    from rich.console import Group
+
+    from ..report.page.compare import compare_page
+    from ..report.terminal.compare import compare_csv, compare_markdown, compare_view
+    from ..report.terminal.gate import base_view, junit_xml
+    from ..results.compare import MOST_RUNS, compare_runs
+    from ..results.gate import FAIL_ON, judge_comparison
+    from ..storage.files import write_whole
+    from ..storage.record import dumps
+
+    if not 2 <= len(runs) <= MOST_RUNS:
+        raise typer.BadParameter(f"{len(runs)} run{'s' * (len(runs) > 1)} given, 2 to {MOST_RUNS} are wanted")
+    if as_json + as_markdown + as_csv > 1:
+        raise typer.BadParameter("--json, --markdown and --csv: one of them is wanted")
+    if fail_on is not None and fail_on not in FAIL_ON:
+        raise typer.BadParameter(f"--fail-on {fail_on}: {' or '.join(FAIL_ON)} is wanted")
+    if fail_on is None and (junit or json_file):
+        raise typer.BadParameter("--junit and --json-file are what --fail-on writes; give it as well")
+    if history and (fail_on or floor):
+        raise typer.BadParameter("--history has no --fail-on and no --floor; compare the runs without it")
+    if by_date and not history:
+        raise typer.BadParameter("--by-date orders the runs of --history; give it as well")
+    page = html or (out and out / "compare.html")
+    output = "json" if as_json else "markdown" if as_markdown else "csv" if as_csv else ""
+    if history:
+        _history(runs, page, output, by_date=by_date, allow_different_settings=allow_different_settings)
+        return
+    comparisons = compare_runs(runs, allow_different_settings=allow_different_settings, floor=floor)
+    if page:
+        write_whole(page, compare_page(comparisons, page.parent).encode())
+    results = [judge_comparison(each, fail_on) for each in comparisons] if fail_on else []
+    if output == "json":
+        print_json([each.as_dict() for each in results or comparisons])
+    elif output:
+        sys.stdout.write((compare_markdown if output == "markdown" else compare_csv)(comparisons))
+    else:
+        print_view(Group(compare_view(comparisons), *map(base_view, results)))
+    if results:
+        suites = {f"{one.comparison.other} against {one.comparison.base}": one.checks for one in results}
+        folder = out or runs[-1]
+        _write_for_ci(junit, folder / "compare.xml", junit_xml("compare", suites), is_asked=bool(out))
+        content = dumps({"comparisons": [one.as_dict() for one in results]})
+        _write_for_ci(json_file, folder / "compare.json", content, is_asked=bool(out))
+        raise typer.Exit(EXIT_GATE_FAILED if any(one.failed for one in results) else 0)
+
+
+def _history(
+    runs: list[Path], page: Path | None, output: str, *, by_date: bool, allow_different_settings: bool
+) -> None:
+    from ..report.page.compare import history_page
+    from ..report.terminal.history import history_csv, history_markdown, history_view
+    from ..results.history import read_history
+    from ..storage.files import write_whole
+
+    history = read_history(runs, by_date=by_date, allow_different_settings=allow_different_settings)
+    if page:
+        write_whole(page, history_page(history).encode())
+    if output == "json":
+        print_json(history.as_dict())
+    elif output:
+        sys.stdout.write((history_markdown if output == "markdown" else history_csv)(history))
+    else:
+        print_view(history_view(history))
+
+
+def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:
+    """Writes a file that CI reads; where nobody asked for that place, a failure is a warning: the verdict stands."""
+    from ...schemas.errors import RunError
+    from ..engine.progress import Reporter
+    from ..storage.files import write_whole
+
+    try:
+        write_whole(asked or default, content)
+    except RunError as error:
+        if asked or is_asked:
+            raise
+        Reporter().warn(str(error))

@@ -1,0 +1,156 @@
+"""Real objects followed from one run to another: what became of each, and of all of a class or of a band of range.
+
+The real side's objects are the same where scan and settings are; that is checked by content.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...stages.sensing.typical_objects import SHAPES
+from ...stages.statistics.comparison import KINDS, kinds_of_change
+from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
+from .finished import PairObjects
+
+#: Scores that are followed, columns of `metrics`.
+SHARED_SCORES = ("cdc", "r_lambda")
+_PLACE = ("n_points", "cx", "cy", "cz")
+
+
+@dataclass(frozen=True)
+class ObjectChange:
+    """A real object before and after; scores are None where it is missing or a score is null.
+
+    shape : what it is called by where scans have no labels
+    sim_before, sim_after : the simulated object that it is matched with; None where it is missing
+    """
+
+    pair_id: str
+    real_id: int
+    label: str | None
+    shape: str
+    range_m: float
+    n_points: int
+    kind: str
+    cdc_before: float | None
+    cdc_after: float | None
+    r_lambda_before: float | None
+    r_lambda_after: float | None
+    sim_before: int | None
+    sim_after: int | None
+
+    @property
+    def change(self) -> float:
+        """The largest rise of a score, or fall where none rose; for sorting."""
+        return max((step for score in SHARED_SCORES if (step := self.step(score)) is not None), key=abs, default=0.0)
+
+    def step(self, score: str) -> float | None:
+        """How far a score has moved; None where it is null in either run."""
+        before, after = getattr(self, f"{score}_before"), getattr(self, f"{score}_after")
+        return None if before is None or after is None else float(after - before)
+
+
+@dataclass(frozen=True)
+class GroupChange:
+    """What has become of some real objects, counted: a description, of which no test says whether it is chance.
+
+    name : of the class, the shape or the band of range
+    n : real objects; kinds : of these, how many have become what
+    n_pairs : pairs that have such objects
+    n_both : objects that both runs have matched
+    cdc, r_lambda : mean change over those of them that have the score in both runs; None where none has
+    """
+
+    name: str
+    n: int
+    kinds: dict[str, int]
+    n_pairs: int
+    n_both: int
+    cdc: float | None
+    r_lambda: float | None
+
+
+def same_real_side(before: PairObjects, after: PairObjects) -> bool:
+    """Whether the real objects are the same, by number of points and centroids."""
+    a, b = ([tuple(row[name] for name in _PLACE) for row in pair.sides["real"]] for pair in (before, after))
+    return a == b
+
+
+def follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[ObjectChange]:
+    """What has become of each real object of a pair."""
+    real = before.sides["real"]
+    matched = [{row["real_id"]: row for row in pair.matched} for pair in (before, after)]
+    is_before, is_after = (np.array([i in own for i in range(len(real))], dtype=np.bool_) for own in matched)
+    cdc, r_lambda, sim = (
+        [[own.get(i, {}).get(column) for i in range(len(real))] for own in matched]
+        for column in (*SHARED_SCORES, "sim_id")
+    )
+    floats = (tuple(np.array(scores, dtype=np.float64)) for scores in (cdc, r_lambda))  # None becomes NaN
+    kinds = kinds_of_change(is_before, is_after, *floats)
+    return [
+        ObjectChange(
+            pair_id=pair_id,
+            real_id=i,
+            label=row["label"],
+            shape=SHAPES[max(SHAPES, key=lambda name: row[name] or 0.0)],
+            range_m=row["range_m"],
+            n_points=row["n_points"],
+            kind=str(kinds[i]),
+            cdc_before=cdc[0][i],
+            cdc_after=cdc[1][i],
+            r_lambda_before=r_lambda[0][i],
+            r_lambda_after=r_lambda[1][i],
+            sim_before=sim[0][i],
+            sim_after=sim[1][i],
+        )
+        for i, row in enumerate(real)
+    ]
+
+
+def by_class(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:
+    """Real objects by class, or by shape where no scan is labelled; the largest group first."""
+    is_labelled = any(change.label is not None for change in changes)
+    groups = _grouped(changes, lambda one: (one.label or "(no label)") if is_labelled else one.shape)
+    return tuple(sorted(groups, key=lambda group: (-group.n, group.name)))
+
+
+def by_range(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:
+    """Real objects by distance from the sensor, near ones first; bands without an object are left out."""
+    groups = _grouped(changes, lambda one: BAND_NAMES[np.searchsorted(BAND_EDGES_M, one.range_m, "right") - 1])
+    return tuple(sorted(groups, key=lambda group: BAND_NAMES.index(group.name)))
+
+
+def worst_changes(changes: Sequence[ObjectChange], most: int = 5) -> list[ObjectChange]:
+    """The objects to look at first: in turn the one whose score rose most, and the largest that has vanished."""
+    worse = sorted((one for one in changes if one.kind == "worse"), key=_by_change)
+    vanished = sorted((one for one in changes if one.kind == "vanished"), key=_by_change)
+    in_turn = sorted([*enumerate(worse), *enumerate(vanished)], key=lambda placed: placed[0])
+    return [change for _, change in in_turn[:most]]
+
+
+def _by_change(one: ObjectChange) -> tuple[float, int, str, int]:
+    return -abs(one.change), -one.n_points, one.pair_id, one.real_id
+
+
+def _grouped(changes: Sequence[ObjectChange], name_of: Callable[[ObjectChange], str]) -> list[GroupChange]:
+    own: dict[str, list[ObjectChange]] = {}
+    for change in changes:
+        own.setdefault(name_of(change), []).append(change)
+    return [_group(name, objects) for name, objects in own.items()]
+
+
+def _group(name: str, objects: Sequence[ObjectChange]) -> GroupChange:
+    count = Counter(change.kind for change in objects)
+    steps = {score: [step for one in objects if (step := one.step(score)) is not None] for score in SHARED_SCORES}
+    return GroupChange(
+        name=name,
+        n=len(objects),
+        kinds={kind: count[kind] for kind in KINDS},
+        n_pairs=len({change.pair_id for change in objects}),
+        n_both=sum(one.sim_before is not None and one.sim_after is not None for one in objects),
+        **{score: float(np.mean(own)) if own else None for score, own in steps.items()},
+    )

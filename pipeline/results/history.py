@@ -1,0 +1,140 @@
+"""Up to eight runs of the same real scans in a row: how has the simulator developed?
+
+Only pairs that all of the runs have scored are looked at, so that means of different runs are of the same scans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from ...schemas.errors import RunError
+from ...schemas.metrics import metric_of
+from ...schemas.results import JsonObject
+from .compare import SCORES, Comparison, compare_two, pairs_left_out
+from .finished import FinishedRun
+
+
+@dataclass(frozen=True)
+class RunOfHistory:
+    """One of the runs: its folder, when it was made, and how many pairs it has scored and how many failed."""
+
+    folder: Path
+    written: str
+    n_scored: int
+    n_failed: int
+
+
+@dataclass(frozen=True)
+class Step:
+    """A score of one run.
+
+    mean : over the independent pairs that all runs have scored; None where none has the score
+    low, high : 95 % interval of the change since the first run, added to the first run's mean; None without one
+    since_first, since_last : the verdict against the first run, and against the one before; "" of the first run
+    """
+
+    mean: float | None
+    low: float | None = None
+    high: float | None = None
+    since_first: str = ""
+    since_last: str = ""
+
+
+@dataclass(frozen=True)
+class ScoreHistory:
+    """A score over the runs."""
+
+    name: str
+    higher_is_better: bool
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class History:
+    """Runs in their order, and their scores.
+
+    pairs : that all runs have scored
+    left_out : by pair that some run has scored, why it is not among them
+    failed : pairs that the first run has scored and that fail in the last
+    n_blocks : independent pairs
+    n_comparisons : how many there are, each of which is wrong by chance in under 5 % of the cases
+    """
+
+    runs: tuple[RunOfHistory, ...]
+    pairs: tuple[str, ...]
+    left_out: dict[str, str]
+    failed: tuple[str, ...]
+    n_blocks: int
+    n_comparisons: int
+    scores: tuple[ScoreHistory, ...]
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> JsonObject:
+        """Plain values, for programs."""
+        runs: JsonObject = {"runs": [asdict(run) | {"folder": str(run.folder)} for run in self.runs]}
+        return asdict(self) | runs
+
+
+def read_history(folders: Sequence[Path], *, by_date: bool = False, allow_different_settings: bool = False) -> History:
+    """The scores of runs in a row, each compared with the first and with the one before.
+
+    Parameters
+    ----------
+    folders : two or more, in the order that is wanted
+    by_date : whether they are ordered by when they were made instead
+
+    Raises
+    ------
+    RunError
+        A folder is no finished run, settings differ and that is not allowed, or no pair is scored by all.
+    """
+    runs = [FinishedRun(folder) for folder in folders]
+    dates = [run.record.written for run in runs]
+    if by_date:
+        runs.sort(key=lambda run: run.record.written)
+    first, *others = runs
+    left_out = {name: why for other in others for name, why in pairs_left_out(first, other).items()}
+    pairs = tuple(row["pair_id"] for row in first.scored if row["pair_id"] not in left_out)
+    if not pairs:
+        why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
+        raise RunError(f"{len(runs)} runs from {first.folder} on: no pair is scored by all ({why or 'none is scored'})")
+    since_first = [compare_two(first, other, allow_different_settings, only=pairs) for other in others]
+    since_last = [
+        since_first[0],
+        *(compare_two(a, b, allow_different_settings, only=pairs) for a, b in pairwise(others)),
+    ]
+    notes = list(dict.fromkeys(f"differs: {note}" for one in since_first for note in (*one.settings, *one.notes)))
+    if not by_date and dates != sorted(dates):
+        notes.append("the runs are not in the order in which they were made; --by-date orders them so")
+    return History(
+        runs=tuple(_of_run(run) for run in runs),
+        pairs=pairs,
+        left_out=left_out,
+        failed=since_first[-1].failed,
+        n_blocks=since_first[0].n_blocks,
+        n_comparisons=2 * len(others) - 1,
+        scores=tuple(_scores(since_first, since_last, i) for i in range(len(SCORES))),
+        notes=tuple(notes),
+    )
+
+
+def _of_run(run: FinishedRun) -> RunOfHistory:
+    counts = run.record.pairs
+    return RunOfHistory(run.folder, run.record.written, counts.scored, counts.failed)
+
+
+def _scores(since_first: Sequence[Comparison], since_last: Sequence[Comparison], i: int) -> ScoreHistory:
+    """The history of the score at this place of `SCORES`."""
+    metric = metric_of(SCORES[i])
+    steps = [Step(since_first[0].scores[i].difference.before)]
+    for first, last in zip(since_first, since_last, strict=True):
+        score = first.scores[i]
+        own = score.difference
+        low, high = (
+            None if change is None or own.before is None else own.before + change for change in (own.low, own.high)
+        )
+        steps.append(Step(own.after, low, high, score.called, last.scores[i].called))
+    return ScoreHistory(metric.label, metric.higher_is_better, tuple(steps))
