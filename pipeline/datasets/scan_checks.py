@@ -25,7 +25,8 @@ from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, wide
 from ..storage.files import hash_file, key_of
 from .frame_checks import FrameFacts, frame_warning, recall_frames, shared_files, swapped_sides
 from .pairs import ScanPair, read_dataset
-from .readers import address_of, files_of, formats, holds_frames, read_scan, stem_of, suffix_of
+from .readers import files_of, formats, holds_frames, read_scan, stem_of, suffix_of
+from .readers.frames import address_of
 from .readers.scan import label_path_of
 
 _MOST_NOT_FINITE = 0.25

@@ -24,7 +24,8 @@ from ...schemas.settings import Settings, to_toml
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import ScanPair, read_dataset, read_label_names
-from ..datasets.readers import address_of, is_scan_path, stem_of, suffix_of
+from ..datasets.readers import is_scan_path, stem_of, suffix_of
+from ..datasets.readers.frames import address_of
 from ..engine.engine import Machines, RunEngine, Survey, modules_of
 from ..engine.plan import OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
