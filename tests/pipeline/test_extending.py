@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import NamedTuple
@@ -442,17 +443,18 @@ def test_a_run_over_the_new_format_gives_the_numbers_of_a_known_one(tmp_path, xy
 
 @pytest.fixture
 def pts_package(tmp_path):
-    """The documented package, built and installed by pip into a folder of its own."""
-    section = section_of("A reader in another package")
-    source, site = tmp_path / "source", tmp_path / "site"
-    source.mkdir()
+    """The documented package, as pip lays it out: its module, and metadata from its pyproject.toml."""
+    section, site = section_of("A reader in another package"), tmp_path / "site"
     (project,) = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)
     (module,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
-    layout = '[tool.setuptools]\npy-modules = ["fidpipe_pts"]\n'
-    (source / "pyproject.toml").write_text(f"{project}\n{layout}")
-    (source / "fidpipe_pts.py").write_text(module)
-    words = ("install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", site, source)
-    subprocess.run([sys.executable, "-m", "pip", *map(str, words)], check=True, capture_output=True)
+    named = tomllib.loads(project)["project"]
+    metadata = site / f"{named['name'].replace('-', '_')}-{named['version']}.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {named['name']}\nVersion: {named['version']}\n")
+    ((group, entries),) = named["entry-points"].items()
+    lines = [f"{name} = {value}\n" for name, value in entries.items()]
+    (metadata / "entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
+    (site / "fidpipe_pts.py").write_text(module)
     return site
 
 
