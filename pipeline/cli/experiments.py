@@ -175,7 +175,7 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
 
 
 def _experiment_folder(source: Path, experiment: str) -> Path:
-    from ..datasets.readers import stem_of
+    from ..datasets.readers import is_scan_path, stem_of
 
     path = source.resolve()
-    return Path("runs") / f"{stem_of(path) if source.is_file() else path.name}-{experiment}"
+    return Path("runs") / f"{stem_of(path) if is_scan_path(source) else path.name}-{experiment}"

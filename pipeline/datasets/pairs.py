@@ -2,6 +2,7 @@
 
 Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the columns pair_id,
 real, sim and perhaps timestamp_s, T_real_sim and T_world_sensor (12 numbers separated by spaces, [R | t] row by row).
+A scan of a manifest may be one frame of a recording, named as in `readers/frames.py`: `drive.mcap#/points@12`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
-from .readers import FORMATS, stem_of, suffix_of
+from .readers import formats, is_scan_path, stem_of, suffix_of
 
 MANIFEST = "pairs.csv"
 LABEL_NAMES = "labels.toml"
@@ -30,7 +31,7 @@ _IGNORED = "not a known scan format, ignored"
 class ScanPair:
     """One pair of scans.
 
-    real, sim : the scan files; None where the partner is missing
+    real, sim : the scan files, or what names a frame in one; None where the partner is missing
     timestamp_s : when the real scan was taken, if the manifest says so
     T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame; None if they are
         in it already
@@ -124,7 +125,7 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
         fault = f"{real or sim}: no partner; a scan named {stem} is wanted in {folder / absent}"
         number = _frame_number(stem)
         if stem in unread[absent]:
-            fault = f"{unread[absent][stem]}: not readable; known formats are {', '.join(FORMATS)}"
+            fault = f"{unread[absent][stem]}: not readable; known formats are {', '.join(formats())}"
             if not (real and sim):
                 warnings.remove(f"{unread[absent][stem]}: {_IGNORED}")  # the fault says it
         elif number is not None and number in by_number[absent]:
@@ -233,7 +234,7 @@ def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | 
     path = folder / name.strip()
     if not name.strip():
         return None, f"{where}: no {side} scan is named"
-    return (path, None) if path.is_file() else (None, f"{where}: {path} is no file; the {side} scan is wanted")
+    return (path, None) if is_scan_path(path) else (None, f"{where}: {path} is no file; the {side} scan is wanted")
 
 
 def _number(where: str, name: str, text: str) -> float | None:

@@ -25,7 +25,8 @@ from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, wide
 from ..storage.files import hash_file, key_of
 from .frame_checks import FrameFacts, frame_warning, recall_frames, shared_files, swapped_sides
 from .pairs import ScanPair, read_dataset
-from .readers import read_scan, stem_of
+from .readers import files_of, formats, holds_frames, read_scan, stem_of, suffix_of
+from .readers.frames import address_of
 from .readers.scan import label_path_of
 
 _MOST_NOT_FINITE = 0.25
@@ -204,9 +205,15 @@ def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts], frames: FrameFact
 
 
 def hash_scan(path: Path) -> tuple[str, str]:
-    """Content hashes of a scan file and of its labels, "" where it has none."""
-    label_path = label_path_of(path, stem_of(path))
-    return hash_file(path), hash_file(label_path) if label_path.exists() else ""
+    """Content hashes of a scan file and of its labels; of a frame that of its points alone.
+
+    The latter is "" where it can have none, and "column" where the file itself may hold them.
+    """
+    (*_, label_path), suffix = _files(path), suffix_of(path)
+    sha256 = read_scan(path).content_hash() if holds_frames(path) else hash_file(path)
+    if label_path.exists():
+        return sha256, hash_file(label_path)
+    return sha256, "column" if suffix is not None and not formats()[suffix].columns else ""
 
 
 def input_hashes(
@@ -256,7 +263,7 @@ def recall_scan(
 def file_marks(path: Path) -> list[list[int]]:
     """Length and times of a scan file and of its labels, if it has any: while they stay, so does the content."""
     marks = []
-    for file in (path, label_path_of(path, stem_of(path))):
+    for file in _files(path):
         try:
             status = file.stat()
         except FileNotFoundError:
@@ -270,6 +277,11 @@ def recall_pair_frames(
 ) -> FrameFacts | None:
     """What was learnt of a pair's frames before, if it still holds for these facts of its files; else None."""
     return recall_frames(known, pair, *_marks_and_keys(facts))
+
+
+def _files(path: Path) -> list[Path]:
+    """What a scan is read from; the last is that of its labels, which may be absent."""
+    return [*files_of(path), label_path_of(address_of(path).file, stem_of(path))]
 
 
 @lru_cache(maxsize=64)

@@ -15,7 +15,7 @@ import numpy as np
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
 from .pairs import LABEL_NAMES, MANIFEST, check_rigid, read_label_names, read_manifest
-from .readers import stem_of, suffix_of
+from .readers import holds_frames, stem_of, suffix_of
 
 FEWEST_FRAMES = 3
 _SCAN_FOLDERS = ("velodyne", "real", ".")
@@ -104,6 +104,11 @@ def _frames_of_manifest(manifest: Path) -> list[Frame]:
             )
         if pair.real is None:
             raise DatasetError(f"{manifest}: pair {pair.pair_id} has no real scan ({pair.fault})")
+        if holds_frames(pair.real):
+            raise DatasetError(
+                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real.name}; a file of one scan is "
+                "wanted: write its frames with fidpipe convert"
+            )
         frames.append(Frame(pair.pair_id, pair.real, pair.T_world_sensor, pair.timestamp_s))
     return frames
 

@@ -16,8 +16,8 @@ from ...schemas.errors import DiskFullError, FidpipeError, StageError
 from ...schemas.tables import TABLES
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
+from ..datasets.scan_checks import hash_scan
 from ..stage import Column, Context, Facts, Grain, Made, Step, Tables, total_steps
-from ..storage.files import hash_file
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan
@@ -209,7 +209,7 @@ class PairTables:
             raise StageError(f"no {side} scan")
         columns = next(job.settings for job in self._plan.jobs).input.columns_of(side)
         scan = read_scan(path, columns, dict(self._plan.label_names))
-        if hash_file(path) != self._plan.inputs[side].sha256:
+        if hash_scan(path)[0] != self._plan.inputs[side].sha256:
             raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
         return scan
 

@@ -24,7 +24,8 @@ from ...schemas.settings import Settings, to_toml
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import ScanPair, read_dataset, read_label_names
-from ..datasets.readers import stem_of, suffix_of
+from ..datasets.readers import is_scan_path, stem_of, suffix_of
+from ..datasets.readers.frames import address_of
 from ..engine.engine import Machines, RunEngine, Survey, modules_of
 from ..engine.plan import OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
@@ -116,12 +117,12 @@ def read_source(path: Path, pattern: str | None, *, first_only: bool = False) ->
     ScanError
         The file is of no known format.
     """
-    if path.is_file():
+    if is_scan_path(path):
         if suffix_of(path) is None:
             raise ScanError(f"{path}: not a known scan format; a scan file or a dataset folder is wanted")
         if pattern is not None:
             raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; a dataset folder is wanted with --pairs")
-        folder = path.resolve().parent
+        folder = address_of(path).file.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
         return Source(path, (ScanPair(stem_of(path), path, None),), names, is_scan=True)
     if not path.exists() and suffix_of(path) is not None:

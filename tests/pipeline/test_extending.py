@@ -6,6 +6,8 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +20,7 @@ from typer.testing import CliRunner
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets import readers
 from fidpipe.pipeline.datasets.readers import Format, read_scan
-from fidpipe.schemas.errors import ScanError
+from fidpipe.schemas.errors import DatasetError, ScanError
 from runs import JOBS_PER_PAIR, command
 from scenes import drifted, street, write_bin, write_dataset
 
@@ -437,6 +439,49 @@ def test_a_run_over_the_new_format_gives_the_numbers_of_a_known_one(tmp_path, xy
         new, known = (pq.read_table(tmp_path / run / f"{table}.parquet") for run in ("run-xyz", "run-npy"))
         assert new.num_rows
         assert new.equals(known)
+
+
+@pytest.fixture
+def pts_package(tmp_path):
+    """The documented package, as pip lays it out: its module, and metadata from its pyproject.toml."""
+    section, site = section_of("A reader in another package"), tmp_path / "site"
+    (project,) = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)
+    (module,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    named = tomllib.loads(project)["project"]
+    metadata = site / f"{named['name'].replace('-', '_')}-{named['version']}.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {named['name']}\nVersion: {named['version']}\n")
+    ((group, entries),) = named["entry-points"].items()
+    lines = [f"{name} = {value}\n" for name, value in entries.items()]
+    (metadata / "entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
+    (site / "fidpipe_pts.py").write_text(module)
+    return site
+
+
+def save_pts(stem, points):
+    rows = np.column_stack([points.astype(np.float64), np.zeros(len(points))])
+    np.savetxt(f"{stem}.pts", rows, fmt="%.17g", header=str(len(rows)), comments="")
+
+
+def test_a_package_of_others_adds_a_format_that_check_and_run_read(tmp_path, pts_package):
+    dataset = write(tmp_path / "streets", save_pts)
+    environment = os.environ | {"PYTHONPATH": str(pts_package)}
+    code = "from fidpipe.pipeline.cli.main import main; main()"
+    call = [sys.executable, "-c", code, "check", str(dataset)]
+    shown = subprocess.run(call, capture_output=True, text=True, check=False, env=environment)
+    assert shown.returncode == 0, shown.stdout + shown.stderr
+    without = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert without.returncode == 1
+    assert "no scan pairs found" in without.stderr
+
+
+def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
+    entries = [EntryPoint("ply", "other_package.ply", "fidpipe.readers")]
+    monkeypatch.setattr(readers, "entry_points", lambda group: entries)
+    readers._other_formats.cache_clear()
+    with pytest.raises(DatasetError, match=r"two readers of \.ply files are installed, ply and other_package\.ply"):
+        readers.formats()
+    readers._other_formats.cache_clear()
 
 
 def test_check_names_what_is_wrong_with_a_file_of_the_new_format(tmp_path, xyz_reader):

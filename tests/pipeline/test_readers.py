@@ -1,9 +1,22 @@
+"""Files of every format: what is read, exactly, and what is said of files that are not whole."""
+
+import re
+import struct
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from fidpipe.pipeline.datasets.readers import read_scan, stem_of, suffix_of
+from fidpipe.pipeline.datasets.scan_checks import ScanContent, check_dataset, hash_scan
 from fidpipe.schemas.errors import ScanError
+from fidpipe.schemas.settings import GraphSettings, Settings
+from fidpipe.stages.graph import build_graph
+from recordings import carla_ply
 from scenes import street, write_bin
 
 POINTS = np.array([[1.5, -2.25, 0.5], [4, 5, 6], [-7, 8, 9.125]])
@@ -280,3 +293,188 @@ def test_columns_of_an_npy_can_be_named(tmp_path):
     scan = read_scan(tmp_path / "a.npy", ("intensity", "ring", "x", "y", "z"))
     np.testing.assert_array_equal(scan.points, POINTS)
     assert scan.intensity.tolist() == [9, 8, 7]
+
+
+# Columns of others.
+
+
+def test_carla_ray_cast_has_its_intensity(tmp_path):
+    (tmp_path / "a.ply").write_text(carla_ply(POINTS, {"I": [0.25, 0.5, 0.875]}))
+    scan = read_scan(tmp_path / "a.ply")
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert scan.intensity.tolist() == [0.25, 0.5, 0.875]
+    assert (scan.labels, scan.instances, scan.incidence) == (None, None, None)
+
+
+def test_carla_semantic_ray_cast_has_incidence_instances_and_names_of_tags(tmp_path):
+    columns = {"CosAngle": [1.0, 0.5, 0.125], "ObjIdx": [0, 4000000000, 17], "ObjTag": [1, 14, 250]}
+    (tmp_path / "a.ply").write_text(carla_ply(POINTS, columns))
+    scan = read_scan(tmp_path / "a.ply")
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert scan.incidence.tolist() == [1, 0.5, 0.125]
+    assert scan.labels.tolist() == ["Roads", "Car", "250"]
+    assert scan.instances[0] == 0
+    assert len(set(scan.instances.tolist())) == 3
+    before_0_9_14 = {1: "Building", 14: "Ground"}
+    assert read_scan(tmp_path / "a.ply", label_names=before_0_9_14).labels.tolist() == ["Building", "Ground", "250"]
+
+
+def test_names_of_labels_hold_for_a_column_of_numbers_and_are_part_of_the_key(tmp_path):
+    (tmp_path / "a.ply").write_bytes(ply(POINTS, "ascii", label=True))
+    assert read_scan(tmp_path / "a.ply", label_names={4: "tree"}).labels.tolist() == ["tree"] * 3
+    contents = [ScanContent(*hash_scan(tmp_path / "a.ply"), 3).key(names) for names in ({}, {4: "tree"}, {4: "car"})]
+    assert len(set(contents)) == 3
+    raw = ScanContent(*hash_scan(write_bin(tmp_path / "b.bin", POINTS)), 3)
+    assert raw.key({}) == raw.key({4: "tree"})
+
+
+@pytest.mark.parametrize(("dtype", "times"), [("<f4", [0.5, 0.25, 2]), ("<u4", [5e-9, 10e-9, 1e-3])])
+def test_times_are_seconds_or_whole_nanoseconds(tmp_path, dtype, times):
+    rows = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("timestamp", dtype)])
+    rows["timestamp"] = times if dtype == "<f4" else [5, 10, 1_000_000]
+    np.save(tmp_path / "a.npy", rows)
+    np.testing.assert_allclose(read_scan(tmp_path / "a.npy").times_s, times, rtol=1e-12)
+
+
+def test_an_organised_pcd_keeps_missing_returns_in_their_places(tmp_path):
+    points = np.repeat(POINTS, 4, axis=0)
+    points[[1, 5]] = np.nan
+    text = ascii_pcd(points, np.ones(12)).replace("WIDTH 12\nHEIGHT 1", "WIDTH 4\nHEIGHT 3")
+    (tmp_path / "a.pcd").write_text(text)
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.pcd").points, points)
+
+
+# LAS.
+
+PROJECTED = [635619.853, 848899.704, 406.591]
+
+
+def las_of(path, points, version="1.4", point_format=6, scale=0.001, offset=0.0):
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(version=version, point_format=point_format)
+    header.scales, header.offsets = [scale] * 3, [offset] * 3
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.intensity = np.arange(len(points)) % 60000
+    las.classification = np.arange(len(points)) % 3
+    las.write(path)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+@pytest.mark.parametrize(("version", "point_format"), [("1.2", 3), ("1.4", 6)])
+@pytest.mark.parametrize("offset", [0.0, 635000.0])
+def test_projected_coordinates_keep_their_millimetres(tmp_path, name, version, point_format, offset):
+    points = np.round(street(), 3) + PROJECTED
+    scan = read_scan(las_of(tmp_path / name, points, version, point_format, offset=offset))
+    assert np.abs(scan.points - points).max() < 1e-9  # a float64 of 850 km has steps of 1e-10 m
+    assert scan.intensity.tolist() == (np.arange(len(points)) % 60000).tolist()
+    assert scan.labels[:3].tolist() == ["0", "unclassified", "ground"]
+
+
+def test_a_graph_of_projected_points_is_that_of_the_same_points_at_home(tmp_path):
+    points = np.round(street(), 3)
+    far = read_scan(las_of(tmp_path / "a.laz", points + PROJECTED)).points
+    near, moved_away = (build_graph(each, GraphSettings(k=10)) for each in (points, far))
+    assert set(zip(near.src, near.dst, strict=True)) == set(zip(moved_away.src, moved_away.dst, strict=True))
+    np.testing.assert_allclose(near.length_m, moved_away.length_m, atol=1e-6)
+
+
+def test_a_projected_scan_is_named_by_check_and_not_cut_silently(tmp_path):
+    for side in ("real", "sim"):
+        (tmp_path / side).mkdir()
+        las_of(tmp_path / side / "a.las", np.round(street(), 3) + PROJECTED)
+    found = check_dataset(tmp_path, Settings())
+    assert all("no point is left after cleaning (1875 too far)" in fault for fault in found.faults)
+    assert sum("are they projected?" in warning for warning in found.warnings) == 2
+
+
+# Headers that promise what the file does not hold.
+
+
+def promises(folder):
+    """Files of a few points whose headers speak of a billion or more, by name."""
+    n = 10**9
+    pcd = ascii_pcd(POINTS, [1, 2, 3]).replace("WIDTH 3", f"WIDTH {n}").replace("POINTS 3", f"POINTS {n}")
+    (folder / "a.pcd").write_text(pcd)
+    (folder / "b.pcd").write_bytes(pcd.replace("DATA ascii", "DATA binary").encode())
+    packed = struct.pack("<II", 100, 4 * 10**9) + bytes(100)
+    (folder / "c.pcd").write_bytes(pcd[: pcd.index("DATA")].encode() + b"DATA binary_compressed\n" + packed)
+    for name, fmt in (("a.ply", "ascii"), ("b.ply", "binary_little_endian")):
+        (folder / name).write_bytes(ply(POINTS, fmt).replace(b"vertex 3", b"vertex %d" % n))
+    with (folder / "a.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (100 * n, 3)})
+        file.write(bytes(100))
+    for name in ("a.las", "a.laz"):
+        content = bytearray(las_of(folder / name, street()).read_bytes())
+        content[247:255] = struct.pack("<Q", n)  # LAS 1.4, number of point records
+        (folder / name).write_bytes(content)
+
+
+def test_a_header_that_promises_a_billion_points_takes_no_memory(tmp_path):
+    promises(tmp_path)
+    code = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from fidpipe.pipeline.datasets.readers import read_scan\n"
+        "from fidpipe.schemas.errors import ScanError\n"
+        "for path in sorted(Path(sys.argv[1]).iterdir()):\n"
+        "    try:\n"
+        "        read_scan(path)\n"
+        "    except ScanError:\n"
+        "        print(path.name, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)\n"
+    )
+    shown = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True).stdout
+    peaks_mb = dict(line.split() for line in shown.splitlines())
+    assert set(peaks_mb) == {path.name for path in tmp_path.iterdir()}
+    assert max(map(int, peaks_mb.values())) < 400
+
+
+# Libraries that are not there.
+
+
+@pytest.mark.parametrize(
+    ("name", "library", "extra"),
+    [("a.bag", "rosbags", "ros"), ("a.mcap", "rosbags", "ros"), ("a.pcap", "velodyne_decoder", "velodyne")]
+    + [("a.las", "laspy", "las"), ("a.laz", "laspy", "las")],
+)
+def test_a_missing_extra_is_one_line_with_its_installation(tmp_path, monkeypatch, name, library, extra):
+    for module in [module for module in sys.modules if module.partition(".")[0] == library]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setattr(sys, "meta_path", [_Hidden(library), *sys.meta_path])
+    (tmp_path / name).write_bytes(b"content")
+    with pytest.raises(ScanError) as fault:
+        read_scan(tmp_path / name)
+    assert str(fault.value).startswith(f"{tmp_path / name}: reading it needs {library}")
+    assert str(fault.value).endswith(f"pip install 'fidpipe[{extra}]'")
+    assert "\n" not in str(fault.value)
+
+
+class _Hidden:
+    """Hides a library as if it were not installed."""
+
+    def __init__(self, library):
+        self.library = library
+
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == self.library:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def test_no_library_of_an_extra_is_loaded_before_its_file_is_met():
+    code = (
+        "import sys\n"
+        "from fidpipe.pipeline.cli.main import app\n"
+        "from fidpipe.pipeline.datasets.readers import formats\n"
+        "formats()\n"
+        "print([name for name in ('rosbags', 'velodyne_decoder', 'dpkt', 'laspy', 'lazrs') if name in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown.strip() == "[]"
+
+
+def test_every_extra_for_users_is_among_all():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    (everything,) = extras["all"]
+    assert set(re.search(r"\[(.*)\]", everything)[1].split(",")) == set(extras) - {"all", "dev"}

@@ -1,13 +1,22 @@
-"""Which suffix is which format. One file per format, each with one `read`; a new format is a file and a row here."""
+"""Which suffix is which format. One file per format, each with one `read`; a new format is a file and a row here.
+
+Another package adds one by an entry point of the group `fidpipe.readers`: its name is the suffix without the dot, its
+value the module whose `read(path) -> Scan` reads such files.
+"""
 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from ....schemas.errors import ScanError
-from .scan import Scan, with_label_file
+from ....schemas.errors import DatasetError, ScanError
+from .frames import address_of
+from .scan import Scan, with_label_file, with_label_names
 
 _KITTI = ("x", "y", "z", "intensity")
 _NUSCENES = (*_KITTI, "ring")
@@ -16,65 +25,169 @@ _NUSCENES = (*_KITTI, "ring")
 class Format(NamedTuple):
     """How files of one suffix are read.
 
-    module : the file of this folder whose `read(path) -> Scan` reads them; it is imported when first used
+    module : whose `read(path) -> Scan` reads them: a file of this folder, with a dot before its name, or a module of
+        another package; it is imported when first used
     columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
         these, or those of the setting `input.columns`; () where the shape tells them
+    holds_frames : whether a file is a recording; `read` then takes an `Address`, and `frames` lists those of all frames
     """
 
     module: str
     columns: tuple[str, ...] | None = None
+    holds_frames: bool = False
 
 
-#: A longer suffix is tried before a shorter one that it ends with.
+#: What `pip install 'fidpipe[...]'` brings the libraries that are not everywhere.
+_EXTRAS = {"rosbags": "ros", "velodyne_decoder": "velodyne", "dpkt": "velodyne", "laspy": "las"}
+
+#: A longer suffix is tried before a shorter one that it ends with. One that begins with / is a file in a folder.
 FORMATS = {
-    ".pcd.bin": Format("float32", _NUSCENES),
-    ".bin": Format("float32", _KITTI),
-    ".npy": Format("npy", ()),
-    ".pcd": Format("pcd"),
-    ".ply": Format("ply"),
-    ".csv": Format("csv"),
-    ".parquet": Format("parquet"),
+    ".pcd.bin": Format(".float32", _NUSCENES),
+    ".bin": Format(".float32", _KITTI),
+    ".npy": Format(".npy", ()),
+    ".pcd": Format(".pcd"),
+    ".ply": Format(".ply"),
+    ".csv": Format(".csv"),
+    ".parquet": Format(".parquet"),
+    ".las": Format(".las"),
+    ".laz": Format(".las"),
+    ".bag": Format(".rosbag", holds_frames=True),
+    ".db3": Format(".rosbag", holds_frames=True),
+    ".mcap": Format(".rosbag", holds_frames=True),
+    "/metadata.yaml": Format(".rosbag", holds_frames=True),
+    ".pcap": Format(".velodyne", holds_frames=True),
+    ".pcapng": Format(".velodyne", holds_frames=True),
 }
 
 
+def formats() -> dict[str, Format]:
+    """The table of readers: ours, and those of other packages that are installed.
+
+    Raises
+    ------
+    DatasetError
+        Two of them read files of one suffix.
+    """
+    return FORMATS | _other_formats()
+
+
 def suffix_of(path: Path) -> str | None:
-    """The known suffix of a file name in lower case, or None."""
-    name = path.name.lower()
-    return next((suffix for suffix in sorted(FORMATS, key=len, reverse=True) if name.endswith(suffix)), None)
+    """The known suffix of a file, or of that which a frame is in; in lower case, or None."""
+    file = address_of(path).file
+    name, known = file.name.lower(), formats()
+    by_name = (suffix for suffix in sorted(known, key=len, reverse=True) if name.endswith(suffix))
+    return next(by_name, None) or next((suffix for suffix in known if suffix[0] == "/" and _holds(file, suffix)), None)
 
 
 def stem_of(path: Path) -> str:
-    """The file name less its known suffix: the name of the pair."""
-    return path.name[: -len(suffix_of(path) or "") or None]
+    """The file name less its known suffix: the name of the pair; of a frame with its topic and number or time."""
+    file, topic, frame = address_of(path)
+    suffix = suffix_of(file) or ""
+    name = file.name if suffix.startswith("/") else file.name[: -len(suffix) or None]
+    return "-".join(filter(None, [name, *(topic or "").split("/"), frame]))
+
+
+def is_scan_path(path: Path) -> bool:
+    """Whether there is a file at a path, or a recording whose frame it names."""
+    file = address_of(path).file
+    return file.is_file() or (suffix_of(file) or "").startswith("/")
+
+
+def holds_frames(path: Path) -> bool:
+    """Whether a path is a recording, or a frame of one."""
+    suffix = suffix_of(path)
+    return suffix is not None and formats()[suffix].holds_frames
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files that a scan or a frame is read from."""
+    file = address_of(path).file
+    return sorted(each for each in file.iterdir() if each.is_file()) if file.is_dir() else [file]
+
+
+def frames_of(path: Path) -> list[Path]:
+    """What names each frame of a recording, in the order of time.
+
+    Raises
+    ------
+    ScanError
+        The recording is missing or broken, or has several topics and none is named.
+    """
+    suffix = suffix_of(path)
+    if suffix is None or not formats()[suffix].holds_frames:
+        raise ScanError(f"{path}: holds no frames; a bag or a capture of packets is wanted")
+    with _reader(path, formats()[suffix]) as reader:
+        found: list[Path] = reader.frames(address_of(path))
+    return found
 
 
 def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: dict[int, str] | None = None) -> Scan:
-    """The points of a scan file, with intensity and labels where it has them.
+    """The points of a scan file, or of one frame of a recording, with what else it has of them.
 
     Points that are not finite or zero are kept: cleaning drops and counts them.
 
     Parameters
     ----------
-    path : the file; its suffix tells the format
+    path : the file; its suffix tells the format; of a recording with the frame, `drive.mcap#/points@12`
     columns : names of the columns of a raw file (.bin, .pcd.bin), if not the usual ones; ignored for other formats
-    label_names : class names for the numbers of a .label file
+    label_names : class names for labels that are numbers, of a .label file or of a file that names its columns
 
     Raises
     ------
     ScanError
-        The file is missing, empty, truncated or not what its suffix says.
+        The file is missing, empty, truncated or not what its suffix says; or the library that reads it is missing.
     """
-    suffix = suffix_of(path)
+    suffix, address = suffix_of(path), address_of(path)
     if suffix is None:
-        raise ScanError(f"{path}: unknown format; known are {', '.join(FORMATS)}")
-    module, usual_columns = FORMATS[suffix]
-    try:
-        if path.stat().st_size == 0:
+        raise ScanError(f"{path}: unknown format; known are {', '.join(formats())}")
+    known = formats()[suffix]
+    if address.file != path and not known.holds_frames:
+        raise ScanError(f"{path}: a {suffix} file holds one scan; it is named without #")
+    with _reader(path, known) as reader:
+        if address.file.stat().st_size == 0:
             raise ScanError(f"{path}: the file is empty, points are wanted")
-        reader = importlib.import_module(f".{module}", __name__)
-        scan: Scan = reader.read(path) if usual_columns is None else reader.read(path, columns or usual_columns)
-    except OSError as error:
-        raise ScanError(f"{path}: cannot be read ({error.strerror or error})") from error
+        if known.holds_frames:
+            scan: Scan = reader.read(address)
+        else:
+            scan = reader.read(path) if known.columns is None else reader.read(path, columns or known.columns)
     if not len(scan.points):
         raise ScanError(f"{path}: no points in the file, at least one is wanted")
-    return with_label_file(scan, path, stem_of(path), label_names or {})
+    labelled = with_label_file(scan, address.file, stem_of(path))
+    names = label_names if label_names and (labelled is not scan or not known.columns) else {}
+    return with_label_names(labelled, names)
+
+
+@contextmanager
+def _reader(path: Path, known: Format) -> Iterator[Any]:
+    """The module that reads files of a format; what hinders it becomes a `ScanError`."""
+    try:
+        yield importlib.import_module(known.module, __name__)
+    except ModuleNotFoundError as error:
+        extra = _EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        raise ScanError(
+            f"{path}: reading it needs {error.name}; install it with: pip install 'fidpipe[{extra}]'"
+        ) from error
+    except OSError as error:
+        raise ScanError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+@cache
+def _other_formats() -> dict[str, Format]:
+    """What other packages declare in the group `fidpipe.readers`, by suffix."""
+    found: dict[str, Format] = {}
+    for entry in entry_points(group="fidpipe.readers"):
+        suffix = f".{entry.name.lower()}"
+        other = found.get(suffix) or FORMATS.get(suffix)
+        if other is not None:
+            raise DatasetError(
+                f"two readers of {suffix} files are installed, {other.module.strip('.')} and {entry.value}; one is "
+                f"wanted: uninstall the package of {entry.value}"
+            )
+        found[suffix] = Format(entry.value)
+    return found
+
+
+def _holds(folder: Path, suffix: str) -> bool:
+    return (folder / suffix[1:]).is_file()

@@ -20,7 +20,7 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     ScanError
         The array is not whole, holds objects (pickles, which could run code), or has another shape.
     """
-    with refused_unless(path, "a whole .npy array", ValueError, EOFError):
+    with refused_unless(path, "a whole .npy array", ValueError, EOFError, MemoryError):
         array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})

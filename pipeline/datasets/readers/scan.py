@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,27 @@ from numpy.typing import NDArray
 from ....schemas.errors import ScanError
 from ....stages.arrays import FloatArray, IntArray
 
-_INTENSITY = ("intensity", "scalar_intensity")
-_LABEL = ("label", "scalar_label", "objtag")  # the last is CARLA's
-_INSTANCE = ("instance", "scalar_instance", "objidx")  # the last is CARLA's
+# Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t; Hesai's timestamp; Livox' offset_time; Autoware's
+# channel and time_stamp.
+_INTENSITY = ("intensity", "scalar_intensity", "i")
+_LABEL = ("label", "scalar_label", "objtag")
+_INSTANCE = ("instance", "scalar_instance", "objidx")
+_INCIDENCE = ("incidence", "scalar_incidence", "cosangle")
+_RING = ("ring", "scalar_ring", "channel")
+_TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "gps_time")
+_FEWEST_BYTES_PACKED = 0.02  # a point, in a compressed file
+
+#: Tags of CARLA from 0.9.14 on: carla/rpc/ObjectLabel.h, `CityObjectLabel`.
+CARLA_TAGS = dict(
+    enumerate(
+        (
+            *("None", "Roads", "Sidewalks", "Buildings", "Walls", "Fences", "Poles", "TrafficLight", "TrafficSigns"),
+            *("Vegetation", "Terrain", "Sky", "Pedestrians", "Rider", "Car", "Truck", "Bus", "Train", "Motorcycle"),
+            *("Bicycle", "Static", "Dynamic", "Other", "Water", "RoadLines", "Ground", "Bridge", "RailTrack"),
+            "GuardRail",
+        )
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -27,22 +46,49 @@ class Scan:
     intensity : (n,) float64, or None
     labels : (n,) str, or None
     instances : (n,) int32, number of the thing that a point belongs to, 0 for none; or None
+    incidence : (n,) float64, cosine of the angle between ray and surface normal, or None
+    rings : (n,) int32, number of the beam, or None; -1 where it is NaN
+    times_s : (n,) float64, seconds, from where the file counts them; or None
+    label_names : what the format calls the labels that are numbers; {} where it names none
     """
 
     points: FloatArray
     intensity: FloatArray | None = None
     labels: NDArray[np.str_] | None = None
     instances: IntArray | None = None
+    incidence: FloatArray | None = None
+    rings: IntArray | None = None
+    times_s: FloatArray | None = None
+    label_names: Mapping[int, str] = field(default_factory=dict)
+
+    def content_hash(self) -> str:
+        """SHA-256 of all that was read, as hexadecimal digits."""
+        digest = hashlib.sha256(repr(sorted(self.label_names.items())).encode())
+        for column in (
+            self.points,
+            self.intensity,
+            self.labels,
+            self.instances,
+            self.incidence,
+            self.rings,
+            self.times_s,
+        ):
+            digest.update(b"" if column is None else f"{column.dtype} {column.shape}".encode())
+            digest.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())
+        return digest.hexdigest()
 
 
-def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
+def scan_from_columns(
+    path: Path, columns: Mapping[str, NDArray[Any]], label_names: Mapping[int, str] | None = None
+) -> Scan:
     """A scan from named columns; what readers end with.
 
     Parameters
     ----------
     path : the file, for errors
     columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label as text or numbers;
-        instance as whole numbers
+        instance and ring as whole numbers; time in seconds, or in nanoseconds where it is of an integer type
+    label_names : what the format calls numbers of classes; of a column ObjTag, CARLA's tags
 
     Raises
     ------
@@ -54,15 +100,41 @@ def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
     missing = [name for name in ("x", "y", "z") if name not in by_name]
     if missing:
         raise ScanError(f"{path}: columns {', '.join(columns)} found; {', '.join(missing)} wanted as well")
-    intensity = next((by_name[name] for name in _INTENSITY if name in by_name), None)
-    labels = next((by_name[name] for name in _LABEL if name in by_name), None)
-    instances = next((by_name[name] for name in _INSTANCE if name in by_name), None)
+
+    def first(names: tuple[str, ...]) -> NDArray[Any] | None:
+        return next((by_name[name] for name in names if name in by_name), None)
+
+    intensity, labels, instances, incidence = map(first, (_INTENSITY, _LABEL, _INSTANCE, _INCIDENCE))
+    rings, times = map(first, (_RING, _TIME))
     return Scan(
         points=np.column_stack([_numbers(path, name, by_name[name]) for name in ("x", "y", "z")]),
         intensity=None if intensity is None else _numbers(path, "intensity", intensity),
         labels=None if labels is None else _label_text(labels),
         instances=None if instances is None else _instance_numbers(path, instances),
+        incidence=None if incidence is None else _numbers(path, "incidence", incidence),
+        rings=None if rings is None else _ring_numbers(path, rings),
+        times_s=None if times is None else _numbers(path, "time", times) * (1e-9 if times.dtype.kind in "iu" else 1.0),
+        label_names=label_names or (CARLA_TAGS if labels is not None and labels is by_name.get("objtag") else {}),
     )
+
+
+def check_promise(path: Path, n_points: int, point_bytes: int | None) -> None:
+    """Refuses a file whose header speaks of more points than its bytes can hold, before memory is taken for them.
+
+    Parameters
+    ----------
+    point_bytes : of a point; None where they are compressed
+
+    Raises
+    ------
+    ScanError
+        There are too many.
+    """
+    n_bytes = path.stat().st_size
+    if n_points * (point_bytes or _FEWEST_BYTES_PACKED) > n_bytes:
+        raise ScanError(
+            f"{path}: the header says {n_points} points, in {n_bytes} bytes; the file is truncated or wrong"
+        )
 
 
 @contextmanager
@@ -77,24 +149,20 @@ def refused_unless(path: Path, wanted: str, *errors: type[Exception]) -> Iterato
     Raises
     ------
     ScanError
-        In place of these errors. An `OSError` of the file itself is let through.
+        In place of these errors. An `OSError` of the file itself is let through, and a `ScanError`.
     """
     try:
         yield
-    except OSError:
+    except (OSError, ScanError, ModuleNotFoundError):
         raise
     except errors as error:
         raise ScanError(f"{path}: not {wanted} ({str(error).strip()})") from error
 
 
-def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str]) -> Scan:
+def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
     """The scan with the labels of the `.label` file beside it, if there is one: uint32 per point.
 
     The low 16 bits are the class, the high 16 bits the instance, 0 for none (SemanticKITTI).
-
-    Parameters
-    ----------
-    names : of classes by number; a class without a name is called by its number
 
     Raises
     ------
@@ -112,12 +180,21 @@ def with_label_file(scan: Scan, path: Path, stem: str, names: Mapping[int, str])
         )
     numbers = np.fromfile(label_path, dtype="<u4")
     upper = (numbers >> 16).astype(np.int32)
-    classes, class_ids = np.unique(numbers & 0xFFFF, return_inverse=True)
     return replace(
         scan,
-        labels=np.array([names.get(int(number), str(number)) for number in classes])[class_ids],
+        labels=_label_text(numbers & 0xFFFF),
         instances=scan.instances if scan.instances is not None and not upper.any() else upper,
+        label_names={},
     )
+
+
+def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
+    """The scan with names for the labels that are numbers: these, or else those of the format, or the number itself."""
+    text = {str(number): name for number, name in {**scan.label_names, **names}.items()}
+    if scan.labels is None or not text:
+        return scan
+    classes, class_ids = np.unique(scan.labels, return_inverse=True)
+    return replace(scan, labels=np.array([text.get(name, name) for name in classes.tolist()])[class_ids])
 
 
 def label_path_of(path: Path, stem: str) -> Path:
@@ -147,6 +224,13 @@ def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
     instances = np.zeros(len(numbers), dtype=np.int32)
     instances[is_thing] = things[ids].astype(np.int32)
     return instances
+
+
+def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
+    """Numbers of beams; None where the column holds others than whole ones."""
+    numbers = np.nan_to_num(_numbers(path, "ring", column), nan=-1.0)
+    is_whole = bool(np.all((np.abs(numbers) < 2**31) & (numbers == np.round(numbers))))
+    return numbers.astype(np.int32) if is_whole else None
 
 
 def _label_text(column: NDArray[Any]) -> NDArray[np.str_]:

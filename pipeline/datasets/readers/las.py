@@ -1,0 +1,47 @@
+"""LAS and LAZ point clouds, versions 1.0 to 1.4; read by laspy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ....schemas.errors import ScanError
+from .scan import Scan, check_promise, refused_unless, scan_from_columns
+
+#: ASPRS, LAS Specification 1.4 R15, tables 9 and 17.
+_CLASSES = {
+    **{1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation", 5: "high vegetation"},
+    **{6: "building", 7: "low noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire guard"},
+    **{14: "wire conductor", 15: "transmission tower", 16: "wire connector", 17: "bridge deck", 18: "high noise"},
+    **{19: "overhead structure", 20: "ignored ground", 21: "snow", 22: "temporal exclusion"},
+}
+
+
+def read(path: Path) -> Scan:
+    """The points of a `.las` or `.laz` file, coordinates scaled and offset in float64: nothing is rounded or moved.
+
+    The classes are labels, unless all are 0 (never classified).
+
+    Raises
+    ------
+    ScanError
+        The file is not whole.
+    """
+    import laspy
+
+    with refused_unless(path, "a whole LAS file", Exception):  # laspy and lazrs raise many
+        with laspy.open(path) as file:
+            header = file.header
+            is_packed = bool(header.are_points_compressed)
+            check_promise(path, header.point_count, None if is_packed else header.point_format.size)
+            rows = file.read()
+        n_points = len(rows.points)
+        columns = {name: np.asarray(rows[name]) for name in ("x", "y", "z", "intensity")}
+        if "gps_time" in rows.point_format.dimension_names:
+            columns["gps_time"] = np.asarray(rows["gps_time"])
+        if np.any(classes := np.asarray(rows["classification"])):
+            columns["label"] = classes
+    if n_points != header.point_count:
+        raise ScanError(f"{path}: {n_points} points found, the header says {header.point_count}; it is truncated")
+    return scan_from_columns(path, columns, _CLASSES)

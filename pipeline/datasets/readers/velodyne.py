@@ -1,0 +1,135 @@
+"""Velodyne packets, VLP-16 to VLS-128: captures `.pcap`, and those of a bag; decoded by velodyne-decoder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from ....schemas.errors import ScanError
+from .frames import Address, frame_number
+from .scan import Scan, refused_unless, scan_from_columns
+
+_PACKET_BYTES = 1206
+_LINUX_COOKED = 113
+
+
+class _Frame(NamedTuple):
+    """A turn of the sensor in a capture: when its last packet came, and the bytes of the file that hold it."""
+
+    time_ns: int
+    start: int
+    stop: int
+
+
+def read(address: Address) -> Scan:
+    """One turn of the sensor, from a capture.
+
+    Raises
+    ------
+    ScanError
+        It is no whole capture, holds no packets of Velodyne, or not one turn of this time or number.
+    """
+    known = _frames(address.file, address.file.stat().st_mtime_ns)
+    frame = known[frame_number(address, [each.time_ns for each in known])]
+    packets = [(stamp, data) for _, stamp, data in _packets(address.file, frame.start, frame.stop)]
+    return scan_from_columns(address.file, decoded(address.file, packets))
+
+
+def frames(address: Address) -> list[Path]:
+    """What names each turn of the sensor, in the order of time.
+
+    Raises
+    ------
+    ScanError
+        It is no whole capture, or holds no packets of Velodyne.
+    """
+    return [Address(address.file).at(frame.time_ns) for frame in _frames(address.file, address.file.stat().st_mtime_ns)]
+
+
+def decoded(path: Path, packets: Sequence[tuple[float, bytes]]) -> dict[str, NDArray[Any]]:
+    """The points of packets: x, y, z in metres, intensity, time in seconds, ring.
+
+    Parameters
+    ----------
+    path : of the file, for errors and for the calibration of an HDL-64E
+    packets : when each came, seconds, and its 1206 bytes
+    """
+    import velodyne_decoder as vd
+
+    with refused_unless(path, "packets of a Velodyne sensor", Exception):  # it raises what its C++ code met
+        listed = vd.PacketVector([vd.VelodynePacket(stamp, data) for stamp, data in packets])
+        _, rows = vd.ScanDecoder(_config(path)).decode(listed, False)
+    names = ("x", "y", "z", "intensity", "time", "ring")
+    return {name: rows[:, int(getattr(vd.PointField, name))] for name in names}
+
+
+@lru_cache(maxsize=16)
+def _frames(file: Path, _mtime_ns: int) -> list[_Frame]:
+    """The turns in a capture; reads and decodes it once."""
+    import velodyne_decoder as vd
+
+    found: list[_Frame] = []
+    start, stop = None, 0
+    with refused_unless(file, "a whole capture of Velodyne packets", Exception):
+        decoder = vd.StreamDecoder(_config(file))
+        for (begin, end), stamp, data in _packets(file):
+            start, stop = begin if start is None else start, end
+            turn = decoder.decode(stamp, data, False)
+            if turn is not None:
+                found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, end))
+                start = None
+        turn = decoder.finish(False)
+        if turn is not None and start is not None:
+            found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, stop))
+    if not found:
+        raise ScanError(f"{file}: no data packets of a Velodyne sensor ({_PACKET_BYTES} bytes each) found")
+    return found
+
+
+def _packets(
+    file: Path, start: int | None = None, stop: int | None = None
+) -> Iterator[tuple[tuple[int, int], float, bytes]]:
+    """Data packets between two places of a capture: bytes from and to, when each came in seconds, and its content."""
+    import dpkt
+
+    with file.open("rb") as stream:
+        capture = dpkt.pcap.UniversalReader(stream)
+        outermost = dpkt.sll.SLL if capture.datalink() == _LINUX_COOKED else dpkt.ethernet.Ethernet
+        if start is not None:
+            stream.seek(start)
+        begin = stream.tell()
+        for stamp, content in capture:
+            end = stream.tell()
+            if stop is not None and end > stop:
+                return
+            try:
+                inner = outermost(content)
+            except dpkt.UnpackError:
+                inner = b""
+            while hasattr(inner, "data"):
+                inner = inner.data
+            if len(inner) == _PACKET_BYTES:
+                yield (begin, end), float(stamp), bytes(inner)
+            begin = end
+
+
+@lru_cache(maxsize=16)
+def _calibration(file: Path) -> tuple[Any, Any]:
+    """Model and calibration, which an HDL-64E sends among its packets; (None, None) of other sensors."""
+    import velodyne_decoder as vd
+
+    return vd.hdl64e.detect_hdl64e(file) if file.suffix.lower() in (".pcap", ".pcapng") else (None, None)
+
+
+def _config(file: Path) -> Any:
+    import velodyne_decoder as vd
+
+    config = vd.Config()
+    model, calibration = _calibration(file)
+    if model is not None:
+        config.model, config.calibration = model, calibration
+    return config

@@ -1,0 +1,118 @@
+"""Recordings as others write them: bags by rosbags, captures as packets of UDP, CARLA's files by its own format."""
+
+import struct
+
+import numpy as np
+
+CLOUD, SCAN = "sensor_msgs/msg/PointCloud2", "velodyne_msgs/msg/VelodyneScan"
+_NUMBERS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+_PACKETS = {
+    "velodyne_msgs/msg/VelodynePacket": "{time} stamp\nuint8[1206] data\n",
+    SCAN: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
+}
+
+
+def typestore(is_ros1):
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    types = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_JAZZY)
+    for name, text in _PACKETS.items():
+        text = text.format(time="time" if is_ros1 else "builtin_interfaces/Time")
+        types.register(get_types_from_msg(text, name))
+    return types
+
+
+def header(types, time_ns):
+    time = types.types["builtin_interfaces/msg/Time"](time_ns // 10**9, time_ns % 10**9)
+    Header = types.types["std_msgs/msg/Header"]
+    sequence = {"seq": 0} if "seq" in Header.__dataclass_fields__ else {}
+    return Header(**sequence, stamp=time, frame_id="lidar")
+
+
+def cloud(types, rows, time_ns=0, height=1, padding=0, big_endian=False):
+    """A PointCloud2 of a structured array; `padding` bytes end each row of an organised one."""
+    rows = rows.astype(rows.dtype.newbyteorder(">")) if big_endian else rows
+    Field = types.types["sensor_msgs/msg/PointField"]
+    fields = [
+        Field(name, rows.dtype.fields[name][1], _NUMBERS[rows.dtype[name].str[1:]], 1) for name in rows.dtype.names
+    ]
+    lines = rows.reshape(height, -1)
+    content = b"".join(line.tobytes() + bytes(padding) for line in lines)
+    return types.types[CLOUD](
+        header=header(types, time_ns),
+        height=height,
+        width=lines.shape[1],
+        fields=fields,
+        is_bigendian=big_endian,
+        point_step=rows.dtype.itemsize,
+        row_step=lines.shape[1] * rows.dtype.itemsize + padding,
+        data=np.frombuffer(content, np.uint8),
+        is_dense=False,
+    )
+
+
+def write_bag(path, messages):
+    """A bag by its suffix (.bag; or a folder, of mcap where its name says so); messages as (topic, time_ns, make).
+
+    make : of the types, gives the message
+    """
+    from rosbags.rosbag1 import Writer as Ros1Writer
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Ros2Writer
+
+    is_ros1 = path.suffix == ".bag"
+    types = typestore(is_ros1)
+    if is_ros1:
+        writer = Ros1Writer(path)
+    else:
+        writer = Ros2Writer(
+            path, version=9, storage_plugin=StoragePlugin.MCAP if "mcap" in path.name else StoragePlugin.SQLITE3
+        )
+    with writer as bag:
+        connections = {}
+        for topic, time_ns, make in messages:
+            message = make(types)
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=types)
+            content = types.serialize_ros1(message, kind) if is_ros1 else types.serialize_cdr(message, kind)
+            bag.write(connections[topic], time_ns, content)
+    return path
+
+
+def packets_message(types, packets):
+    """A VelodyneScan of (seconds, bytes)."""
+    Packet, Time = types.types["velodyne_msgs/msg/VelodynePacket"], types.types["builtin_interfaces/msg/Time"]
+    listed = [
+        Packet(Time(int(stamp), round(stamp % 1 * 1e6) * 1000), np.frombuffer(data, np.uint8))
+        for stamp, data in packets
+    ]
+    return types.types[SCAN](header=header(types, 0), packets=listed)
+
+
+def write_pcap(path, packets):
+    """A capture of UDP datagrams of (seconds, bytes)."""
+    content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    for stamp, data in packets:
+        udp = struct.pack(">HHHH", 2368, 2368, 8 + len(data), 0) + data
+        ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0, bytes(4), bytes(4)) + udp
+        frame = bytes(12) + b"\x08\x00" + ip
+        content += struct.pack("<IIII", int(stamp), round(stamp % 1 * 1e6), len(frame), len(frame)) + frame
+    path.write_bytes(content)
+    return path
+
+
+def carla_ply(points, columns):
+    """What `save_to_disk` of CARLA writes: carla/pointcloud/PointCloudIO.h, sensor/data/LidarData.h.
+
+    columns : after x, y, z: I; or CosAngle, ObjIdx and ObjTag
+    """
+    kinds = {"ObjIdx": "uint32", "ObjTag": "uint32"}
+    text = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n"
+    text += "".join(f"property float32 {name}\n" for name in "xyz")
+    text += "".join(f"property {kinds.get(name, 'float32')} {name}\n" for name in columns) + "end_header\n"
+    for row, point in enumerate(points):
+        values = [f"{value:.4f}" for value in point]
+        values += [str(each[row]) if name in kinds else f"{each[row]:.4f}" for name, each in columns.items()]
+        text += " ".join(values) + "\n"
+    return text
