@@ -115,4 +115,3 @@ def report(
     print(f"figures: {made.figures[0].parent} ({', '.join(path.stem for path in made.figures[::2])}; PNG and SVG)")
     if opens and not webbrowser.open(made.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {made.page} in one")
-

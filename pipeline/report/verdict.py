@@ -6,12 +6,12 @@ those of `results.overview`, which the terminal also gives; here they get refere
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
+
+import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
@@ -22,8 +22,7 @@ from ..results.gate import Criterion, judge_run
 from ..results.overview import run_overview, verdict_sentence
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..storage.record import unmatched_worst
-from .figures.thumbnails import around, thumbnail
-from .look import SIDE_COLOURS
+from .camera import Camera, box_around, inside, object_address
 from .results import PairTables, RunResults
 from .terminal.layout import mean_and_spread, number, percent, signed
 from .terminal.run import coverage_rows, surface_line, unmatched_lines
@@ -60,12 +59,18 @@ class Tile:
 
 @dataclass(frozen=True)
 class Picture:
-    """One of the worst objects: where it is shown, what it is and what is wrong, its points as a PNG in base64."""
+    """One of the worst objects: where it is shown, what it is, what is wrong, and how both sides look in one box.
+
+    layers : by side the SVG path of its points, the upper one last; of an unmatched object all that the other side has
+    bar, bar_m : a bar of some metres as the scale
+    """
 
     link: str
     title: str
     what: str
-    png: str
+    layers: dict[str, str]
+    bar: float
+    bar_m: float
 
 
 @dataclass(frozen=True)
@@ -128,11 +133,6 @@ def limits_in_words() -> str:
         "not the paper's: each side about half a metre from the other on average, and the upper end of what is usual "
         "for a twin that was meshed from scans"
     )
-
-
-def link_to(pair_id: str, side: str, object_id: int) -> str:
-    """The part of a report's address that opens one object, such as `#pair=0007&object=real%203`."""
-    return f"#pair={quote(pair_id, safe='')}&object={quote(f'{side} {object_id}')}"
 
 
 def _sentence(text: str) -> str:
@@ -215,15 +215,20 @@ def _picture(results: RunResults, one: WorstObject) -> Picture:
     if one.status == "matched":
         row = tables.matched[tables.matched.real_id == one.object_id].iloc[0]
         clouds = {"real": own, "sim": tables.clouds["sim"].members(row.sim_id)}
+        low, high = box_around(np.concatenate([*clouds.values()]))
     else:
         (other,) = set(SIDES) - {one.side}
-        clouds = {other: around(tables.clouds[other].points, own), one.side: own}
-    png = thumbnail([(points, SIDE_COLOURS[side]) for side, points in clouds.items()])
+        low, high = box_around(own)
+        around = tables.clouds[other].points
+        clouds = {other: around[inside(around, low, high)], one.side: own}
+    camera = Camera(low, high)
     return Picture(
-        link=link_to(one.pair_id, one.side, one.object_id),
+        link=object_address(one.pair_id, f"{one.side} {one.object_id}"),
         title=f"{one.label}, {one.range_m:.0f} m away, {one.n_points:,} points",
         what=one.what,
-        png=base64.b64encode(png).decode("ascii"),
+        layers={side: camera.path(points) for side, points in clouds.items()},
+        bar=camera.bar_m * camera.scale,
+        bar_m=camera.bar_m,
     )
 
 

@@ -12,6 +12,7 @@ from ...results.compare import Comparison
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
 from ...results.history import History
+from ..camera import FRAME
 from ..charts import change_chart, history_chart
 from ..look import shortened_middle
 from ..terminal.compare import (
@@ -31,7 +32,7 @@ from ..terminal.compare import (
 from ..terminal.floor import both_excesses_table
 from ..terminal.history import arrowed, history_decision, history_remarks
 from ..terminal.layout import number, signed
-from .pictures import FRAME, draw_change, report_link
+from .pictures import draw_change, report_link
 from .render import render
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200

@@ -11,6 +11,7 @@ import pandas as pd
 from ....schemas.metrics import METRIC, metric_of
 from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
+from ..camera import FRAME
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
 from ..results import OBJECT_COVERAGE, OBJECT_ROAD, RunResults
@@ -79,6 +80,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "title": results.run.folder.resolve().name,
         "preset": preset_line(record),
         "verdict": verdict_of(results, excess),
+        "frame": FRAME,
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
