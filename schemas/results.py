@@ -332,7 +332,7 @@ class Failing(_Band):
 
     kind : "missing", "hallucinated", or a quadrant that is not faithful
     n, n_objects : so many of so many: of the simulated objects where hallucinated, else of the real ones
-    n_there : of the missing or hallucinated ones those whose surface the other side has, only divided differently
+    n_there : so many more are missing or hallucinated only because they are divided differently: their surface is there
     words : the same in words
     """
 

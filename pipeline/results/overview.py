@@ -54,9 +54,10 @@ BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's siz
 NO_LABEL = "(no label)"
 
 _FAITHFUL, *_FAILED = QUADRANTS
-_KINDS = ("missing", "hallucinated", *_FAILED)
+_ALONE = ("missing", "hallucinated")
+_KINDS = (*_ALONE, *_FAILED)
 _VERDICT_NAMES = (*(key.replace(" ", "_") for key in QUADRANTS), "unjudged", "missing")
-_ALL, _THERE = "all", " there"  # beside the fates of objects: how many there are, and whose surface the other side has
+_ALL, _THERE = "all", " there"  # beside the fates: all objects, and those whose surface the other side has
 _STATES = {"partly": "partly there", "absent": "absent"}
 
 
@@ -93,7 +94,8 @@ class Tally:
     r_lambda. So a large object that is gone comes before one that is badly made, and both before a handful of points.
 
     Failings: by class, range band and kind, n of n_objects, if at least 3 of at least 5; by n^2 / n_objects, largest
-    first: how many they are, times the share of such objects. Ties by kind, class and band.
+    first: how many they are, times the share of such objects. Ties by kind, class and band. Missing and hallucinated
+    objects whose surface the other side has are only divided differently, and no failing.
     """
 
     def __init__(self) -> None:
@@ -140,7 +142,8 @@ class Tally:
         groups: dict[tuple[str, int, str], Counter[str]] = {}  # label, band, side: objects by fate, and those there
         for (side, label, shape, band, fate, is_there), n in self._counts.items():
             own = groups.setdefault(((label or NO_LABEL) if is_labelled else shape, band, side), Counter())
-            own.update({fate: n, _ALL: n, fate + _THERE: n * is_there})
+            is_gone = not (is_there and fate in _ALONE)
+            own.update({_ALL: n, (fate if is_gone else fate + _THERE): n})
         named = [
             (-(own[kind] ** 2) / own[_ALL], i, group)
             for group, own in groups.items()
@@ -287,8 +290,8 @@ def _failing(kind: str, group: tuple[str, int, str], own: Counter[str]) -> Faili
     label, band, _ = group
     from_m, to_m = BAND_EDGES_M[band], (*BAND_EDGES_M, None)[band + 1]
     where = f"beyond {from_m:g} m" if to_m is None else f"at {from_m:g} to {to_m:g} m"
-    n_there = own[kind + _THERE] if kind in ("missing", "hallucinated") else 0
-    there = f" ({n_there} of them there, only divided differently)" if n_there else ""
+    n_there = own[kind + _THERE]
+    there = f" ({n_there} more are there, only divided differently)" if n_there else ""
     words = f"{label} {where}: {QUADRANTS.get(kind, kind)} {own[kind]} of {own[_ALL]}{there}"
     return Failing(
         label=label, from_m=from_m, to_m=to_m, kind=kind, n=own[kind], n_objects=own[_ALL], n_there=n_there, words=words

@@ -357,7 +357,7 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
         nearest = rows[(rows.pair_id == pair_id) & (rows.side == side)].sort_values("community_id").nearest_m
         np.testing.assert_allclose(nearest, np.where(apart.min(axis=1) <= 20, apart.min(axis=1), np.nan))
     assert "nearest" in set(pd.read_parquet(again / "timings.parquet").query("stage == 'neighbours'").step)
-    assert re.search(r"neighbours +2", package.fidpipe("status", again).stdout)
+    assert re.search(r"done of all pairs: .*neighbours", package.fidpipe("status", again).stdout)
     assert made_again(package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5", "--replace")) == {
         "neighbours"
     }

@@ -94,7 +94,7 @@ def test_seconds_are_kept_by_stage_and_pair_and_status_shows_them(finished):
     louvain = timings[timings.step == "louvain"].seconds.sum() / 3
     assert seconds["mean"]["communities"]["louvain"] == pytest.approx(louvain)
     assert run_status(folder).mean_seconds == seconds["mean"]
-    shown = command("status", folder).stdout
+    shown = command("status", folder, "--timings").stdout
     for figure in ("544", "596", "1505", "1532", "7120"):
         assert figure in shown
 
@@ -103,8 +103,9 @@ def test_a_run_shows_findings_and_the_claims(finished):
     data, folder, _ = finished
     result = command("run", data, "--out", folder, "--workers", 1)
     assert result.returncode == 0
-    assert "Rank correlation of CDC and r_lambda" in result.stdout
-    assert "<b>odd</b>" in result.stdout
+    shown = command("show", folder, "--all").stdout
+    assert "Rank correlation of CDC and r_lambda" in shown
+    assert "<b>odd</b>" in shown
     claims = command("show", folder, "--paper")
     assert claims.returncode == 0
     assert "0.37 ± 0.03" in claims.stdout
@@ -137,7 +138,7 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
     console = Console(file=StringIO(), width=300)
-    console.print(summary_view(outcome.folder, [first], outcome.record))
+    console.print(summary_view(outcome.folder, [first], outcome.record, outcome.record.overview, with_all=True))
     (line,) = (line for line in console.file.getvalue().splitlines() if "geometry: 0 the same points" in line)
     assert f"{n_scored - 1} of {n_scored} " in line
     assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line
