@@ -49,6 +49,7 @@ _HEADINGS = {
 #: Decimals of what is told of an object: of metres so many that centimetres are seen.
 _FACT_DIGITS, _METRE_DIGITS = 3, 2
 
+
 def page_data(results: RunResults) -> dict[str, Any]:
     """What the page's JavaScript reads of the whole run: charts, colours, tables; no points."""
     pairs_note = "Worst first, by the mean of the ranks in match rate, CDC and r_lambda."
@@ -111,7 +112,10 @@ def _headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
 def _facts(results: RunResults) -> dict[str, dict[str, Any]]:
     """By what is told of a chosen object, its heading and its decimals."""
     return {
-        key: {"title": title, "digits": 0 if key == "bearing_deg" else _METRE_DIGITS if key.endswith("_m") else _FACT_DIGITS}
+        key: {
+            "title": title,
+            "digits": 0 if key == "bearing_deg" else _METRE_DIGITS if key.endswith("_m") else _FACT_DIGITS,
+        }
         for key, title in _headings(results, FACTS).items()
     }
 
