@@ -15,6 +15,8 @@ FLAGS = (
 )
 
 
+#: Whether the points of a pair are drawn, in JavaScript.
+IN_3D = "Boolean(document.getElementById('scene').data)"
 PROGRAMS = ("chromium", "chromedriver")
 
 
@@ -41,6 +43,7 @@ def start_browser(profile):
 def open_page(browser, path, fragment=""):
     browser.get(path.as_uri() + fragment)
     wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
+    wait_for(browser, "const viewer = document.getElementById('viewer'); return !viewer || viewer.hidden || " + IN_3D)
     settle(browser)
 
 

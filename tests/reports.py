@@ -1,8 +1,10 @@
 """A small finished run to report on, with names of pairs and classes that try to break what they are written into."""
 
+import base64
 import csv
 import json
 import re
+import zlib
 
 import numpy as np
 
@@ -56,3 +58,24 @@ def reference_run(folder):
 def embedded(page):
     """What the JavaScript of a page reads, from the page's text."""
     return json.loads(re.search(r'<script type="application/json" id="report">(.*?)</script>', page, re.S)[1])
+
+
+def unpacked(view):
+    """The columns of a pair in a page by name, as the browser unpacks them."""
+    columns, content = {}, zlib.decompress(base64.b64decode(view["packed"]["deflated"]))
+    for name, width, n in view["packed"]["parts"]:
+        part, content = content[: width * n], content[width * n :]
+        if width == 1:
+            columns[name] = np.frombuffer(part, np.uint8)
+        else:
+            steps = [sum(part[k * n + i] << (8 * k) for k in range(width)) for i in range(n)]
+            sums = np.cumsum(steps) % 2 ** (8 * width)
+            columns[name] = np.where(sums >= 2 ** (8 * width - 1), sums - 2 ** (8 * width), sums)
+    assert content == b""
+    return columns
+
+
+def points_in(view, name):
+    """(n, 3) metres, points of a pair in a page: "real", "sim", "real_road", "sim_road"."""
+    columns = unpacked(view)
+    return np.column_stack([columns[f"{name}_{axis}"] for axis in "xyz"]) * view["step_m"]

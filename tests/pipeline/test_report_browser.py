@@ -4,18 +4,21 @@ import io
 import json
 import os
 import shutil
+from urllib.parse import quote, unquote
 
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
 from fidpipe.pipeline.report.page.compare import compare_page
 from fidpipe.pipeline.report.page.page import write_report
+from fidpipe.pipeline.report.page.pair import pair_view
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.results.compare import compare_runs
-from reports import HOSTILE_CLASS, HOSTILE_PAIRS
+from reports import HOSTILE_CLASS, HOSTILE_PAIRS, points_in
 
 pytestmark = pytest.mark.slow
 
@@ -59,11 +62,19 @@ def opened(browser, page_path):
 
 
 @pytest.fixture
-def page(browser, opened):
+def page(browser, opened, page_path):
     """The page as it is opened: wide, light, the first pair, no object chosen."""
     resize(browser, WIDTHS[0])
+    if browser.current_url.partition("#")[0] != page_path.as_uri():
+        open_page(browser, page_path)
     for name, value in (("theme", "auto"), ("pair", FIRST_PAIR), ("colour", "side"), ("object", "")):
         choose(browser, name, value)
+    browser.execute_script(
+        "for (const [name, value] of [['lie', 'as_they_lie'], ['object_colour', 'side']])"
+        " document.getElementById(name).value = value;"
+        "for (const [name, isOn] of [['show_lines', false], ['show_others', false], ['show_road', true]])"
+        " document.getElementById(name).checked = isOn"
+    )
     browser.execute_script(
         "for (const box of document.querySelectorAll('input[type=search]')) {"
         " box.value = ''; box.dispatchEvent(new Event('input')); }"
@@ -108,6 +119,32 @@ def sort_by(browser, name, title):
             browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
             return button.click()
     raise AssertionError(f"no column {title}")
+
+
+def address(pair, name=None):
+    """What an address of a page ends in to open a pair, or an object of it."""
+    return f"#pair={quote(pair, safe='')}" + (f"&object={quote(name, safe='')}" if name else "")
+
+
+def fragment(browser):
+    return browser.execute_script("return decodeURIComponent(location.hash)")
+
+
+def drawn(browser, place, name):
+    """(n, 3) the points of a trace of a plot in space."""
+    script = """const trace = document.getElementById(arguments[0]).data.find(({name}) => name === arguments[1]);
+    return trace ? [trace.x, trace.y, trace.z].map((values) => Array.from(values)) : [[], [], []]"""
+    return np.array(browser.execute_script(script, place, name), dtype=float).T
+
+
+def camera_of(browser):
+    return browser.execute_script("return document.getElementById('scene')._fullLayout.scene.camera.center")
+
+
+def turn_on(browser, name, is_on=True):
+    if by_id(browser, name).is_selected() != is_on:
+        by_id(browser, name).click()
+        settle(browser)
 
 
 def shown_numbers(browser):
@@ -159,7 +196,7 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     row = metrics.loc[int(by_id(page, "object").get_attribute("value").removeprefix("real "))]
     shown = shown_numbers(page)
     for column in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m"):
-        assert shown[column] == f"{row[column]:.6f}", column
+        assert shown[column] == f"{row[column]:.{2 if column.endswith('_m') else 3}f}", column
     assert shown["n_keep"] == f"{row.n_keep:,}"
     assert (pixels(page, "scene") != picture).any(axis=2).sum() > 50, "the object is marked"
 
@@ -169,13 +206,16 @@ def test_a_chosen_object_has_its_numbers_points_and_spectra(page, run_folder):
     for row in metrics[metrics.pair_id == FIRST_PAIR].head(2).itertuples():
         choose(page, "object", f"real {row.real_id}")
         shown = shown_numbers(page)
-        assert shown["cdc"] == f"{row.cdc:.6f}"
-        assert shown["r_lambda"] == f"{row.r_lambda:.6f}"
+        assert shown["cdc"] == f"{row.cdc:.3f}"
+        assert shown["r_lambda"] == f"{row.r_lambda:.3f}"
         assert f"largest shift {row.max_eigenvalue_shift:.3f}" in by_id(page, "spectrum").text
-        assert f"{row.max_eigenvalue_shift:.4f} / {row.laplacian_change:.4f}" in by_id(page, "spectrum_note").text
-        assert f"({row.n_keep:,} of {row.n_real:,})" in by_id(page, "object_real_note").text
-    assert near(pixels(page, "object_real"), BLUE).sum() > 50
-    assert near(pixels(page, "object_sim"), VERMILLION).sum() > 50
+        assert f"{row.max_eigenvalue_shift:.3f} / {row.laplacian_change:.3f}" in by_id(page, "spectrum_note").text
+        note = by_id(page, "overlay_note").text
+        assert f"{row.n_real:,} of {row.n_real:,} real points, {row.n_sim:,} of {row.n_sim:,} simulated points" in note
+        assert f"{row.n_keep:,} nodes a side are kept" in note
+    both = pixels(page, "overlay")
+    assert near(both, BLUE).sum() > 50
+    assert near(both, VERMILLION).sum() > 50
 
 
 def test_tables_sort_and_filter(page, run_folder):
@@ -227,7 +267,7 @@ def test_the_keyboard_reaches_the_objects(page):
     page.execute_script("document.getElementById('object').focus()")
     ActionChains(page).send_keys(Keys.TAB, Keys.TAB, Keys.ENTER).perform()
     wait_for(page, "return !document.getElementById('panel').hidden")
-    first = page.execute_script("return document.querySelector('#pairs_table tbody button')")
+    first = page.execute_script("return document.querySelector('#pairs_table tbody a')")
     first.send_keys(Keys.ENTER)
     settle(page)
     assert by_id(page, "pair").get_attribute("value") == first.text
@@ -243,17 +283,22 @@ def test_hostile_names_are_shown_as_they_are_but_for_direction_marks(page):
     assert complaints(page) == []
 
 
-def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, run_folder):
-    index = write_report(run_folder, one_page_a_pair=True).page
+def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, run_folder, tmp_path):
+    index = write_report(run_folder, one_page_a_pair=True, out=tmp_path).page
     resize(browser, WIDTHS[0])
     requests(browser), complaints(browser)
     open_page(browser, index)
     links = {a.text: a.get_attribute("href") for a in browser.find_elements("css selector", "#pairs_table td a")}
     assert len(links) == len(HOSTILE_PAIRS)
-    browser.get(links[FIRST_PAIR] + "#real%200")
-    wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
-    assert by_id(browser, "pair").get_attribute("value") == FIRST_PAIR
-    assert by_id(browser, "object").get_attribute("value") == "real 0"
+    asked = address(FIRST_PAIR, "real 0")
+    for start in (links[FIRST_PAIR].partition("#")[0], index.as_uri()):
+        browser.get("about:blank")
+        browser.get(start + asked)
+        wait_for(browser, "return document.getElementById('object').value === 'real 0'")
+        assert browser.current_url.partition("#")[0] == links[FIRST_PAIR].partition("#")[0]
+        assert fragment(browser) == unquote(asked)
+        assert by_id(browser, "pair").get_attribute("value") == FIRST_PAIR
+        assert by_id(browser, "panel").is_displayed()
     assert complaints(browser) == []
     assert all(url.startswith(index.parent.as_uri()) for url in requests(browser))
 
@@ -267,8 +312,8 @@ def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
             "plot.emit('plotly_click', {points: [{customdata}]}); return customdata",
             chart,
         )
+        wait_for(page, f"return document.getElementById('object').value === '{point[1]}'")
         assert by_id(page, "pair").get_attribute("value") == names[point[0]]
-        assert by_id(page, "object").get_attribute("value") == point[1]
     assert complaints(page) == []
 
 
@@ -297,12 +342,14 @@ def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_ref
     choose(browser, "colour", "distance")
     tables = PairTables(results, pair_id)
     sims = tables.clouds["sim"]
+    view = pair_view(results, pair_id)
+    nearest = {side: cKDTree(cloud.points).query(points_in(view, side))[1] for side, cloud in tables.clouds.items()}
     traces = browser.execute_script(
         "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"
     )
     for (side, distance_m), (texts, colours) in zip(tables.distances_m.items(), traces, strict=True):
         assert len(texts) == len(colours) == len(distance_m), "few points, of which none is left out"
-        for text, colour, value_m in zip(texts, colours, distance_m, strict=True):
+        for text, colour, value_m in zip(texts, colours, distance_m[nearest[side]], strict=True):
             shown = text.rpartition("<br>")[2]
             assert shown.endswith("to the other side"), side
             is_far = value_m >= 1 - 0.5 / 255
@@ -318,8 +365,154 @@ def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_ref
     assert len(table(browser, "objects_table")) == (covered.covered_0p3m > 0.2).sum() == 2
     # The few simulated points of a missing object belong to it, not to any other.
     lone = {f"real {own.community_id}:" for own in tables.unmatched.itertuples() if own.side == "real"}
-    few = [text for text, i in zip(traces[1][0], sims.community, strict=True) if f"real {i}:" in lone]
+    few = [text for text, i in zip(traces[1][0], sims.community[nearest["sim"]], strict=True) if f"real {i}:" in lone]
     assert len(few) == 3 or pair_id == "1"
     assert few
     assert all(any(text.startswith(name) for name in lone) for text in few)
     assert complaints(browser) == []
+
+
+@pytest.mark.parametrize("pair", HOSTILE_PAIRS)
+def test_a_link_opens_the_page_at_an_object_of_any_pair(browser, page_path, pair):
+    resize(browser, WIDTHS[0])
+    browser.get("about:blank")
+    complaints(browser)
+    open_page(browser, page_path, address(pair, "real 1"))
+    wait_for(browser, "return document.getElementById('object').value === 'real 1'")
+    assert by_id(browser, "pair").get_attribute("value") == pair
+    assert by_id(browser, "panel").is_displayed()
+    assert by_id(browser, "asked").text == ""
+    assert complaints(browser) == []
+
+
+def test_a_changed_address_shows_its_object_and_says_what_is_not_there(page):
+    def ask(ending):
+        page.execute_script("location.hash = arguments[0]", ending)
+        settle(page)
+        return by_id(page, "asked").text
+
+    assert ask(address(HOSTILE_PAIRS[2], "real 1")) == ""
+    wait_for(page, "return document.getElementById('object').value === 'real 1'")
+    assert by_id(page, "pair").get_attribute("value") == HOSTILE_PAIRS[2]
+    assert "There is no scored pair nowhere in this run." in ask(address("nowhere", "real 1"))
+    assert "has no object real 999" in ask(address(FIRST_PAIR, "real 999"))
+    assert ask(address(FIRST_PAIR)) == ""
+    assert by_id(page, "object").get_attribute("value") == ""
+    partner = page.execute_script("return document.getElementById('object').options[1].textContent").split()
+    assert ask(address(FIRST_PAIR, f"sim {partner[3].strip(':')}")) == "", "the simulated name of a matched object"
+    assert by_id(page, "object").get_attribute("value") == f"real {partner[1].strip(',')}"
+
+
+def test_next_and_previous_move_camera_list_address_and_table(page):
+    whole = camera_of(page)
+    names = page.execute_script(
+        "return [...document.getElementById('object').options].map(({value}) => value).slice(1)"
+    )
+    seen = []
+    for name in names[:3]:
+        by_id(page, "next").click()
+        settle(page)
+        assert by_id(page, "object").get_attribute("value") == name
+        assert fragment(page) == f"#pair={FIRST_PAIR}&object={name}"
+        rows = page.find_elements("css selector", "#objects_table tr[aria-current]")
+        assert [row.text.split(",")[0].split(" \n")[0][: len(name)] for row in rows] == [name]
+        seen.append(camera_of(page))
+        corners = drawn(page, "scene", "chosen")
+        middle = (np.nanmin(corners, axis=0) + np.nanmax(corners, axis=0)) / 2
+        axes = page.execute_script(
+            "const {xaxis, yaxis, zaxis, aspectratio: {x, y, z}} = document.getElementById('scene')._fullLayout.scene;"
+            "return [[...xaxis.range, x], [...yaxis.range, y], [...zaxis.range, z]]"
+        )
+        looked_at = [
+            (value - (low + high) / 2) / (high - low) * ratio
+            for value, (low, high, ratio) in zip(middle, axes, strict=True)
+        ]
+        assert [seen[-1][axis] for axis in "xyz"] == pytest.approx(looked_at, abs=1e-6)
+    assert whole not in seen
+    by_id(page, "previous").click()
+    settle(page)
+    assert camera_of(page) == pytest.approx(seen[1])
+    choose(page, "object", "")
+    assert camera_of(page) == pytest.approx(whole)
+
+
+def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, run_folder):
+    metrics = pd.read_parquet(run_folder / "metrics")
+    row = metrics[(metrics.pair_id == FIRST_PAIR) & (metrics.n_keep > 20)].iloc[0]
+    choose(page, "object", f"real {row.real_id}")
+    real, as_lie = drawn(page, "overlay", "own real"), drawn(page, "overlay", "own sim")
+    assert (len(real), len(as_lie)) == (row.n_real, row.n_sim), "all points"
+    ranges = "return ['x', 'y', 'z'].map((a) => document.getElementById('overlay')._fullLayout.scene[`${a}axis`].range)"
+    box = page.execute_script(ranges)
+    choose(page, "lie", "aligned")
+    turn_on(page, "show_lines")
+    aligned, lines = drawn(page, "overlay", "own sim"), drawn(page, "overlay", "lines")
+    assert drawn(page, "overlay", "own real") == pytest.approx(real)
+    move = (aligned - as_lie)[0]
+    assert np.linalg.norm(move) > 0.01
+    assert np.abs(aligned - as_lie - move).max() < 1e-5
+    ends = lines.reshape(-1, 3, 3)[:, :2]
+    assert len(ends) == row.n_keep
+    apart = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    assert np.sqrt((apart**2).mean()) == pytest.approx(row.alignment_rms_m, abs=0.01)
+    assert f"moved by ({move[0]:.2f}, {move[1]:.2f}, {move[2]:.2f}) m" in by_id(page, "overlay_note").text
+    assert page.execute_script(ranges) == box, "one box for both"
+    choose(page, "object_colour", "kept")
+    kept, left_out = (drawn(page, "overlay", f"{name}, real") for name in ("kept", "left out"))
+    assert len(kept) == row.n_keep
+    assert len(left_out) == row.n_real - row.n_keep
+    choose(page, "object_colour", "distance")
+    colours = page.execute_script(
+        "return document.getElementById('overlay').data.flatMap(({marker}) => marker?.color ?? [])"
+    )
+    assert len(set(colours)) > 10
+    choose(page, "lie", "as_they_lie")
+    assert drawn(page, "overlay", "own sim") == pytest.approx(as_lie)
+
+
+def test_road_and_sensor_are_seen_and_road_can_be_left_out(page):
+    assert drawn(page, "scene", "sensor").tolist() == [[0, 0, 0]]
+    assert drawn(page, "scene", "forward")[1].tolist() == [4, 0, 0]
+    for side in ("real", "sim"):
+        road = drawn(page, "scene", f"road {side}")
+        assert len(road) > 100
+        assert np.median(road[:, 2]) == pytest.approx(-1.7, abs=0.02), "where the road of these scenes is"
+        assert road[:, 2].max() < -1.2, "nothing of the objects"
+    assert "road" in by_id(page, "legend").text
+    with_road = pixels(page, "scene")
+    turn_on(page, "show_road", False)
+    assert (pixels(page, "scene") != with_road).any(axis=2).sum() > 200
+    assert "road" not in by_id(page, "legend").text
+    turn_on(page, "show_road")
+
+
+def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(page, run_folder):
+    results = read_results(run_folder)
+    lone = PairTables(results, FIRST_PAIR).unmatched
+    for row in lone.head(3).itertuples():
+        choose(page, "object", f"{row.side} {row.community_id}")
+        share = getattr(row, f"road_share_{row.side}")
+        shown = shown_numbers(page)[f"road_share_{row.side}"]
+        assert float(shown) == pytest.approx(share, abs=5e-4)
+        other = {"real": "simulated", "sim": "real"}[row.side]
+        said = f"{round(100 * share)} % of it is road on the {other} side" in by_id(page, "overlay_note").text
+        assert said == (share >= 0.005)
+        assert not by_id(page, "lie").is_enabled()
+        assert len(drawn(page, "overlay", f"own {row.side}")) == row.n_points
+
+
+def test_the_panel_stands_beside_the_view_or_below_it_on_a_phone(page):
+    def place(name):
+        return page.execute_script(
+            "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", name
+        )
+
+    choose(page, "object", "real 0")
+    page.execute_script("document.getElementById('view').scrollIntoView()")
+    settle(page)
+    scene, overlay, numbers = map(place, ("scene", "overlay", "panel_numbers"))
+    assert overlay["left"] >= scene["right"]
+    assert scene["top"] < overlay["bottom"] < numbers["top"] + 120 < 900, "all of it above the fold"
+    resize(page, WIDTHS[1])
+    settle(page)
+    assert place("panel")["top"] >= place("scene")["bottom"]

@@ -1,7 +1,7 @@
 """What a page holds of one pair: its objects, the points of both sides, road, aligned nodes, spectra.
 
-Points are whole numbers of a small step. They and all else that is many are packed: sorted so that neighbours follow
-one another, each number less the one before it, low bytes before high ones, deflated, in base64. The browser undoes it.
+Points are whole numbers of a small step. What is many is packed: sorted so that neighbours follow one another, each
+number less the one before it, low bytes before high ones, deflated, in base64. The browser undoes that.
 """
 
 from __future__ import annotations
@@ -177,9 +177,8 @@ def _packed(columns: dict[str, Any]) -> dict[str, Any]:
     content, parts = b"", []
     for name, values in columns.items():
         width = values.dtype.itemsize
-        if width > 1:
-            values = np.diff(values, prepend=values.dtype.type(0)).astype(f"<i{width}")
-        content += np.ascontiguousarray(values).view(np.uint8).reshape(-1, width).T.tobytes()
+        steps = values if width == 1 else np.diff(values, prepend=values.dtype.type(0)).astype(f"<i{width}")
+        content += np.ascontiguousarray(steps).view(np.uint8).reshape(-1, width).T.tobytes()
         parts.append([name, width, len(values)])
     return {"parts": parts, "deflated": base64.b64encode(zlib.compress(content, 9)).decode("ascii")}
 
