@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import nsmallest
+from pathlib import Path
 from typing import overload
 
 import numpy as np
@@ -35,6 +36,7 @@ from ...stages.statistics.findings import BAND_EDGES_M
 from ..datasets.frame_checks import frames_summary
 from .findings import ObjectRows, SideRows, read_objects
 from .finished import FinishedRun
+from .floor import FLOOR_RECIPE
 from .quadrants import QUADRANTS, UNKNOWN, quadrant_of
 
 #: The five numbers, by column of `pairs`.
@@ -291,7 +293,7 @@ def _failing(kind: str, group: tuple[str, int, str], own: Counter[str]) -> Faili
     from_m, to_m = BAND_EDGES_M[band], (*BAND_EDGES_M, None)[band + 1]
     where = f"beyond {from_m:g} m" if to_m is None else f"at {from_m:g} to {to_m:g} m"
     n_there = own[kind + _THERE]
-    there = f" ({n_there} more are there, only divided differently)" if n_there else ""
+    there = f" ({n_there} more {'is' if n_there == 1 else 'are'} there, only divided differently)" if n_there else ""
     words = f"{label} {where}: {QUADRANTS.get(kind, kind)} {own[kind]} of {own[_ALL]}{there}"
     return Failing(
         label=label, from_m=from_m, to_m=to_m, kind=kind, n=own[kind], n_objects=own[_ALL], n_there=n_there, words=words
@@ -336,6 +338,8 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
     if record.preset != "reference":
         words = "each side is divided into objects by itself, and small changes move that; to compare simulators: "
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
+    if (Path(record.dataset) / FLOOR_RECIPE).exists():
+        return  # it is a floor itself
     yield Caution(
         kind="floor",
         words=f"what a perfect simulator would score is not known from this run: fidpipe floor {record.dataset}",

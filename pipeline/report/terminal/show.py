@@ -68,7 +68,11 @@ def as_view(
     if pair is not None:
         view = pair_view(pair_facts(run, pair))
         return view if excess is None else Group(view, pair_excess_view(excess, pair))
-    view = summary_view(run.folder, run.rows, run.record, run_overview(run), with_all=with_all)
+    overview = run_overview(run)
+    if overview and excess:
+        trust = tuple(caution for caution in overview.trust if caution.kind != "floor")
+        overview = overview.model_copy(update={"trust": trust})
+    view = summary_view(run.folder, run.rows, run.record, overview, with_all=with_all)
     return view if excess is None else Group(view, excess_view(excess))
 
 
