@@ -68,6 +68,7 @@ function drawOverlay(pair, place) {
   const { points } = pair;
   const isAligned = Boolean(object.move) && byId("lie").value === "aligned";
   const move = isAligned ? object.move : [0, 0, 0];
+  byId("show_others").disabled = isAligned; // they are not moved
   const places = Object.fromEntries(SIDES.map((side) => [side, ownPlaces(points, side, place)]));
   const asLies = at(points.sim, places.sim);
   const sets = { real: at(points.real, places.real), sim: shifted(asLies, move) };
@@ -102,7 +103,9 @@ function drawOverlay(pair, place) {
   const key = `${pair.name} ${object.name}`;
   const before = panel.key === key ? byId("overlay").layout?.scene?.camera : null;
   panel.key = key;
-  drawInSpace("overlay", data, before ?? cameraAt(ranges, ranges, 0.95 * size_m), ranges);
+  const { offsetWidth, offsetHeight } = byId("overlay");
+  const farther = Math.max(0.95, (1.3 * offsetHeight) / offsetWidth); // where the window is narrow
+  drawInSpace("overlay", data, before ?? cameraAt(ranges, ranges, farther * size_m), ranges);
   sayOverlay(object, places, lines, isAligned);
 }
 
@@ -160,11 +163,12 @@ function lineEnds({ lines, real, sim }, chosen, move) {
 
 function sayOverlay(object, places, lines, isAligned) {
   const sides = Object.keys(object.owns);
-  const parts = sides.map((side) => {
-    const n = object.side ? object.n_points : object[`n_${side}`];
-    return `${counted(places[side].length)} of ${counted(n)} ${SIDE_WORDS[side]} points`;
-  });
-  const told = [`${parts.join(", ")}.`];
+  const all = (side) => (object.side ? object.n_points : object[`n_${side}`]);
+  const parts = sides.map(
+    (side) => `${counted(places[side].length)} of ${counted(all(side))} ${SIDE_WORDS[side]} points`,
+  );
+  const isThinned = sides.some((side) => places[side].length < all(side));
+  const told = [`${parts.join(", ")}${isThinned ? ", thinned for display only" : ""}.`];
   if (object.side) {
     const road = roadWords(object);
     told.push(

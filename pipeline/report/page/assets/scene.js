@@ -129,7 +129,9 @@ function contextTraces({ points }) {
 function drawScene(camera = byId("scene").layout.scene.camera) {
   const { pair } = scene;
   const by = byId("colour").value;
-  const titles = pair.objects.map((object) => plotText(objectTitle(object)) + plotText(` ${roadWords(object)}`));
+  const titles = pair.objects.map((object) =>
+    [objectTitle(object), roadWords(object)].filter(Boolean).map(plotText).join("<br>"),
+  );
   const coloursOf = pointColours(pair, by);
   const traces = SIDES.map((side) => {
     const own = pair.points[side];
