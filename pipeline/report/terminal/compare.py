@@ -329,8 +329,10 @@ def _scores(comparison: Comparison) -> Table:
 def _objects(title: str, changes: Sequence[ObjectChange]) -> Table:
     """Some objects in 80 columns, whatever the names of pairs and classes."""
     _, *rows = object_table(changes)
-    columns = ("pair", "class", "object", "range\n(m)", "points", "CDC", "after", "r_lambda", "after")
-    named = [(shortened_middle(pair, 18), shortened_middle(label, 10), *cells) for pair, _, label, *cells in rows]
+    columns = ("pair", "real object", "range\n(m)", "points", "CDC", "after", "r_lambda", "after")
+    named = [
+        (shortened_middle(pair, 16), f"{shortened_middle(label, 10)} {i}", *cells) for pair, _, label, i, *cells in rows
+    ]
     return _table(title, columns, named, words=(0, 1))
 
 
