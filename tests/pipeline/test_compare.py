@@ -198,7 +198,7 @@ def test_pairs_that_are_not_common_are_left_out_with_the_reason(versions, tmp_pa
         **{HOSTILE[i]: f"not in {tmp_path / 'run'}" for i in (2, 4, 5)},
     }
     assert by_name(found)["CDC"].verdict == "undecided"
-    note = next(line for line in remarks(found) if line.startswith("undecided: match rate, "))
+    note = next(line for line in remarks(found) if line.startswith("undecided: all 12 scores: "))
     assert note.endswith("1 pair is too few for a 95 % interval, 6 are wanted")
 
 
