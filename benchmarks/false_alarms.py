@@ -5,8 +5,8 @@
 `compare`: as many scores as it judges, of pairs that differ by chance alone; a false alarm is any score that is called
 better or worse, and `compare --fail-on worse` fails where any is worse, or moved so far beyond the noise. Beside it the
 power: how often the first score is decided where its mean change is one or two standard deviations. The old rule (BCa
-bootstrap over pairs, each score for itself) is kept here only. With `--runs`, instead the changes of two real runs with the
-sign of each pair drawn at random, for all of its scores alike: equal simulators, whose scores depend on each other.
+bootstrap over pairs, each score for itself) is kept here only. With `--runs`, instead the changes of two real runs, the
+sign of each pair drawn at random for all of its scores alike: equal simulators, whose scores depend on each other.
 
 `claims`: datasets whose numbers know nothing of each other, and how often each claim holds on them; beside it how often
 the estimate alone is on the claim's side, which was the rule before. Power: datasets as the paper describes them.
@@ -257,9 +257,10 @@ def of_compare(repeats, runs=()):
         make, n_known = flipped(runs)
         cases = [(f"{n} pairs of real runs, signs at random", make, n) for n in (6, 10, n_known) if n <= n_known]
     for name, make, n in cases:
-        powers = (power(make, n, step, repeats) for step in (1.0, 2.0))
+        powers = [] if runs else [power(make, n, step, repeats) for step in (1.0, 2.0)]
         cells = (*rates_before(make, n, max(1, repeats // 4)), *rates(make, n, repeats), *powers)
-        print(f"| {name} | " + " | ".join(f"{100 * cell:.1f} %" for cell in cells) + " |", flush=True)
+        empty = " | " * (2 - len(powers))
+        print(f"| {name} | " + " | ".join(f"{100 * cell:.1f} %" for cell in cells) + f"{empty} |", flush=True)
 
 
 if __name__ == "__main__":
