@@ -1,11 +1,12 @@
 """How often are verdicts wrong by chance: of `fidpipe compare`, and of the paper's claims in `fidpipe show --paper`?
 
-    python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims]
+    python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims] [--runs RUN_A RUN_B]
 
 `compare`: as many scores as it judges, of pairs that differ by chance alone; a false alarm is any score that is called
 better or worse, and `compare --fail-on worse` fails where any is worse, or moved so far beyond the noise. Beside it the
 power: how often the first score is decided where its mean change is one or two standard deviations. The old rule (BCa
-bootstrap over pairs, each score for itself) is kept here only.
+bootstrap over pairs, each score for itself) is kept here only. With `--runs`, instead the changes of two real runs, the
+sign of each pair drawn at random for all of its scores alike: equal simulators, whose scores depend on each other.
 
 `claims`: datasets whose numbers know nothing of each other, and how often each claim holds on them; beside it how often
 the estimate alone is on the claim's side, which was the rule before. Power: datasets as the paper describes them.
@@ -13,11 +14,13 @@ the estimate alone is on the claim's side, which was the rule before. Power: dat
 
 import argparse
 import warnings
+from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
-from fidpipe.pipeline.results.compare import SCORES, SHARED_SCORES
+from fidpipe.pipeline.results.compare import SCORES, compare_runs
+from fidpipe.pipeline.results.followed import SHARED_SCORES
 from fidpipe.stages.statistics.claim_rules import HOLDS
 from fidpipe.stages.statistics.claims import check_claims
 from fidpipe.stages.statistics.comparison import blocks_of, far_beyond_noise, holm, judge, paired_difference
@@ -60,6 +63,19 @@ CASES = (
     ("500 pairs 0.2 s apart", neighbours, 500),
     ("8 copies, another seed", copies, 8),
 )
+
+
+def flipped(folders):
+    """Draws some pairs of a comparison of real runs, each as it is or with before and after swapped."""
+    (found,) = compare_runs([Path(folder) for folder in folders])
+    known = [name for name in found.pairs if all(score.of_pairs[name] is not None for score in found.scores)]
+    changes = np.array([[score.of_pairs[name] for name in known] for score in found.scores])
+
+    def make(rng, n):
+        chosen = rng.choice(len(known), n, replace=False)
+        return changes[:, chosen] * rng.choice([-1, 1], n), None
+
+    return make, len(known)
 
 
 def decided_now(change, blocks):
@@ -229,22 +245,28 @@ def of_claims(repeats):
         print(f"| {claim} | " + " | ".join("" if np.isnan(s) else f"{100 * s:.1f} %" for s in shares) + " |")
 
 
-def of_compare(repeats):
+def of_compare(repeats, runs=()):
     print(f"{repeats} repeats, {N_SCORES} scores; binomial error of 5 %: {np.sqrt(0.05 * 0.95 / repeats):.1%}")
     print(
         "| case | before: one score | before: any score | now: any score | far by chance | --fail-on worse fails "
         "| power 1 std | 2 std |"
     )
     print("|---|---|---|---|---|---|---|---|")
-    for name, make, n in CASES:
-        powers = (power(make, n, step, repeats) for step in (1.0, 2.0))
+    cases = CASES
+    if runs:
+        make, n_known = flipped(runs)
+        cases = [(f"{n} pairs of real runs, signs at random", make, n) for n in (6, 10, n_known) if n <= n_known]
+    for name, make, n in cases:
+        powers = [] if runs else [power(make, n, step, repeats) for step in (1.0, 2.0)]
         cells = (*rates_before(make, n, max(1, repeats // 4)), *rates(make, n, repeats), *powers)
-        print(f"| {name} | " + " | ".join(f"{100 * cell:.1f} %" for cell in cells) + " |", flush=True)
+        empty = " | " * (2 - len(powers))
+        print(f"| {name} | " + " | ".join(f"{100 * cell:.1f} %" for cell in cells) + f"{empty} |", flush=True)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=400)
     parser.add_argument("--of", choices=("compare", "claims"), default="compare")
+    parser.add_argument("--runs", nargs=2, default=(), metavar=("RUN_A", "RUN_B"))
     chosen = parser.parse_args()
-    (of_claims if chosen.of == "claims" else of_compare)(chosen.repeats)
+    of_claims(chosen.repeats) if chosen.of == "claims" else of_compare(chosen.repeats, chosen.runs)

@@ -121,10 +121,10 @@ def compare(
     Differences are paired (Student's t over pairs, Holm over the scores). Real objects are followed from run to run:
     those that vanished from the simulation, appeared in it, got better or worse.
 
-    Exit codes: 0 compared; 1 a run or setting is wrong; 2 wrong usage; 4 --fail-on found a score that is worse, or a
-    pair that the base has scored and that is no longer scored (or cannot be compared). Of equal simulators
-    --fail-on worse fails by chance in about 3 % of the cases or fewer (docs/faults.md). With fewer than 6 independent
-    pairs only breaks far beyond the noise are found; --fail-on undecided then fails.
+    Exit codes: 0 compared; 1 a run or setting is wrong; 2 wrong usage; 4 with --fail-on: a score is worse, moved to the
+    worse far beyond the noise, or a pair that the base has scored failed or is not compared. Of equal simulators
+    --fail-on worse failed in 0 to 5.5 % of 400 simulated comparisons (python benchmarks/false_alarms.py --of compare).
+    Fewer than 6 independent pairs show only breaks far beyond the noise; --fail-on undecided then fails.
 
     Examples
     --------

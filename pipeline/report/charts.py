@@ -272,18 +272,21 @@ def history_chart(score: ScoreHistory, names: Sequence[str]) -> Chart:
         hovertemplate="%{text}<br>%{y:.3f}<extra></extra>",
         error_y={"array": above, "arrayminus": below, "symmetric": False, "color": _SOFT, "thickness": 1.5, "width": 3},
         line={"color": _SOFT, "width": 1.5},
-        marker={
-            "size": 9,
-            "color": _INK,
-            "symbol": [
-                {"better": "triangle-up", "worse": "triangle-down"}.get(step.since_first, "circle") for step in steps
-            ],
-        },
+        marker={"size": 7, "color": _SOFT},
         cliponaxis=False,
     )
-    figure.add_hline(steps[0].mean, line={"color": _SOFT, "width": 1, "dash": "dot"}) if steps[
-        0
-    ].mean is not None else None
+    for verdict, symbol in (("better", "triangle-up"), ("worse", "triangle-down")):
+        own = [(place, step.mean) for place, step in zip(x, steps, strict=True) if step.since_first == verdict]
+        figure.add_scatter(
+            mode="markers",
+            x=[place for place, _ in own],
+            y=[mean for _, mean in own],
+            hoverinfo="skip",
+            marker={"size": 13, "color": of_theme(verdict), "symbol": symbol},
+            cliponaxis=False,
+        )
+    if steps[0].mean is not None:
+        figure.add_hline(steps[0].mean, line={"color": _SOFT, "width": 1, "dash": "dot"})
     figure.update_xaxes(tickvals=x, range=[0.6, len(names) + 0.4], showgrid=False, title_text="run", fixedrange=True)
     figure.update_yaxes(fixedrange=True)
     figure.update_layout(showlegend=False, margin={"l": 50, "r": 12, "t": 10, "b": 40})

@@ -72,9 +72,12 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
 def history_page(history: History) -> str:
     """The page of runs in a row: the decision, the runs, their scores, and a line for each score."""
     names = [shortened_middle(str(run.folder), 24) for run in history.runs]
-    rows: list[list[Any]] = [["score", *(f"{i}: {name}" for i, name in enumerate(names, start=1))]]
+    rows: list[list[Any]] = [
+        ["score", *(f"{i}: {shortened_middle(name, 14)}" for i, name in enumerate(names, start=1))]
+    ]
     for score in history.scores:
         cells = [(number(step.mean), step.since_first, step.since_last) for step in score.steps]
+        cells[1] = (*cells[1][:2], "")  # the first run is the one before
         rows.append([arrowed(score), *cells])
     runs = [["run", "folder", "made (UTC)", "scored pairs", "failed pairs"]]
     for i, run in enumerate(history.runs, start=1):

@@ -104,7 +104,11 @@ def remarks(comparison: Comparison) -> list[str]:
     for score in comparison.scores:
         if score.difference.why:
             undecided.setdefault(score.difference.why, []).append(score.name)
-    lines += [f"undecided: {', '.join(names)}: {why}" for why, names in undecided.items()]
+    n_all = len(comparison.scores)
+    lines += [
+        f"undecided: {', '.join(names) if len(names) < n_all else f'all {n_all} scores'}: {why}"
+        for why, names in undecided.items()
+    ]
     lines += _on_chance(comparison)
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
@@ -183,7 +187,7 @@ def with_arrow(score: ScoreChange) -> str:
 
 
 def score_table(comparison: Comparison) -> list[list[str]]:
-    """Headings, then one row per score: name, verdict, pairs that have it, before, after, change, its interval and p.
+    """Headings, then one row per score: name, verdict, before, after, change, its interval and p, pairs that have it.
 
     The name has an arrow to where it is better. Where both runs were repeated under other seeds, also whether the
     change is more than they alone would make; with a floor, whether it is more than measuring again makes.
@@ -192,7 +196,7 @@ def score_table(comparison: Comparison) -> list[list[str]]:
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
     rows = [
         [
-            *("score", "verdict", "pairs", "before", "after", "change", "from", "to", "p"),
+            *("score", "verdict", "before", "after", "change", "from", "to", "p", "pairs"),
             *["more than seeds make"] * with_seeds,
             *["more than the floor"] * with_floor,
         ]
@@ -329,8 +333,10 @@ def _scores(comparison: Comparison) -> Table:
 def _objects(title: str, changes: Sequence[ObjectChange]) -> Table:
     """Some objects in 80 columns, whatever the names of pairs and classes."""
     _, *rows = object_table(changes)
-    columns = ("pair", "class", "object", "range\n(m)", "points", "CDC", "after", "r_lambda", "after")
-    named = [(shortened_middle(pair, 18), shortened_middle(label, 10), *cells) for pair, _, label, *cells in rows]
+    columns = ("pair", "real object", "range\n(m)", "points", "CDC", "after", "r_lambda", "after")
+    named = [
+        (shortened_middle(pair, 16), f"{shortened_middle(label, 10)} {i}", *cells) for pair, _, label, i, *cells in rows
+    ]
     return _table(title, columns, named, words=(0, 1))
 
 

@@ -44,7 +44,8 @@ def history_decision(history: History) -> str:
     what = ", ".join(counts) or (
         f"all {n} scores are the same" if set(last) == {"same"} else "no difference can be told from chance"
     )
-    failed = f"{len(history.failed)} pairs that run 1 has scored fail now; of the others " if history.failed else ""
+    n_failed = f"{len(history.failed)} pair{'s' * (len(history.failed) != 1)}"
+    failed = f"{n_failed} that run 1 has scored fail now; of the others " if history.failed else ""
     return f"run {len(history.runs)} against run 1: {failed}{what}, with {pairs}"
 
 

@@ -1,0 +1,123 @@
+"""Runs in a row: the same scans in all of them, verdicts against the first and the one before, refusals."""
+
+import csv
+import io
+import json
+import shutil
+
+import pandas as pd
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.report.page.compare import history_page
+from fidpipe.pipeline.report.terminal.history import history_csv, history_decision, history_remarks, history_view
+from fidpipe.pipeline.results.compare import SCORES
+from fidpipe.pipeline.results.history import read_history
+from fidpipe.schemas.errors import RunError
+from reports import embedded
+from runs import run
+from scenes import drifted, street, write_bin
+
+LONG = "n008-2018-08-01-15-16-36-0400__LIDAR_TOP__1533151603597909"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Three versions of a simulator, the second one much worse, the third the first again without its last pair."""
+    folder = tmp_path_factory.mktemp("history")
+    for version, noise, keep in (("a", 0.02, 0.95), (f"b-{LONG}", 0.3, 0.6), ("c", 0.02, 0.95)):
+        for i in range(7):
+            scan = street(seed=10 * i)
+            write_bin(folder / f"data-{version}" / "real" / f"{i}.bin", scan)
+            write_bin(folder / f"data-{version}" / "sim" / f"{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep))
+        if version == "c":
+            (folder / "data-c" / "sim" / "6.bin").write_bytes(b"")
+        run(folder / f"data-{version}", folder / version)
+    return [folder / "a", folder / f"b-{LONG}", folder / "c"]
+
+
+def test_means_are_over_the_pairs_that_all_runs_have(runs):
+    found = read_history(runs)
+    assert found.pairs == tuple("012345")
+    assert list(found.left_out) == list(found.failed) == ["6"]
+    assert [(one.n_scored, one.n_failed) for one in found.runs] == [(7, 0), (7, 0), (6, 1)]
+    for i, folder in enumerate(runs):
+        pairs = pd.read_parquet(folder / "pairs.parquet").set_index("pair_id").loc[list(found.pairs)]
+        for column, score in zip(SCORES, found.scores, strict=True):
+            assert score.steps[i].mean == pytest.approx(pairs[column].mean())
+
+
+def test_verdicts_are_against_the_first_run_and_against_the_one_before(runs):
+    found = read_history(runs)
+    _, worse, back = next(score for score in found.scores if score.name == "simulated covered, 0.3 m").steps
+    assert (worse.since_first, worse.since_last) == ("worse", "worse")
+    assert (back.since_first, back.since_last) == ("same", "better")
+    assert worse.low <= worse.mean <= worse.high
+    assert back.low == back.mean == back.high
+    assert history_decision(found).startswith("run 3 against run 1: 1 pair that run 1 has scored fail now; ")
+    assert any("of the 3 comparisons" in line for line in history_remarks(found))
+
+
+def test_runs_stand_as_given_or_by_date(runs):
+    order = [runs[2], runs[0], runs[1]]
+    for i, folder in enumerate(runs):  # they may have been made within one second
+        path = folder / "run.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"written": f"2026-01-0{i + 1}T00:00:00+00:00"}))
+    as_given, by_date = read_history(order), read_history(order, by_date=True)
+    assert [one.folder for one in as_given.runs] == order
+    assert [one.folder for one in by_date.runs] == runs
+    assert any("--by-date" in note for note in as_given.notes)
+    assert not any("--by-date" in note for note in by_date.notes)
+
+
+def test_eight_runs_with_long_names_fit_80_columns(runs):
+    console = Console(width=80, highlight=False)
+    with console.capture() as capture:
+        console.print(history_view(read_history([runs[0], *[runs[1]] * 6, runs[2]])))
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert sum("…" in line and line.endswith("3603597909") for line in map(str.rstrip, lines)) == 6, "one line a run"
+    (covered,) = (line.split() for line in lines if line.strip().startswith("match rate"))
+    assert len(covered) == 3 + 8
+
+
+def test_csv_and_json_hold_every_step(runs):
+    found = read_history(runs)
+    rows = list(csv.DictReader(io.StringIO(history_csv(found))))
+    assert len(rows) == 3 * len(SCORES)
+    assert float(rows[0]["mean"]) == found.scores[0].steps[0].mean
+    told = json.loads(json.dumps(found.as_dict()))
+    assert told["runs"][1]["folder"] == str(runs[1])
+    assert told["scores"][0]["steps"][1]["mean"] == found.scores[0].steps[1].mean
+
+
+def test_the_page_has_a_line_for_each_score_with_its_intervals(runs):
+    found = read_history(runs)
+    charts = embedded(history_page(found))["charts"]
+    assert len(charts) == len(SCORES)
+    line = charts["history_0"]["data"][0]
+    step = found.scores[0].steps[1]
+    assert line["y"] == pytest.approx([own.mean for own in found.scores[0].steps])
+    assert line["error_y"]["array"][1] == pytest.approx(step.high - step.mean)
+
+
+def test_the_command_takes_up_to_eight_runs(runs, tmp_path):
+    words = ["compare", *map(str, runs), "--history", "--html", str(tmp_path / "page.html"), "--markdown"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert result.output.startswith("**run 3 against run 1: ")
+    assert (tmp_path / "page.html").exists()
+    refused = CliRunner().invoke(app, ["compare", *[str(runs[0])] * 9, "--history"])
+    assert refused.exit_code == 2
+    assert "9 runs given, 2 to 8 are wanted" in refused.output
+
+
+def test_runs_without_a_pair_that_all_have_are_refused(runs, tmp_path):
+    data = shutil.copytree(runs[0].parent / "data-a", tmp_path / "data")
+    for i in range(6):
+        (data / "sim" / f"{i}.bin").write_bytes(b"")
+    run(data, tmp_path / "run")
+    with pytest.raises(RunError, match="no pair is scored by all"):
+        read_history([runs[0], runs[2], tmp_path / "run"])
