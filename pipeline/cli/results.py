@@ -90,7 +90,7 @@ def report(
     """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
 
     RUN/report.html: verdict, scores, missing and invented objects, tables, the points of some pairs in 3D (the worst,
-    the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG and SVG.
+    the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG, SVG and PDF.
 
     An address that ends in #pair=0007&object=real%203 opens the page at that object.
 
@@ -112,6 +112,7 @@ def report(
     made = write_report(run, pairs, one_page_a_pair=folder, out=out, floor=floor)
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
-    print(f"figures: {made.figures[0].parent} ({', '.join(path.stem for path in made.figures[::2])}; PNG and SVG)")
+    figures = ", ".join(path.stem for path in made.figures if path.suffix == ".png")
+    print(f"figures: {made.figures[0].parent} ({figures}; PNG, SVG and PDF)")
     if opens and not webbrowser.open(made.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {made.page} in one")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from ...schemas.metrics import METRIC
+from ...stages.arrays import IntArray
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from ..results.quadrants import QUADRANTS, UNKNOWN
 from .results import RunResults
@@ -18,6 +20,11 @@ from .results import RunResults
 SCORES = ("r_lambda", "cdc")
 _BINS = 25
 _FEWEST_IN_BOX = 3
+_FATES = ("matched", "missing", "hallucinated")
+_RANGE_BIN_M, _MOST_RANGE_BINS = 10.0, 12
+_SECTOR_DEG = 30.0
+_QUARTILES = {"q1": 0.25, "median": 0.5, "q3": 0.75}
+_COLOURED = (0.02, 0.98)
 
 
 def axis_title(score: str) -> str:
@@ -90,7 +97,115 @@ def range_bands(results: RunResults) -> pd.DataFrame:
     """Objects by band (rows) and fate (matched, missing, hallucinated); matched ones count at their real side."""
     objects = pd.concat([results.matched.assign(status="matched")[["range_m", "status"]], results.unmatched])
     counts = pd.crosstab(band_of(objects.range_m), objects.status)
-    return counts.reindex(columns=["matched", "missing", "hallucinated"], fill_value=0)
+    return counts.reindex(columns=list(_FATES), fill_value=0)
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Equal bins of a place around the sensor, each with its lower end.
+
+    column : of objects, `range_m` or `bearing_deg`
+    low, width : lower end of the first bin, and how wide each is, in the column's unit
+    names : of the bins, such as "10 to 20 m"
+    """
+
+    column: str
+    low: float
+    width: float
+    names: tuple[str, ...]
+
+    @property
+    def middles(self) -> list[float]:
+        """The middle of each bin."""
+        return [self.low + (i + 0.5) * self.width for i in range(len(self.names))]
+
+    def index(self, objects: pd.DataFrame) -> IntArray:
+        """The bin of each object, (n,) int32; bearings go round."""
+        steps = np.floor((objects[self.column].to_numpy(dtype=float) - self.low) / self.width).astype(np.int32)
+        index: IntArray = steps % len(self.names) if self.column == "bearing_deg" else steps
+        return index
+
+
+def range_bins(results: RunResults) -> Bins:
+    """Bins of 10 m from 0 to the farthest object; of 20, 30 ... m where those were more than twelve."""
+    ranges_m = pd.concat([results.matched.range_m, results.unmatched.range_m])
+    farthest_m = float(ranges_m.max()) if len(ranges_m) else 0.0
+    width = _RANGE_BIN_M * max(1, math.ceil(farthest_m / (_RANGE_BIN_M * _MOST_RANGE_BINS)))
+    lows = [width * i for i in range(math.floor(farthest_m / width) + 1)]
+    return Bins("range_m", 0.0, width, tuple(f"{low:g} to {low + width:g} m" for low in lows))
+
+
+def bearing_bins() -> Bins:
+    """Twelve sectors of 30 degrees, one of them straight ahead; left is positive."""
+    half, n = _SECTOR_DEG / 2, round(360 / _SECTOR_DEG)
+    middles = [_SECTOR_DEG * (i + 1) - 180 for i in range(n)]
+    return Bins("bearing_deg", middles[0] - half, _SECTOR_DEG, tuple(f"{m - half:g} to {m + half:g}°" for m in middles))
+
+
+def binned_scores(results: RunResults, bins: Bins) -> dict[str, pd.DataFrame]:
+    """By score and bin (of the real object): how many objects have the score (n), and its q1, median and q3.
+
+    The median of fewer than three is given, their quartiles are NaN; without any all three are.
+    """
+    index, by_score = bins.index(results.matched), {}
+    for score in SCORES:
+        values = results.matched[score].astype(float).groupby(index)
+        rows = pd.DataFrame({"n": values.count()} | {q: values.quantile(at) for q, at in _QUARTILES.items()})
+        rows = rows.reindex(range(len(bins.names)))
+        rows["n"] = rows.n.fillna(0).astype(int)
+        rows.loc[rows.n < _FEWEST_IN_BOX, ["q1", "q3"]] = np.nan
+        by_score[score] = rows.set_axis(bins.names)
+    return by_score
+
+
+def binned_fates(results: RunResults, bins: Bins) -> pd.DataFrame:
+    """By bin: objects by fate, matched ones at their real side, and which share is missing and hallucinated.
+
+    missing_share = missing / (matched + missing), hallucinated_share = hallucinated / (matched + hallucinated); NaN
+    where there are none of either.
+    """
+    objects = pd.concat([results.matched.assign(status="matched"), results.unmatched], ignore_index=True)
+    counts = pd.crosstab(pd.Series(bins.index(objects), name="bin"), objects.status)
+    counts = counts.reindex(index=range(len(bins.names)), columns=list(_FATES), fill_value=0)
+    for fate in ("missing", "hallucinated"):
+        n_all = counts.matched + counts[fate]
+        counts[f"{fate}_share"] = (counts[fate] / n_all).where(n_all > 0)
+    return counts.set_axis(bins.names)
+
+
+@dataclass(frozen=True)
+class PairsInOrder:
+    """The scored pairs along the sequence.
+
+    has_times : whether the dataset says of each when it was taken; else they are in the order of their names
+    rows : of `RunResults.pairs`, first to last, with `place`, seconds since the first one, or its number from 1
+    """
+
+    has_times: bool
+    rows: pd.DataFrame
+
+
+def along_the_sequence(results: RunResults, times_s: Mapping[str, float]) -> PairsInOrder:
+    """The scored pairs by the time of their real scans, if that is known of each, else by name."""
+    rows = results.pairs.assign(time_s=results.pairs.pair_id.map(times_s).astype(float))
+    if rows.time_s.notna().all():
+        rows = rows.sort_values(["time_s", "pair_id"], ignore_index=True)
+        return PairsInOrder(True, rows.assign(place=rows.time_s - rows.time_s[0]))
+    rows = rows.sort_values("pair_id", ignore_index=True)
+    return PairsInOrder(False, rows.assign(place=np.arange(1.0, len(rows) + 1)))
+
+
+def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
+    """By score the range that occurs, for colours: its quantiles 0.02 and 0.98 over the objects of all pairs.
+
+    Where there is no such range (no object with a score, or all alike) it is that of the score's definition.
+    """
+    limits = {}
+    for score in SCORES:
+        values = results.matched[score].dropna().to_numpy(dtype=float)
+        low, high = np.quantile(values, _COLOURED).tolist() if len(values) else (0.0, 0.0)
+        limits[score] = (low, high) if high > low else (0.0, METRIC[score].high or 1.0)
+    return limits
 
 
 def stage_times(results: RunResults) -> pd.DataFrame:

@@ -15,11 +15,27 @@ import pandas as pd
 import plotly.graph_objects as go
 
 from ...schemas.metrics import METRIC
-from ..results.compare import ScoreChange
+from ..results.compare import ScoreChange, recorded_times_s
 from ..results.history import ScoreHistory
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
-from .aggregates import SCORES, axis_title, boxes, evenly, histograms, quadrants, range_bands, stage_times
-from .look import ARROWS, FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
+from .aggregates import (
+    SCORES,
+    Bins,
+    PairsInOrder,
+    along_the_sequence,
+    axis_title,
+    bearing_bins,
+    binned_fates,
+    binned_scores,
+    boxes,
+    evenly,
+    histograms,
+    quadrants,
+    range_bands,
+    range_bins,
+    stage_times,
+)  # fmt: skip
+from .look import ARROWS, FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
 from .results import RunResults
 
 Chart = dict[str, Any]  #: data and layout
@@ -60,12 +76,16 @@ def run_charts(results: RunResults) -> dict[str, Chart]:
     names = results.pairs.pair_id.tolist()
     scans = [names[i] for i in evenly(len(names), MOST_SCANS)]
     classes = results.matched.group.value_counts().index[:MOST_CLASSES]
+    by_place = {"range": range_bins(results), "bearing": bearing_bins()}
     return {
         **{f"hist_{score}": _histogram(score, counted) for score, counted in histograms(results).items()},
         "quadrants": _quadrants(results),
         "box_scan": _boxes(boxes(results, "pair_id", scans)),
         "box_class": _boxes(boxes(results, "group", classes)),
+        **{f"scores_{name}": _scores_by(bins, binned_scores(results, bins)) for name, bins in by_place.items()},
+        "sequence": _sequence(along_the_sequence(results, recorded_times_s(results.run))),
         "polar": _polar(results.unmatched),
+        **{f"fates_{name}": _fates_by(bins, binned_fates(results, bins)) for name, bins in by_place.items()},
         "bands": _bands(range_bands(results)),
         "times": _times(stage_times(results)),
     }
@@ -185,18 +205,115 @@ def _bands(bands: pd.DataFrame) -> Chart:
     return _plain(figure)
 
 
+def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Chart:
+    """Median and quartiles of both scores in each bin, above the number of objects that they are of."""
+    figure = go.Figure()
+    for offset, (score, rows) in zip((-0.1, 0.1), scores.items(), strict=True):
+        colour = on_page(SCORE_COLOURS[score])
+        bar = {"array": (rows.q3 - rows["median"]).fillna(0), "arrayminus": (rows["median"] - rows.q1).fillna(0)}
+        figure.add_scatter(
+            mode="lines+markers",
+            name=f"{METRIC[score].label}, median and quartiles",
+            x=np.array(bins.middles) + offset * bins.width,
+            y=rows["median"],
+            error_y={**bar, "symmetric": False, "thickness": 1.5, "width": 3, "color": colour},
+            customdata=[f"{name}, {n:,} objects" for name, n in rows.n.items()],
+            hovertemplate=f"%{{customdata}}<br>{METRIC[score].label} %{{y:.2f}}<extra></extra>",
+            line={"color": colour, "width": 1, "dash": "dot"},
+            marker={"color": colour, "size": 7},
+        )
+    highest = max(np.nanmax(rows[["median", "q3"]].to_numpy(), initial=0.0) for rows in scores.values())
+    figure.update_yaxes(range=[0, 1.08 * highest or 1], title_text="score of an object")
+    return _above_counts(figure, bins, max((rows.n for rows in scores.values()), key=sum))
+
+
+def _fates_by(bins: Bins, fates: pd.DataFrame) -> Chart:
+    """Which share of the real objects is missing in each bin, and of the simulated ones hallucinated; their number."""
+    figure = go.Figure()
+    for fate, side, symbol in (("missing", "real", "circle-open"), ("hallucinated", "simulated", "x-thin")):
+        colour, n_all = on_page(FATE_COLOURS[fate]), fates.matched + fates[fate]
+        figure.add_scatter(
+            mode="lines+markers",
+            name=f"{fate}, share of the {side}",
+            x=bins.middles,
+            y=fates[f"{fate}_share"],
+            customdata=[f"{name}: {n:,} of {of:,}" for (name, n), of in zip(fates[fate].items(), n_all, strict=True)],
+            hovertemplate=f"%{{customdata}} {side} objects {fate}, %{{y:.0%}}<extra></extra>",
+            line={"color": colour, "width": 1, "dash": "dot"},
+            marker={"color": colour, "size": 8, "symbol": symbol, "line": {"width": 2, "color": colour}},
+        )
+    figure.update_yaxes(range=[-0.03, 1.03], tickformat=".0%", title_text="share of the objects")
+    return _above_counts(figure, bins, fates.matched + fates.missing + fates.hallucinated)
+
+
+def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
+    """The same figure with the number of objects in each bin below."""
+    figure.add_bar(
+        name="number of objects",
+        x=bins.middles,
+        y=counts,
+        width=0.85 * bins.width,
+        yaxis="y2",
+        marker_color=_SOFT,
+        hovertemplate="%{y} objects<extra></extra>",
+    )
+    if bins.column == "range_m":
+        axis: dict[str, Any] = {
+            "title_text": "distance from the sensor (m)",
+            "range": [0, bins.low + bins.width * len(bins.names)],
+        }
+    else:  # as seen by the sensor: left is left
+        names = {180: "behind", 90: "left", 0: "ahead", -90: "right"}
+        axis = {"title_text": "direction from the sensor", "range": [196, -166]}
+        axis |= {"tickvals": list(names), "ticktext": list(names.values()), "tickangle": 0}
+    figure.update_xaxes(anchor="y2", **axis)
+    figure.update_layout(
+        yaxis_domain=[0.34, 1],
+        yaxis2={"domain": [0, 0.22], "title_text": "number", "rangemode": "tozero", "nticks": 3},
+        margin_t=30,
+    )
+    return _plain(figure)
+
+
+def _sequence(pairs: PairsInOrder) -> Chart:
+    """Match rate and the means of both scores of each pair, one after the other."""
+    figure, rows = go.Figure(), pairs.rows.iloc[evenly(len(pairs.rows), MOST_DOTS)]
+    colours = {"match_rate": GREEN, **{METRIC[score].mean_column: SCORE_COLOURS[score] for score in SCORES}}
+    for (column, colour), symbol in zip(colours.items(), ("square", "circle", "diamond"), strict=True):
+        metric = METRIC[column.removesuffix("_mean")]
+        figure.add_scatter(
+            mode="lines+markers" if len(rows) > 1 else "markers",
+            name=f"{metric.label} ({metric.scale})",
+            x=rows.place,
+            y=rows[column],
+            text=[
+                f"pair {in_chart(name)}, {n:,} matched" for name, n in zip(rows.pair_id, rows.n_matched, strict=True)
+            ],
+            hovertemplate=f"%{{text}}<br>{metric.label} %{{y:.3f}}<extra></extra>",
+            line={"color": on_page(colour), "width": 1},
+            marker={"color": on_page(colour), "size": 6, "symbol": symbol},
+        )
+    along = "time since the first scan (s)" if pairs.has_times else "number of the pair, by name"
+    figure.update_xaxes(title_text=along)
+    figure.update_yaxes(rangemode="tozero", title_text="match rate, means of scores")
+    figure.update_layout(margin_t=30)
+    return _plain(figure)
+
+
 def _times(times: pd.DataFrame) -> Chart:
     figure = go.Figure()
+    patterns = ("", "/", "x")
     for i, (step, own) in enumerate(times.groupby("step", sort=False)):
         figure.add_bar(
             orientation="h",
             name=step,
             x=own.seconds,
             y=own.stage.tolist(),
-            marker={"color": SERIES[i % len(SERIES)], "pattern": {"shape": "/" if i >= len(SERIES) else ""}},
+            marker={"color": SERIES[i % len(SERIES)], "pattern_shape": patterns[i // len(SERIES) % len(patterns)]},
             hovertemplate=f"%{{y}}, {in_chart(str(step))}: %{{x:.3f}} s<extra></extra>",
         )
-    figure.update_layout(barmode="stack", showlegend=False, xaxis_title_text="seconds per pair", margin_t=30)
+    figure.update_layout(barmode="stack", xaxis_title_text="seconds per pair", margin_t=30)
+    figure.update_layout(legend={"y": -0.2, "yanchor": "top", "font_size": 11, "traceorder": "normal"})
     figure.update_yaxes(categoryorder="array", categoryarray=times.stage.unique().tolist()[::-1])
     return _plain(figure)
 

@@ -225,7 +225,7 @@ def compare_two(
         if same_real_side(before, after):
             changes[name] = follow(name, before, after)
     excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
-    times_s = _times_s(base, other)
+    times_s = recorded_times_s(base, other)
     blocks = blocks_of([base.record.inputs[name]["real"] for name in names], [times_s.get(name) for name in names])
     scores = [
         *(_score_change(base, other, names, column, blocks, excess and excess[0]) for column in SCORES),
@@ -250,7 +250,7 @@ def compare_two(
     )
 
 
-def _times_s(*runs: FinishedRun) -> dict[str, float]:
+def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:
     """When the real scans were taken, by pair; {} where no dataset that says so is on this machine."""
     times_s: dict[str, float] = {}
     for run in runs:

@@ -66,13 +66,22 @@ def words(page):
 
 
 @pytest.mark.slow
-def test_the_report_is_one_page_and_six_figures_as_png_and_svg(written):
+def test_the_report_is_one_page_and_six_figures_as_png_svg_and_pdf(written):
     assert written.page.name == "report.html"
     assert written.page.stat().st_size < 15e6
-    assert {path.name for path in written.figures} == {f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")}
+    assert {path.name for path in written.figures} == {
+        f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg", "pdf")
+    }
     for path in written.figures:
         if path.suffix == ".png":
-            assert np.asarray(Image.open(path).convert("L")).std() > 5, "an empty picture"
+            picture = np.asarray(Image.open(path).convert("L"))
+            assert picture.std() > 5, "an empty picture"
+            edge = np.concatenate([picture[[0, -1]].ravel(), picture[:, [0, -1]].ravel()])
+            assert edge.min() > 250, f"{path.name} is clipped"
+        elif path.suffix == ".pdf":
+            content = path.read_bytes()
+            assert content.startswith(b"%PDF-")
+            assert len(re.findall(rb"/Type\s*/Page\b", content)) == 1
         else:
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
@@ -88,7 +97,7 @@ def test_the_figure_of_objects_shows_points_of_both_sides(written):
 @pytest.mark.slow
 def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right(by_reference, tmp_path):
     results = read_results(by_reference)
-    path, _ = draw_coverage(results, results.pairs.pair_id[0], tmp_path)
+    path, *_ = draw_coverage(results, results.pairs.pair_id[0], tmp_path)
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
     near, far = (close_to(picture, RAMPS["light"][end]) for end in (0, -1))
     left, right = np.split(np.arange(int(0.85 * picture.shape[1])), [int(0.47 * picture.shape[1])])
@@ -227,7 +236,7 @@ def test_a_run_after_a_report_neither_removes_nor_trips_over_it(tmp_path):
     assert outcome.n_made == 0
     assert_same_tables(before, tmp_path / "run")
     assert (tmp_path / "run" / "report.html").exists()
-    assert len(list((tmp_path / "run" / "figures").iterdir())) == 2 * len(FIGURES)
+    assert len(list((tmp_path / "run" / "figures").iterdir())) == 3 * len(FIGURES)
 
 
 @pytest.mark.slow

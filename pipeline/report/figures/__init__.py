@@ -1,1 +1,1 @@
-"""Figures as PNG and SVG, drawn by matplotlib without a display."""
+"""Figures as PNG, SVG and PDF, drawn by matplotlib without a display."""

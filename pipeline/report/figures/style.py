@@ -21,7 +21,7 @@ from ..look import GREY, RAMPS
 VIEW = {"elev": 20, "azim": -60}
 
 #: Formats in which each figure is written, each with what its file says of itself.
-KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}}
+KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
 @contextmanager
@@ -38,7 +38,7 @@ def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[A
 
 
 def save(figure: Any, folder: Path, name: str) -> list[Path]:
-    """Writes a figure as PNG and as SVG, in which clouds of points are pictures; `RunError` if it cannot."""
+    """Writes a figure as PNG, SVG and PDF; in the last two clouds of points are pictures; `RunError` if it cannot."""
     paths = []
     for kind, metadata in KINDS.items():
         content = BytesIO()

@@ -9,8 +9,9 @@ from typing import Any
 import pandas as pd
 
 from ....schemas.metrics import METRIC, metric_of
+from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
-from ..aggregates import SCORES, plain_rows
+from ..aggregates import SCORES, along_the_sequence, plain_rows
 from ..camera import FRAME
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
@@ -160,12 +161,22 @@ def _notes(results: RunResults) -> dict[str, str]:
     )
     chosen = f"{MOST_SCANS} of {n_pairs}, evenly from worst to best" if n_pairs > MOST_SCANS else "worst first"
     dots = " objects are drawn, evenly over the order from worst to best; the counts are of all"
+    binned = "Bars: the middle half of the objects, none where there are fewer than three; below, how many there are."
+    order = (
+        "by the time of the real scan"
+        if along_the_sequence(results, recorded_times_s(results.run)).has_times
+        else "in the order of their names: the dataset does not say when the scans were taken"
+    )
     seen = "Unmatched objects of all pairs around the sensor, at their centroids, seen from above."
     return {
         "quadrants": f"Limits: {limits_in_words()}.{_part(min(n_scored, MOST_DOTS), n_matched, dots)}",
         "polar": f"{seen}{_part(MOST_DOTS, n_unmatched, ' are drawn, largest first')}",
         "box_scan": f"By scan, {chosen}. {whiskers}",
         "box_class": f"By {kind}, the most frequent first. {whiskers}",
+        "scores_range": f"Matched objects by the distance of the real one. {binned}",
+        "scores_bearing": f"Matched objects by the direction of the real one, in twelve sectors. {binned}",
+        "sequence": f"Match rate and the mean scores of each pair, {order}.",
+        "fates": "Shares of all pairs together, below how many objects they are of: of few objects a share says little.",
     }
 
 
