@@ -1,4 +1,4 @@
-"""The commands that make datasets: synth and twin."""
+"""The commands that make datasets and scans: synth, twin and convert."""
 
 from __future__ import annotations
 
@@ -157,3 +157,38 @@ def twin(
     outcome = make_twins(request, Reporter())
     print(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+def convert(
+    source: Annotated[
+        Path,
+        typer.Argument(help="A scan, a recording, or one frame of it: drive.mcap#/points@12.", show_default=False),
+    ],
+    out: Annotated[
+        Path,
+        typer.Argument(help="The file (.parquet, .ply or .pcd); a folder for several frames.", show_default=False),
+    ],
+    to: Annotated[str, typer.Option("--to", help="Format of the files in a folder: parquet, ply or pcd.")] = "parquet",
+    columns: Annotated[
+        str | None,
+        typer.Option("--columns", help="Names of the columns of a raw file (.bin), as x,y,z,intensity,ring."),
+    ] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace files that are there already.")] = False,
+) -> None:
+    """Write a scan, or the frames of a bag or a capture, as Parquet, PLY or PCD.
+
+    Coordinates keep every bit; intensity, ring, time, label, instance and incidence go with them where a scan has them.
+
+    For example:
+
+    fidpipe convert sweep.bin sweep.ply                  for CloudCompare
+
+    fidpipe convert drive.mcap#/lidar/points@12 frame.pcd
+
+    fidpipe convert capture.pcap frames/ --to ply        every turn of the sensor
+    """
+    from ..datasets.writers import convert as write
+
+    names = tuple(columns.replace(",", " ").split()) if columns else None
+    files = write(source, out, to, names, replace=replace)
+    print(str(files[0]) if len(files) == 1 else f"{len(files)} files in {out}")
