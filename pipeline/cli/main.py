@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from .datasets import convert, synth, twin
+from .datasets import convert, pair, synth, twin
 from .experiments import ablate, perturb
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .results import compare, gate, report, show
@@ -101,5 +101,5 @@ def _root(
     pass
 
 
-for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, floor, twin, convert):
+for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, floor, twin, pair, convert):
     app.command()(_command)
