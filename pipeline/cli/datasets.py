@@ -1,4 +1,4 @@
-"""The commands that make datasets: synth and twin."""
+"""The commands that make datasets and scans: synth, twin, pair and convert."""
 
 from __future__ import annotations
 
@@ -157,3 +157,92 @@ def twin(
     outcome = make_twins(request, Reporter())
     print(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+def pair(
+    real: Annotated[
+        Path,
+        typer.Argument(help="Bag, capture or folder of scans; a topic as drive.mcap#/points.", show_default=False),
+    ],
+    sim: Annotated[Path, typer.Argument(help="The same of the simulator.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the dataset.", show_default=False)],
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", min=1e-6, help="Two frames of one time are at most so far apart, seconds.")
+    ] = 0.05,
+    offset: Annotated[
+        float | None,
+        typer.Option("--offset", help="Added to simulated times, seconds.", show_default="by which most frames pair"),
+    ] = None,
+    every: Annotated[int, typer.Option("--every", min=1, help="Only each so many-th pair.")] = 1,
+    start: Annotated[float, typer.Option("--from", help="Only pairs from here on, seconds after the first.")] = 0.0,
+    stop: Annotated[
+        float | None, typer.Option("--to", help="Only pairs up to here, seconds after the first.", show_default="all")
+    ] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace a manifest that is there already.")] = False,
+) -> None:
+    """Make a dataset of the frames of two recordings that were taken at the same time; nothing is copied.
+
+    Its pairs.csv points into the recordings; unpaired.csv lists the frames without a partner.
+
+    For example:
+
+    fidpipe pair drive.bag carla.mcap -o dataset/ && fidpipe run dataset/
+
+    fidpipe pair drive.bag#/top/points carla/ -o dataset/ --offset 12.3 --every 10
+    """
+    from ..datasets.pairing import pair_times, read_timeline, write_dataset
+
+    lines = read_timeline(real), read_timeline(sim)
+    pairing = pair_times(lines[0].times_s, lines[1].times_s, tolerance, offset)
+    times_s = lines[0].times_s[pairing.real_ids]
+    since_s = times_s - lines[0].times_s[0]
+    kept = ((since_s >= start) & (since_s <= (float("inf") if stop is None else stop))).nonzero()[0][::every]
+    n_unpaired = write_dataset(out, *lines, pairing, kept, replace=replace)
+    gaps_s = abs(pairing.gaps_s[kept])
+    how = "given" if offset is not None else "found"
+    print(
+        f"{len(kept)} pairs in {out / 'pairs.csv'}, at most {gaps_s.max():.4f} s apart; simulated times "
+        f"{pairing.offset_s:+.4f} s ({how})"
+    )
+    if pairing.others_s:
+        print(
+            f"{len(pairing.others_s)} other offsets pair as many, such as {pairing.others_s[0]:+.4f} s: "
+            "if this is not the right one, name it with --offset"
+        )
+    if n_unpaired:
+        print(f"{n_unpaired} frames have no partner: {out / 'unpaired.csv'}")
+
+
+def convert(
+    source: Annotated[
+        Path,
+        typer.Argument(help="A scan, a recording, or one frame of it: drive.mcap#/points@12.", show_default=False),
+    ],
+    out: Annotated[
+        Path,
+        typer.Argument(help="The file (.parquet, .ply or .pcd); a folder for several frames.", show_default=False),
+    ],
+    to: Annotated[str, typer.Option("--to", help="Format of the files in a folder: parquet, ply or pcd.")] = "parquet",
+    columns: Annotated[
+        str | None,
+        typer.Option("--columns", help="Names of the columns of a raw file (.bin), as x,y,z,intensity,ring."),
+    ] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace files that are there already.")] = False,
+) -> None:
+    """Write a scan, or the frames of a bag or a capture, as Parquet, PLY or PCD.
+
+    Coordinates keep every bit; intensity, ring, time, label, instance and incidence go with them where a scan has them.
+
+    For example:
+
+    fidpipe convert sweep.bin sweep.ply                  for CloudCompare
+
+    fidpipe convert drive.mcap#/lidar/points@12 frame.pcd
+
+    fidpipe convert capture.pcap frames/ --to ply        every turn of the sensor
+    """
+    from ..datasets.writers import convert as write
+
+    names = tuple(columns.replace(",", " ").split()) if columns else None
+    files = write(source, out, to, names, replace=replace)
+    print(str(files[0]) if len(files) == 1 else f"{len(files)} files in {out}")

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from .datasets import synth, twin
+from .datasets import convert, pair, synth, twin
 from .experiments import ablate, perturb
 from .judging import compare, gate
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
@@ -102,5 +102,5 @@ def _root(
     pass
 
 
-for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, floor, twin):
+for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, floor, twin, pair, convert):
     app.command()(_command)

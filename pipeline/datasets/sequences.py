@@ -126,10 +126,10 @@ def _find_poses(folder: Path) -> Path:
 
 def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[Frame]:
     places = [folder / name for name in _SCAN_FOLDERS if (folder / name).is_dir()]
-    scans = next(filter(None, map(_scans, places)), [])
+    scans = next(filter(None, map(scans_in, places)), [])
     if not scans:
         raise DatasetError(f"recording {folder}: no scans found; files are wanted in velodyne/, real/ or the folder")
-    rows = _read_numbers(poses, (_TUM_NUMBERS, _KITTI_NUMBERS))
+    rows = read_numbers(poses, (_TUM_NUMBERS, _KITTI_NUMBERS))
     if len(rows) != len(scans):
         raise DatasetError(
             f"{poses}: {len(rows)} poses found for {len(scans)} scans ({scans[0].name} to {scans[-1].name}); one pose "
@@ -146,7 +146,8 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
     ]
 
 
-def _scans(folder: Path) -> list[Path]:
+def scans_in(folder: Path) -> list[Path]:
+    """The scan files of a folder, in the order of their names."""
     return sorted(
         path
         for path in folder.iterdir()
@@ -154,7 +155,7 @@ def _scans(folder: Path) -> list[Path]:
     )
 
 
-def _read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
+def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
     """(n, width) float64, the lines of a file; those that begin with # are left out."""
     wanted = " or ".join(map(str, widths))
     try:
@@ -215,7 +216,7 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
 def _kitti_times(path: Path, n_frames: int) -> list[float] | list[None]:
     if not path.is_file():
         return [None] * n_frames
-    times: list[float] = _read_numbers(path, (1,))[:, 0].tolist()
+    times: list[float] = read_numbers(path, (1,))[:, 0].tolist()
     if len(times) != n_frames:
         raise DatasetError(f"{path}: {len(times)} times found for {n_frames} scans; one for each is wanted")
     return times

@@ -1,0 +1,203 @@
+"""A dataset of the frames of two recordings that were taken at the same time; its manifest points into them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...schemas.columns import SIDES
+from ...schemas.errors import DatasetError
+from ...stages.arrays import FloatArray, IntArray
+from ..storage.files import write_whole
+from .pairs import MANIFEST
+from .readers import frames_of, holds_frames, stem_of
+from .readers.frames import address_of
+from .sequences import read_numbers, scans_in
+
+UNPAIRED = "unpaired.csv"
+_TIMES = ("times.txt", "poses.tum")
+_SECONDS = re.compile(r"\d+\.\d+")
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The frames of one side.
+
+    source : what the user named
+    frames : scan files, or what names a frame in one; in the order of time
+    times_s : (n,) float64, seconds, rising
+    """
+
+    source: Path
+    frames: tuple[Path, ...]
+    times_s: FloatArray
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Which frames of two time lines are of one time.
+
+    real_ids, sim_ids : (n,) positions in the time lines, side by side
+    gaps_s : (n,) float64, time of the simulated frame, offset added, less that of the real one
+    offset_s : added to simulated times
+    others_s : offsets by which as many frames pair as well; a choice of one of them is arbitrary
+    """
+
+    real_ids: IntArray
+    sim_ids: IntArray
+    gaps_s: FloatArray
+    offset_s: float
+    others_s: tuple[float, ...] = ()
+
+
+def read_timeline(source: Path) -> Timeline:
+    """The frames of a recording, or of a folder of scans, with their times.
+
+    The times of a folder are the lines of its `times.txt`, the first numbers in its `poses.tum`, or the names of the
+    files, if these are seconds with a decimal point.
+
+    Raises
+    ------
+    FidpipeError
+        It cannot be read, or its times are not known.
+    """
+    if holds_frames(source):
+        frames = frames_of(source)
+        times_ns = [address_of(frame).time_ns for frame in frames]
+        return _in_order(source, frames, np.array([(ns or 0) // 1000 for ns in times_ns]) / 1e6)
+    if not source.is_dir():
+        raise DatasetError(f"{source}: a recording (bag, capture) or a folder of scans is wanted")
+    frames = scans_in(source)
+    times = next((source / name for name in _TIMES if (source / name).is_file()), None)
+    if times is not None:
+        seconds = read_numbers(times, (1, 8))[:, 0]
+        if len(seconds) != len(frames):
+            raise DatasetError(f"{times}: {len(seconds)} times found for {len(frames)} scans; one for each is wanted")
+        return _in_order(source, frames, seconds)
+    names = [stem_of(frame) for frame in frames]
+    if not all(map(_SECONDS.fullmatch, names)):
+        raise DatasetError(
+            f"{source}: no times found; {' or '.join(_TIMES)} with a line for each scan is wanted, or names such as "
+            "12.100.ply"
+        )
+    return _in_order(source, frames, np.array(names, dtype=np.float64))
+
+
+def _in_order(source: Path, frames: Sequence[Path], times_s: FloatArray) -> Timeline:
+    if not frames:
+        raise DatasetError(f"{source}: no frame found, at least one is wanted")
+    order = np.argsort(times_s, kind="stable")
+    return Timeline(source, tuple(frames[i] for i in order), times_s[order])
+
+
+def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset_s: float | None = None) -> Pairing:
+    """Frames that are each other's nearest in time, at most the tolerance apart.
+
+    Without an offset that is taken by which most frames pair; of several such the one of the smallest gaps; of equals
+    0, then that which brings both beginnings together. Tried are 0 and all that bring the first frame of one side to a
+    frame of the other.
+
+    Parameters
+    ----------
+    real_s, sim_s : (n,), (m,) float64, rising, at least one each
+    offset_s : added to simulated times; None where it is not known
+
+    Examples
+    --------
+    >>> pairing = pair_times(np.array([100.0, 100.1, 100.2]), np.array([0.1, 0.2]), 0.05, 100.0)
+    >>> pairing.real_ids.tolist(), pairing.sim_ids.tolist()
+    ([1, 2], [0, 1])
+    """
+    if offset_s is not None:
+        return Pairing(*_nearest(real_s, sim_s + offset_s, tolerance_s), offset_s)
+    tried = np.concatenate([[0.0], real_s - sim_s[0], real_s[0] - sim_s])
+    step = tolerance_s / 100
+    tried = tried[np.sort(np.unique(np.round(tried / step), return_index=True)[1])]
+    found = [_nearest(real_s, sim_s + offset, tolerance_s) for offset in tried]
+    most = max(len(gaps) for *_, gaps in found)
+    spread = [float(np.abs(gaps).mean()) if len(gaps) == most and most else np.inf for *_, gaps in found]
+    best = int(np.argmin(np.round(np.array(spread) / step))) if most else 0
+    limit_s = spread[best] + tolerance_s / 10
+    alike = [float(offset) for i, offset in enumerate(tried) if i != best and spread[i] <= limit_s]
+    return Pairing(*found[best], float(tried[best]), tuple(alike if most else ()))
+
+
+def _nearest(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Positions of frames that are each other's nearest, and their gaps."""
+    to_sim, to_real = _nearest_ids(real_s, sim_s), _nearest_ids(sim_s, real_s)
+    real_ids = np.arange(len(real_s))
+    gaps_s = sim_s[to_sim] - real_s
+    kept = (to_real[to_sim] == real_ids) & (np.abs(gaps_s) <= tolerance_s)
+    return real_ids[kept], to_sim[kept], gaps_s[kept]
+
+
+def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
+    """For each time the position of the nearest among others; of two equally near ones the earlier."""
+    after = np.clip(np.searchsorted(among_s, of_s), 1, max(len(among_s) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(among_s) - 1)
+    ids: IntArray = np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
+    return ids
+
+
+def write_dataset(
+    out: Path, real: Timeline, sim: Timeline, pairing: Pairing, kept: IntArray, *, replace: bool = False
+) -> int:
+    """Writes `pairs.csv`, and `unpaired.csv` with the frames that have no partner; gives how many these are.
+
+    Parameters
+    ----------
+    out : folder of the dataset
+    kept : positions in the pairing of those that become pairs
+
+    Raises
+    ------
+    DatasetError
+        There is a manifest already and `replace` is False, or no pair.
+    """
+    manifest = out / MANIFEST
+    if manifest.exists() and not replace:
+        raise DatasetError(f"{manifest}: is there already; --replace replaces it")
+    if not len(kept):
+        raise DatasetError(
+            f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, simulated "
+            f"{_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or --tolerance"
+        )
+    rows = [
+        (
+            f"{number:06}",
+            _relative(real.frames[pairing.real_ids[i]], out),
+            _relative(sim.frames[pairing.sim_ids[i]], out),
+            f"{real.times_s[pairing.real_ids[i]]:.6f}",
+        )
+        for number, i in enumerate(kept.tolist())
+    ]
+    lonely = []
+    for side, line, ids in zip(SIDES, (real, sim), (pairing.real_ids, pairing.sim_ids), strict=True):
+        without = np.setdiff1d(np.arange(len(line.frames)), ids)
+        lonely += [(side, _relative(line.frames[i], out), f"{line.times_s[i]:.6f}") for i in without.tolist()]
+    write_whole(out / UNPAIRED, _csv(("side", "frame", "timestamp_s"), lonely), advice="")
+    write_whole(manifest, _csv(("pair_id", *SIDES, "timestamp_s"), rows), advice="")
+    return len(lonely)
+
+
+def _relative(frame: Path, folder: Path) -> str:
+    """What names a frame from a folder."""
+    return os.path.relpath(frame.absolute(), folder.absolute())
+
+
+def _span(line: Timeline) -> str:
+    return f"{line.times_s[0]:.3f} to {line.times_s[-1]:.3f}"
+
+
+def _csv(head: Sequence[str], rows: Sequence[Sequence[str]]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    return text.getvalue().encode()

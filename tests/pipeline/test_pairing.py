@@ -1,0 +1,181 @@
+"""Frames of two recordings that are of one time."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fidpipe.pipeline.datasets.pairing import pair_times, read_timeline
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.schemas.errors import DatasetError
+from recordings import cloud, write_bag
+from runs import command
+from scenes import drifted, street, write_bin
+
+FIELDS = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+
+
+def bag_at(path, times_s, scan):
+    def of(number):
+        points = scan(number)
+        rows = np.zeros(len(points), FIELDS)
+        for name, column in zip("xyz", points.T, strict=True):
+            rows[name] = column
+        return rows
+
+    made = [("/points", round(t * 1e9), lambda types, i=i: cloud(types, of(i))) for i, t in enumerate(times_s)]
+    return write_bag(path, made)
+
+
+def nearest_pairs(real_s, sim_s, tolerance_s):
+    """By hand: all gaps, each other's nearest."""
+    gaps = np.abs(real_s[:, None] - sim_s[None])
+    return [
+        (i, j)
+        for i in range(len(real_s))
+        for j in range(len(sim_s))
+        if gaps[i, j] <= tolerance_s and gaps[i].argmin() == j and gaps[:, j].argmin() == i
+    ]
+
+
+def test_pairs_are_each_other_s_nearest_within_the_tolerance():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        real_s, sim_s = np.sort(rng.random(rng.integers(1, 12))), np.sort(rng.random(rng.integers(1, 12)))
+        pairing = pair_times(real_s, sim_s, 0.05, 0.0)
+        assert list(zip(pairing.real_ids, pairing.sim_ids, strict=True)) == nearest_pairs(real_s, sim_s, 0.05)
+        np.testing.assert_allclose(pairing.gaps_s, sim_s[pairing.sim_ids] - real_s[pairing.real_ids])
+
+
+@pytest.mark.parametrize("offset", [0.0, 1713492672.25, -3.7])
+def test_the_offset_is_found_where_the_time_lines_have_a_pattern(offset):
+    rng = np.random.default_rng(1)
+    real_s = np.cumsum(rng.uniform(0.08, 0.13, 60)) + max(offset, 0)
+    sim_s = real_s[13:40] - offset
+    pairing = pair_times(real_s, sim_s, 0.02)
+    assert pairing.offset_s == pytest.approx(offset, abs=1e-3)
+    assert pairing.real_ids.tolist() == list(range(13, 40))
+    assert pairing.others_s == ()
+
+
+def test_an_offset_that_even_steps_leave_open_is_said_to_be_open():
+    pairing = pair_times(np.arange(10) * 0.1 + 50, np.arange(4) * 0.1, 0.02)
+    assert len(pairing.real_ids) == 4
+    assert pairing.offset_s == pytest.approx(50)
+    assert len(pairing.others_s) == 6
+
+
+def test_clocks_that_agree_get_no_offset():
+    pairing = pair_times(np.arange(10) * 0.1, np.arange(2, 6) * 0.1 + 0.004, 0.05)
+    assert pairing.offset_s == 0 or len(pairing.others_s)
+    assert len(pairing.real_ids) == 4
+
+
+@pytest.fixture
+def recordings(tmp_path):
+    real = bag_at(tmp_path / "real.bag", [100.0, 100.1, 100.2, 100.3, 100.4], street)
+    sim = bag_at(tmp_path / "sim_mcap", [3.1, 3.2, 3.3, 9.0], lambda i: drifted(street(i + 1)))
+    return real, sim
+
+
+def test_pair_writes_a_manifest_that_points_into_the_recordings(recordings, tmp_path):
+    out = tmp_path / "sets" / "one"
+    shown = command("pair", *recordings, "-o", out, "--offset", 97.003)
+    assert shown.returncode == 0, shown.stderr
+    assert "3 pairs in" in shown.stdout
+    assert "at most 0.0030 s apart" in shown.stdout
+    assert sorted(path.name for path in out.iterdir()) == ["pairs.csv", "unpaired.csv"]
+    pairs = read_dataset(out).pairs
+    assert [pair.fault for pair in pairs] == [None] * 3
+    assert [pair.timestamp_s for pair in pairs] == [100.1, 100.2, 100.3]
+    for number, pair in enumerate(pairs, start=1):
+        np.testing.assert_array_equal(read_scan(pair.real).points, street(number).astype(np.float32))
+        np.testing.assert_array_equal(read_scan(pair.sim).points, drifted(street(number)).astype(np.float32))
+    unpaired = pd.read_csv(out / "unpaired.csv")
+    assert unpaired.side.tolist() == ["real", "real", "sim"]
+    assert unpaired.timestamp_s.tolist() == [100.0, 100.4, 9.0]
+    assert command("pair", *recordings, "-o", out).returncode == 1
+    assert command("check", out).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "times"),
+    [
+        (("--every", 2), [100.0, 100.2, 100.4]),
+        (("--from", 0.15), [100.2, 100.3, 100.4]),
+        (("--from", 0.05, "--to", 0.25), [100.1, 100.2]),
+    ],
+)
+def test_pairs_can_be_fewer(tmp_path, words, times):
+    stamps = [100.0, 100.1, 100.2, 100.3, 100.4]
+    real, sim = (bag_at(tmp_path / name, stamps, street) for name in ("real.bag", "sim.bag"))
+    assert command("pair", real, sim, "-o", tmp_path / "out", *words).returncode == 0
+    assert [pair.timestamp_s for pair in read_dataset(tmp_path / "out").pairs] == times
+
+
+def test_times_that_never_meet_are_refused(recordings, tmp_path):
+    shown = command("pair", *recordings, "-o", tmp_path / "out", "--offset", 5)
+    assert shown.returncode == 1
+    assert "no two frames at one time; real are 100.000 to 100.400, simulated 3.100 to 9.000 s" in shown.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_has_its_times_from_a_file_or_from_its_names(tmp_path):
+    for i in range(3):
+        write_bin(tmp_path / "listed" / f"{i:06}.bin", street(i))
+        write_bin(tmp_path / "named" / f"{9 + i}.250.bin", street(i))
+    with pytest.raises(DatasetError, match=r"no times found; times\.txt or poses\.tum with a line for each scan"):
+        read_timeline(tmp_path / "listed")
+    (tmp_path / "listed" / "times.txt").write_text("0.5\n0.6\n0.8\n")
+    assert read_timeline(tmp_path / "listed").times_s.tolist() == [0.5, 0.6, 0.8]
+    line = read_timeline(tmp_path / "named")
+    assert line.times_s.tolist() == [9.25, 10.25, 11.25]
+    assert [path.name for path in line.frames] == ["9.250.bin", "10.250.bin", "11.250.bin"]
+
+
+@pytest.mark.real_data
+def test_a_capture_and_a_bag_of_the_same_turns_are_paired_turn_by_turn(real_data, tmp_path):
+    folder = real_data / "velodyne_vlp32c"
+    shown = command("pair", folder / "sweeps.pcap", folder / "rosbag2_mcap", "-o", tmp_path / "out")
+    assert shown.returncode == 0, shown.stderr
+    pairs = read_dataset(tmp_path / "out").pairs
+    assert len(pairs) == 3
+    for pair in pairs:
+        assert read_scan(pair.real).content_hash() == read_scan(pair.sim).content_hash()
+    assert len(pd.read_csv(tmp_path / "out" / "unpaired.csv")) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_a_run_straight_from_two_bags_sees_what_was_changed(real_data, tmp_path):
+    """The simulated bag is the real one with 3 cm of noise, without its left half beyond 3 m."""
+    real = real_data / "velodyne_vlp32c/rosbag1.bag"
+    rng = np.random.default_rng(0)
+
+    def changed(number):
+        points = read_scan(Path(f"{real}#{number}")).points
+        points = points[points[:, 1] < 3]
+        range_m = np.linalg.norm(points, axis=1, keepdims=True)
+        return points * (1 + rng.normal(0, 0.03, range_m.shape) / range_m)
+
+    sim = bag_at(tmp_path / "sim_mcap", [5.0, 5.1, 5.2], changed)
+    assert command("pair", real, sim, "-o", tmp_path / "data").returncode == 0
+    done = command("run", tmp_path / "data", "--out", tmp_path / "run", "--preset", "reference", "--workers", 1)
+    assert done.returncode == 0, done.stderr
+    tables = {
+        name: pd.read_parquet(tmp_path / "run" / name) for name in ("ground", "communities", "matching", "metrics")
+    }
+    keys = ["pair_id", "side", "point_id"]
+    points = tables["communities"].merge(tables["ground"], on=keys).query("side == 'real'")
+    y = points.groupby(["pair_id", "community_id"]).y.agg(["min", "max"]).reset_index()
+    matching = tables["matching"].merge(y, left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"])
+    is_left, is_right = matching["min"] > 4, matching["max"] < 2
+    assert is_left.sum()
+    assert set(matching[is_left].status) == {"missing"}
+    assert is_right.sum()
+    assert set(matching[is_right].status) == {"matched"}
+    scores = tables["metrics"].merge(matching[is_right], on=["pair_id", "real_id"])
+    assert len(scores) == is_right.sum()
+    assert scores.cdc.max() < 0.005  # two means of 1 - exp(-d^2), d of 3 cm: 0.0018
