@@ -43,7 +43,7 @@ def synth(
 
     fidpipe synth dense/ --pairs 1 --sensor hdl64 --points 120000
     """
-    from ...stages.sensing.ray_casting import SENSORS
+    from ...stages.sensing.sensor_models import SENSORS
     from ..engine.progress import Reporter
     from ..experiments.synth import SynthRequest, make_dataset
 
