@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -14,8 +14,9 @@ from .sensor_models import SENSORS, SensorModel
 
 _HEIGHTS_M = np.round(np.arange(-0.3, 0.301, 0.01), 2)
 _BLOCKS_APART_M = (0.05, 0.12)
-_BAND_DEG, _BAND_BIN_DEG = 2.0, 0.04
-_NEAREST_M = 1.0
+_BAND_DEG, _BAND_BIN_DEG = 1.0, 0.04
+_NEAREST_M = 0.15
+_FARTHER_M = 1.0  # where heights are read, and all where they are not 0
 _BIN_DEG = 0.01
 _WIDTHS_DEG = (0.02, 0.04, 0.08)
 _GAIN = 0.1  # of mean log density, for a further height to be believed
@@ -35,8 +36,9 @@ class BeamPattern:
     width_deg : how far from its elevation a beam's returns lie
     is_even : whether all neighbouring beams are equally far apart
     origin_height_m : heights above the origin at which they start: of all, or of a lower and an upper block
-    block_deg : slope of a return from the origin that parts the blocks
+    block_deg : elevation between the blocks
     explained : share of the returns that lie in beams, beyond what would do so anyhow: 0 for none, 1 for all
+    is_sharp : whether they stand out in the whole scan; else they are those of a sector, and their number is about so
     """
 
     elevation_deg: FloatArray
@@ -45,6 +47,7 @@ class BeamPattern:
     origin_height_m: tuple[float, ...]
     block_deg: float
     explained: float
+    is_sharp: bool = True
 
     def beam_of(self, points: FloatArray) -> IndexArray:
         """(n,) intp, the beam that each point lies in, -1 for none."""
@@ -61,7 +64,7 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
 
     A beam of elevation e that starts h above the origin has z / r = tan e + h / r at the horizontal distance r, however
     noisy the range. Heights: those for which z / r - h / r is densest in angle, by the mean log of the collision
-    density sum n (n - 1) / (N (N - 1)) in bands of 2 degrees; 0, one for all beams, or one each for a lower and an
+    density sum n (n - 1) / (N (N - 1)) in bands of one degree; 0, one for all beams, or one each for a lower and an
     upper block (HDL-64E), if that gains enough. Elevations: peaks of the density, under the kernel width of three that
     explains most. A scan in which they are not sharp (compensated for motion, say) is looked at in sectors of 60
     degrees as well: the best of those with the beams of a known sensor is taken, or else the best. With rings, the
@@ -87,6 +90,7 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
         for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
             is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
             found.append(_read(tangent[is_in], nearness[is_in]) if is_in.sum() >= 1000 else None)
+        found = [replace(pattern, is_sharp=False) for pattern in found if pattern]
     told = [pattern for pattern in found if pattern and pattern.explained >= _TOLD]
     if not told:
         return "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
@@ -105,16 +109,17 @@ def recognise(pattern: BeamPattern) -> tuple[str | None, str]:
     observed = pattern.elevation_deg
     if len(observed) < _FEWEST_BEAMS:
         return None, f"{len(observed)} beams, at least {_FEWEST_BEAMS} are needed to know a sensor by them"
-    fits = sorted(
-        ((score, title) for title, table, unit_deg in _tables() if (score := _fit(observed, table, unit_deg, pattern))),
-        reverse=True,
-    )
+    scores: dict[str, float] = {}
+    for title, table, unit_deg in _tables():
+        if score := _fit(observed, table, unit_deg, pattern):
+            scores[title] = max(score, scores.get(title, 0.0))
+    fits = sorted(((score, title) for title, score in scores.items()), reverse=True)
     if fits and (len(fits) == 1 or fits[0][0] - fits[1][0] > 0.02):
         return fits[0][1], ""
     if fits:
         return None, f"these beams fit {fits[0][1]} and {fits[1][1]} alike"
     if pattern.is_even:
-        return None, "no known sensor; equal steps are how simulators space their channels"
+        return None, "no known sensor has these; simulators space theirs evenly"
     return None, "no known sensor has such beams"
 
 
@@ -134,30 +139,32 @@ def _is_worth_halving(sensor: SensorModel) -> bool:
 
 def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern) -> float:
     """How well beams fit a table: mean closeness of those that do, times the share of the table seen; 0 if not."""
-    exact = _matched(observed, table, np.minimum(_EXACT_DEG, _FIT * _spacing(table)))
+    exact = _matched(observed, table, np.minimum(max(_EXACT_DEG, pattern.width_deg), _FIT * _spacing(table)))
     if score := _score(exact, observed, table, 0.95, 0.9):
         return score
     if not unit_deg or pattern.is_even or abs(len(observed) - len(table)) > 0.2 * len(table):
         return 0.0
-    half = len(table) // 2
-    free = np.concatenate([_stretched(observed, table[:half], unit_deg), _stretched(observed, table[half:], unit_deg)])
-    if (np.diff(free) <= 0).any():
-        return 0.0
+    free = _stretched(observed, table, unit_deg)
     return _score(_matched(observed, free, _FIT * _spacing(free)), observed, free, 0.85, 0.85)
 
 
-def _stretched(observed: FloatArray, part: FloatArray, unit_deg: float) -> FloatArray:
-    """A part of a table, shifted and stretched about its middle so that most of it is observed."""
-    middle, best, chosen = part.mean(), -1.0, part
-    for scale in np.arange(0.95, 1.051, 0.005):
-        tried = middle + scale * (part - middle)
-        spacing = _spacing(tried)
-        for shift in np.arange(-unit_deg, unit_deg + 1e-9, 0.04):
-            apart = _distance(tried + shift, observed) / spacing
-            score = float(np.maximum(0.0, 1.0 - apart / _FIT).sum())
-            if score > best:
-                best, chosen = score, tried + shift
-    return chosen
+def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> FloatArray:
+    """The table, each half shifted and stretched about its middle so that most is observed, none passing the other."""
+    scale = np.arange(0.95, 1.051, 0.005)[:, None, None]
+    shift = np.arange(-unit_deg, unit_deg + 1e-9, 0.02)[None, :, None]
+    tried, score = [], []
+    for part in np.array_split(table, 2):
+        places = part.mean() + scale * (part - part.mean()) + shift
+        closeness = np.maximum(0.0, 1.0 - _distance(places, observed) / (_FIT * scale * _spacing(part))).sum(axis=2)
+        row = closeness.argmax(axis=0)
+        tried.append(places[row, np.arange(len(row))])
+        score.append(closeness.max(axis=0))
+    gap = tried[1][None, :, 0] - tried[0][:, None, -1]
+    first = (len(table) + 1) // 2
+    usual = table[first] - table[first - 1]
+    together = np.where((gap > 0.6 * usual) & (gap < 1.6 * usual), score[0][:, None] + score[1], -1.0)
+    low, high = np.unravel_index(together.argmax(), together.shape)
+    return np.concatenate([tried[0][low], tried[1][high]])
 
 
 def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
@@ -191,7 +198,12 @@ def _spacing(ascending: FloatArray) -> FloatArray:
 
 def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
     """The beams under the best heights and kernel width; None where there are none."""
-    heights, block_deg = _origin_heights(tangent, nearness)
+    is_far = nearness < 1.0 / _FARTHER_M
+    if is_far.sum() < 100:
+        return None
+    heights, block_deg = _origin_heights(tangent[is_far], nearness[is_far])
+    if heights:
+        tangent, nearness = tangent[is_far], nearness[is_far]
     elevation = _elevation(tangent, nearness, heights, block_deg)
     count = np.bincount(((elevation + 90.0) / _BIN_DEG).astype(np.intp), minlength=int(180 / _BIN_DEG) + 1)
     best: tuple[float, float, IndexArray] | None = None
@@ -234,12 +246,13 @@ def _elevation(
     """Elevation of each return as seen from where its beam starts, degrees."""
     if not heights:
         return np.degrees(np.arctan(tangent))
-    height = np.where(np.degrees(np.arctan(tangent)) < block_deg, heights[0], heights[-1])
+    middle = np.degrees(np.arctan(tangent - np.mean(heights) * nearness))
+    height = np.where(middle < block_deg, heights[0], heights[-1])
     return np.degrees(np.arctan(tangent - height * nearness))
 
 
 def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[float, ...], float]:
-    """Heights above the origin at which the beams start, () for 0; and the slope between two blocks of them."""
+    """Heights above the origin at which the beams start, () for 0; and the elevation between two blocks of them."""
     n_bands, per_band = int(180 / _BAND_DEG), int(_BAND_DEG / _BAND_BIN_DEG)
     density = np.zeros((len(_HEIGHTS_M), n_bands))
     for row, height in enumerate(_HEIGHTS_M):

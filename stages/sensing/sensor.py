@@ -29,6 +29,8 @@ class SensorFacts:
 
     elevation_deg : of its beams, ascending
     is_even : whether all neighbouring beams are equally far apart
+    is_sharp : whether the beams stand out in the whole scan; else, as after compensation for motion, they were read in
+        a sector, and their number is about so
     origin_height_m : heights above the sensor's origin at which the beams start: of all, or of a lower and an upper block
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
     azimuth_step_deg : between two firings of a beam
@@ -43,6 +45,7 @@ class SensorFacts:
     n_points: int
     elevation_deg: tuple[float, ...] = ()
     is_even: bool | None = None
+    is_sharp: bool | None = None
     origin_height_m: tuple[float, ...] = ()
     field_of_view_deg: tuple[float, ...] = ()
     azimuth_step_deg: float | None = None
@@ -101,6 +104,7 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
         **facts,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
         is_even=pattern.is_even,
+        is_sharp=pattern.is_sharp,
         origin_height_m=pattern.origin_height_m,
         azimuth_step_deg=step,
         range_quantum_m=quantum,
@@ -152,7 +156,8 @@ def beams_text(facts: SensorFacts) -> str:
         return f"beams not told ({facts.untold['elevation_deg']})"
     low, high = _limits(facts)
     evenness = "evenly spaced" if facts.is_even else "uneven"
-    text = f"{len(facts.elevation_deg)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
+    about = "" if facts.is_sharp else "about "
+    text = f"{about}{len(facts.elevation_deg)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
     return f"{text}: {facts.model}" if facts.model else f"{text}: {facts.untold['model']}"
 
 
