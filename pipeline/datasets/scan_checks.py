@@ -27,6 +27,7 @@ from .frame_checks import FrameFacts, frame_warning, recall_frames, shared_files
 from .pairs import ScanPair, read_dataset
 from .readers import read_scan, stem_of
 from .readers.scan import label_path_of
+from .sensor_checks import SensorCheck, describe_sides
 
 _MOST_NOT_FINITE = 0.25
 
@@ -102,11 +103,13 @@ class DatasetCheck:
     """What would be read from a dataset, and what is wrong with it.
 
     pairs : each with the facts of its sides; a missing file has none
+    sensors : of the two sides
     faults, warnings : one line each, with the name of the pair
     """
 
     folder: Path
     pairs: list[tuple[ScanPair, dict[str, ScanFacts]]]
+    sensors: SensorCheck
     faults: list[str]
     warnings: list[str]
 
@@ -130,7 +133,8 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         own_faults = [pair.fault, *(scan.fault for scan in sides.values())]
         faults += [f"pair {pair.pair_id}: {fault}" for fault in own_faults if fault]
         warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides, own.frames)]
-    return DatasetCheck(folder, pairs, faults, warnings)
+    sensors = describe_sides(dataset.pairs, settings.input)
+    return DatasetCheck(folder, pairs, sensors, faults, warnings)
 
 
 def inspect_pairs(pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]) -> list[PairFacts]:

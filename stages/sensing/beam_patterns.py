@@ -73,7 +73,7 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     Parameters
     ----------
     points : (n, 3) float64, metres, the sensor's frame; finite, none at the origin
-    ring : (n,) int32, number of each point's beam
+    ring : (n,) int32, number of each point's beam, -1 where it has none
     """
     level = np.hypot(points[:, 0], points[:, 1])
     is_used = level > _NEAREST_M
@@ -93,7 +93,9 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
         found = [replace(pattern, is_sharp=False) for pattern in found if pattern]
     told = [pattern for pattern in found if pattern and pattern.explained >= _TOLD]
     if not told:
-        return "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
+        return (
+            "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
+        )
     return max(told, key=lambda pattern: (recognise(pattern)[0] is not None, pattern.explained))
 
 
@@ -173,7 +175,9 @@ def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray)
     return np.where(closeness >= 0, closeness, -1.0)
 
 
-def _score(closeness: FloatArray, observed: FloatArray, table: FloatArray, of_observed: float, of_table: float) -> float:
+def _score(
+    closeness: FloatArray, observed: FloatArray, table: FloatArray, of_observed: float, of_table: float
+) -> float:
     is_seen = closeness >= 0
     is_within = (table >= observed[0] - 0.2) & (table <= observed[-1] + 0.2)
     enough = (
@@ -226,9 +230,11 @@ def _by_ring(
     tangent: FloatArray, nearness: FloatArray, ring: IntArray, whole: BeamPattern | None
 ) -> BeamPattern | None:
     """The beams by rings; None where there are too few, or where they are not rings of one elevation each."""
+    is_far = nearness < 1.0 / _FARTHER_M
+    tangent, nearness, ring = tangent[is_far], nearness[is_far], ring[is_far]
     heights, block_deg = (whole.origin_height_m, whole.block_deg) if whole else ((), -90.0)
     elevation = _elevation(tangent, nearness, heights, block_deg)
-    parts = [elevation[ring == number] for number in np.unique(ring)]
+    parts = [elevation[ring == number] for number in np.unique(ring[ring >= 0])]
     quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts if len(part) >= _FEWEST_RETURNS])
     if len(quartiles) < 4:
         return None
@@ -240,9 +246,7 @@ def _by_ring(
     return BeamPattern(centre, max(width, _WIDTHS_DEG[0]), _is_even(centre), heights, block_deg, 1.0)
 
 
-def _elevation(
-    tangent: FloatArray, nearness: FloatArray, heights: tuple[float, ...], block_deg: float
-) -> FloatArray:
+def _elevation(tangent: FloatArray, nearness: FloatArray, heights: tuple[float, ...], block_deg: float) -> FloatArray:
     """Elevation of each return as seen from where its beam starts, degrees."""
     if not heights:
         return np.degrees(np.arctan(tangent))
@@ -295,7 +299,7 @@ def _peaks(count: IntArray, width_deg: float) -> IndexArray:
 
 def _explained(count: IntArray, peaks: IndexArray, width_deg: float) -> float:
     """(s - c) / (1 - c): s the share of returns within two widths of a peak, c the share of angles that are."""
-    reach = int(round(2 * width_deg / _BIN_DEG))
+    reach = round(2 * width_deg / _BIN_DEG)
     near: BoolArray = np.zeros(len(count), dtype=np.bool_)
     for offset in range(-reach, reach + 1):
         near[(peaks + offset).clip(0, len(count) - 1)] = True

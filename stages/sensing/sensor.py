@@ -1,15 +1,18 @@
-"""What sensor a scan is from: its beams, steps and noise as the points alone show them, and the model if it is known."""
+"""What sensor a scan is from: its beams, steps and noise as the points show them, and its model if that is known."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
+from ..arrays import FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 
@@ -31,7 +34,7 @@ class SensorFacts:
     is_even : whether all neighbouring beams are equally far apart
     is_sharp : whether the beams stand out in the whole scan; else, as after compensation for motion, they were read in
         a sector, and their number is about so
-    origin_height_m : heights above the sensor's origin at which the beams start: of all, or of a lower and an upper block
+    origin_height_m : heights above the origin at which the beams start: of all, or of a lower and an upper block
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
     azimuth_step_deg : between two firings of a beam
     range_quantum_m : that ranges are multiples of
@@ -77,22 +80,16 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
     """
     is_return = np.isfinite(points).all(axis=1) & points.any(axis=1)
     points, ring = points[is_return], None if ring is None else ring[is_return]
-    facts = {"n_points": len(points), "has_ring": ring is not None, "has_time": has_time}
+    facts = SensorFacts(len(points), has_ring=ring is not None, has_time=has_time)
     if len(points) < _FEWEST_POINTS:
-        few = f"{len(points)} points, at least {_FEWEST_POINTS} are needed"
-        return SensorFacts(**facts, untold={"elevation_deg": few, "model": few})
-    level = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2)
-    slope_deg = np.degrees(np.arctan2(points[:, 2], level))
-    facts["field_of_view_deg"] = (
-        round(float(slope_deg.min()), 2),
-        round(float(slope_deg.max()), 2),
-        round(360.0 - widest_azimuth_gap_deg(points), 1),
-    )
+        return _untold(facts, f"{len(points)} points, at least {_FEWEST_POINTS} are needed")
+    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    around_deg = 360.0 - widest_azimuth_gap_deg(points)
+    view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
+    facts = replace(facts, field_of_view_deg=view)
     pattern = find_beams(points, ring)
     if isinstance(pattern, str):
-        why = f"no beams are told ({pattern})"
-        untold = {name: why for name in ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share", "model")}
-        return SensorFacts(**facts, untold={"elevation_deg": pattern, **untold})
+        return _untold(facts, pattern)
     untold = {}
     sweep = _by_beam(points, pattern)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
@@ -100,8 +97,8 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
     lost, untold["lost_share"] = _lost_share(sweep, step)
     model, untold["model"] = recognise(pattern)
-    return SensorFacts(
-        **facts,
+    return replace(
+        facts,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
         is_even=pattern.is_even,
         is_sharp=pattern.is_sharp,
@@ -127,14 +124,17 @@ def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
         n_apart = abs(len(real.elevation_deg) - len(sim.elevation_deg))
         if limits > 0.3 or n_apart > 2 or real.is_even != sim.is_even:
             found.append(f"real: {beams_text(real)}; simulated: {beams_text(sim)}")
+        if np.abs(np.subtract(_heights(real), _heights(sim))).max() > 0.03:
+            found.append(
+                f"beams start {_heights_text(real)} in the real scan, {_heights_text(sim)} in the simulated one"
+            )
     elif real.elevation_deg or sim.elevation_deg:
         found.append(f"real: {beams_text(real)}; simulated: {beams_text(sim)}")
-    if real.azimuth_step_deg and sim.azimuth_step_deg:
-        if abs(np.log(real.azimuth_step_deg / sim.azimuth_step_deg)) > np.log(1.05):
-            found.append(f"azimuth step: {real.azimuth_step_deg:.3f} degrees real, {sim.azimuth_step_deg:.3f} simulated")
-    if "range_quantum_m" not in {*real.untold, *sim.untold} or (real.range_quantum_m and sim.elevation_deg):
-        if real.range_quantum_m != sim.range_quantum_m:
-            found.append(f"range quantum: {_millimetres(real)} real, {_millimetres(sim)} simulated")
+    steps = (real.azimuth_step_deg, sim.azimuth_step_deg)
+    if steps[0] and steps[1] and not 1 / 1.05 < steps[0] / steps[1] < 1.05:
+        found.append(f"azimuth step: {steps[0]:.3f} degrees real, {steps[1]:.3f} simulated")
+    if real.range_quantum_m != sim.range_quantum_m and real.elevation_deg and sim.elevation_deg:
+        found.append(f"range quantum: {_quantum_text(real)} real, {_quantum_text(sim)} simulated")
     if real.range_noise_m is not None and sim.range_noise_m is not None:
         low, high = sorted((real.range_noise_m, sim.range_noise_m))
         if high > 1.5 * low and high - low > 0.005:
@@ -161,12 +161,59 @@ def beams_text(facts: SensorFacts) -> str:
     return f"{text}: {facts.model}" if facts.model else f"{text}: {facts.untold['model']}"
 
 
+def sensor_lines(facts: SensorFacts) -> list[str]:
+    """What the points tell of their sensor, line by line; what they do not tell, with the reason."""
+    view = facts.field_of_view_deg
+    rows = [
+        ("beams", beams_text(facts)),
+        ("beams start", _heights_text(facts)) if facts.origin_height_m else ("", ""),
+        ("field of view", f"{view[0]:+.4g} to {view[1]:+.4g} degrees, {view[2]:.0f} degrees around")
+        if view
+        else ("", ""),
+        _told(facts, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
+        _told(facts, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
+        _told(facts, "range noise", "range_noise_m", lambda noise: f"{1e3 * noise:.0f} mm on smooth surfaces"),
+        _told(facts, "pulses lost in surfaces", "lost_share", _lost_text),
+        ("for each point", f"ring: {_yes(facts.has_ring)}, time: {_yes(facts.has_time)}"),
+    ]
+    return [f"{name}: {text}" for name, text in rows if name]
+
+
+def _told(facts: SensorFacts, name: str, attribute: str, text: Callable[[Any], str]) -> tuple[str, str]:
+    if attribute in facts.untold:
+        return name, f"not told ({facts.untold[attribute]})"
+    value = getattr(facts, attribute)
+    return (name, text(value)) if value not in (None, ()) else ("", "")
+
+
+def _lost_text(shares: Sequence[float | None]) -> str:
+    bands = zip(LOST_BANDS_M, LOST_BANDS_M[1:], shares, strict=False)
+    known = [f"{share:.0%} at {low:.0f}-{high:.0f} m" for low, high, share in bands if share is not None]
+    return ", ".join(known) or "too few to tell"
+
+
+def _untold(facts: SensorFacts, why: str) -> SensorFacts:
+    """The facts of a scan whose beams cannot be told, and so nothing that is read beam by beam."""
+    others = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share", "model")
+    return replace(facts, untold={"elevation_deg": why, **dict.fromkeys(others, "no beams are told")})
+
+
 def _limits(facts: SensorFacts) -> tuple[float, float]:
     return facts.elevation_deg[0], facts.elevation_deg[-1]
 
 
-def _millimetres(facts: SensorFacts) -> str:
-    return "none" if facts.range_quantum_m is None else f"{1e3 * facts.range_quantum_m:g} mm"
+def _heights(facts: SensorFacts) -> tuple[float, float]:
+    """Of the lower and the upper block."""
+    return (facts.origin_height_m[0], facts.origin_height_m[-1]) if facts.origin_height_m else (0.0, 0.0)
+
+
+def _heights_text(facts: SensorFacts) -> str:
+    return " and ".join(f"{height:g}" for height in facts.origin_height_m or (0.0,)) + " m above the origin"
+
+
+def _quantum_text(facts: SensorFacts) -> str:
+    quantum = facts.range_quantum_m
+    return facts.untold["range_quantum_m"] if quantum is None else f"{1e3 * quantum:g} mm"
 
 
 def _yes(has: bool) -> str:
@@ -238,7 +285,7 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
     if step_deg is None or len(sweep.beam) < _RUN:
         return None, "no azimuth step is told"
     is_next = np.nan_to_num(sweep.gap_deg, nan=np.inf) < 1.5 * step_deg
-    is_run: BoolArray = sliding_window_view(is_next, _RUN - 1).all(axis=1)
+    is_run = sliding_window_view(is_next, _RUN - 1).all(axis=1)
     runs = sliding_window_view(sweep.range_m, _RUN)[is_run]
     runs = runs[np.ptp(runs, axis=1) < 0.05 * runs.mean(axis=1)]
     if len(runs) < 200:
@@ -254,10 +301,13 @@ def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | No
     if step_deg is None:
         return (), "no azimuth step is told"
     n_firings = np.round(sweep.gap_deg / step_deg)
-    nearer, farther = np.minimum(sweep.range_m[:-1], sweep.range_m[1:]), np.maximum(sweep.range_m[:-1], sweep.range_m[1:])
+    nearer, farther = (
+        np.minimum(sweep.range_m[:-1], sweep.range_m[1:]),
+        np.maximum(sweep.range_m[:-1], sweep.range_m[1:]),
+    )
     is_surface = (n_firings >= 1) & (n_firings <= _HOLE + 1) & (farther - nearer < 0.03 * nearer + 0.05)
     shares: list[float | None] = []
-    for low_m, high_m in zip(LOST_BANDS_M, LOST_BANDS_M[1:], strict=False):
+    for low_m, high_m in pairwise(LOST_BANDS_M):
         firings = n_firings[is_surface & (nearer >= low_m) & (nearer < high_m)]
         enough = len(firings) >= _FEWEST_POINTS
         shares.append(round(float(1.0 - len(firings) / firings.sum()), 3) if enough else None)

@@ -17,6 +17,8 @@ from ....stages.arrays import FloatArray, IntArray
 _INTENSITY = ("intensity", "scalar_intensity")
 _LABEL = ("label", "scalar_label", "objtag")  # the last is CARLA's
 _INSTANCE = ("instance", "scalar_instance", "objidx")  # the last is CARLA's
+_RING = ("ring", "scalar_ring", "channel")
+_TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "gps_time")
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,16 @@ class Scan:
     intensity : (n,) float64, or None
     labels : (n,) str, or None
     instances : (n,) int32, number of the thing that a point belongs to, 0 for none; or None
+    rings : (n,) int32, number of the beam, or None; -1 where it is NaN
+    times_s : (n,) float64, seconds, from where the file counts them; or None
     """
 
     points: FloatArray
     intensity: FloatArray | None = None
     labels: NDArray[np.str_] | None = None
     instances: IntArray | None = None
+    rings: IntArray | None = None
+    times_s: FloatArray | None = None
 
 
 def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
@@ -42,7 +48,7 @@ def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
     ----------
     path : the file, for errors
     columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label as text or numbers;
-        instance as whole numbers
+        instance and ring as whole numbers; time in seconds, or in nanoseconds where it is of an integer type
 
     Raises
     ------
@@ -57,11 +63,15 @@ def scan_from_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> Scan:
     intensity = next((by_name[name] for name in _INTENSITY if name in by_name), None)
     labels = next((by_name[name] for name in _LABEL if name in by_name), None)
     instances = next((by_name[name] for name in _INSTANCE if name in by_name), None)
+    rings = next((by_name[name] for name in _RING if name in by_name), None)
+    times = next((by_name[name] for name in _TIME if name in by_name), None)
     return Scan(
         points=np.column_stack([_numbers(path, name, by_name[name]) for name in ("x", "y", "z")]),
         intensity=None if intensity is None else _numbers(path, "intensity", intensity),
         labels=None if labels is None else _label_text(labels),
         instances=None if instances is None else _instance_numbers(path, instances),
+        rings=None if rings is None else _ring_numbers(path, rings),
+        times_s=None if times is None else _numbers(path, "time", times) * (1e-9 if times.dtype.kind in "iu" else 1.0),
     )
 
 
@@ -147,6 +157,13 @@ def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
     instances = np.zeros(len(numbers), dtype=np.int32)
     instances[is_thing] = things[ids].astype(np.int32)
     return instances
+
+
+def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
+    """Numbers of beams; None where the column holds others than whole ones."""
+    numbers = np.nan_to_num(_numbers(path, "ring", column), nan=-1.0)
+    is_whole = bool(np.all((np.abs(numbers) < 2**31) & (numbers == np.round(numbers))))
+    return numbers.astype(np.int32) if is_whole else None
 
 
 def _label_text(column: NDArray[Any]) -> NDArray[np.str_]:

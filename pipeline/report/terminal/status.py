@@ -10,7 +10,9 @@ from rich.text import Text
 
 from ....schemas.columns import SIDES
 from ....schemas.paper import TIMINGS
+from ....stages.sensing.sensor import sensor_lines
 from ...datasets.scan_checks import DatasetCheck
+from ...datasets.sensor_checks import SensorCheck
 from ...engine.costs import CostModel
 from ...results.status import STATES, RunStatus
 from ...storage.files import free_bytes, megabytes
@@ -37,6 +39,7 @@ def check_view(dataset: DatasetCheck) -> RenderableType:
     verdict = f"{len(dataset.pairs) - n_faulty} of {len(dataset.pairs)} pairs can be evaluated"
     return Group(
         plain_table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
+        *_sensor_lines(dataset.sensors),
         *(Text(f"warning: {text}", style="yellow") for text in dataset.warnings),
         *(Text(f"fault: {text}", style="red") for text in dataset.faults),
         _space_needed(sum(facts.n_raw for _, sides in dataset.pairs for facts in sides.values())),
@@ -54,6 +57,15 @@ def status_view(status: RunStatus) -> RenderableType:
         *(Text(f"failed: {pair_id}: {reason}", style="red") for pair_id, reason in status.failures.items()),
         *([Text(f"finish it with: {command_again(status.folder, status.dataset)}")] if is_open else ()),
     )
+
+
+def _sensor_lines(sensors: SensorCheck) -> list[Text]:
+    """What sensors the sides are from, and in what they differ."""
+    names = {"real": "real sensor", "sim": "simulated sensor"}
+    lines = [Text(f"Sensors, as pairs {', '.join(sensors.pair_ids)} tell", style="bold")] if sensors.sides else []
+    for side, facts in sensors.sides.items():
+        lines += [Text(names[side]), *(Text(f"  {line}") for line in sensor_lines(facts))]
+    return [*lines, *(Text(f"differs: {text}", style="yellow") for text in sensors.differences)]
 
 
 def _space_needed(n_raw: int) -> Text:
