@@ -67,8 +67,8 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     density sum n (n - 1) / (N (N - 1)) in bands of one degree; 0, one for all beams, or one each for a lower and an
     upper block (HDL-64E), if that gains enough. Elevations: peaks of the density, under the kernel width of three that
     explains most. A scan in which they are not sharp (compensated for motion, say) is looked at in sectors of 60
-    degrees as well: the best of those with the beams of a known sensor is taken, or else the best. With rings, the
-    elevation of a beam is the median over its ring.
+    degrees as well: beams that fit a known sensor are told, others are not, as a scan out of its sensor's frame has
+    some too. With rings, the elevation of a beam is the median over its ring.
 
     Parameters
     ----------
@@ -84,19 +84,19 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     whole = _read(tangent, nearness)
     if ring is not None and (by_ring := _by_ring(tangent, nearness, ring[is_used], whole)):
         return by_ring
+    if whole and whole.explained >= _SHARP:
+        return whole
+    azimuth = np.degrees(np.arctan2(points[is_used, 1], points[is_used, 0]))
     found = [whole]
-    if whole is None or whole.explained < _SHARP:
-        azimuth = np.degrees(np.arctan2(points[is_used, 1], points[is_used, 0]))
-        for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
-            is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
-            found.append(_read(tangent[is_in], nearness[is_in]) if is_in.sum() >= 1000 else None)
-        found = [replace(pattern, is_sharp=False) for pattern in found if pattern]
-    told = [pattern for pattern in found if pattern and pattern.explained >= _TOLD]
+    for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
+        is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
+        found.append(_read(tangent[is_in], nearness[is_in]) if is_in.sum() >= 1000 else None)
+    told = [replace(each, is_sharp=False) for each in found if each and each.explained >= _TOLD and recognise(each)[0]]
     if not told:
         return (
             "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
         )
-    return max(told, key=lambda pattern: (recognise(pattern)[0] is not None, pattern.explained))
+    return max(told, key=lambda pattern: pattern.explained)
 
 
 def recognise(pattern: BeamPattern) -> tuple[str | None, str]:
@@ -166,12 +166,13 @@ def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> Floa
     usual = table[first] - table[first - 1]
     together = np.where((gap > 0.6 * usual) & (gap < 1.6 * usual), score[0][:, None] + score[1], -1.0)
     low, high = np.unravel_index(together.argmax(), together.shape)
-    return np.concatenate([tried[0][low], tried[1][high]])
+    stretched: FloatArray = np.concatenate([tried[0][low], tried[1][high]])
+    return stretched
 
 
 def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
     """(t,) float64, how close the nearest observed beam is to each of the table: 1 at it, 0 at the tolerance, or -1."""
-    closeness = 1.0 - _distance(table, observed) / tolerance_deg
+    closeness: FloatArray = 1.0 - _distance(table, observed) / tolerance_deg
     return np.where(closeness >= 0, closeness, -1.0)
 
 
@@ -191,13 +192,15 @@ def _score(
 def _distance(places: FloatArray, ascending: FloatArray) -> FloatArray:
     """From each place to the nearest of some ascending values."""
     after = np.searchsorted(ascending, places).clip(1, len(ascending) - 1)
-    return np.minimum(np.abs(places - ascending[after - 1]), np.abs(places - ascending[after]))
+    distance: FloatArray = np.minimum(np.abs(places - ascending[after - 1]), np.abs(places - ascending[after]))
+    return distance
 
 
 def _spacing(ascending: FloatArray) -> FloatArray:
     """(b,) float64, from each value to the nearer of its neighbours."""
     gap = np.diff(ascending)
-    return np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
+    spacing: FloatArray = np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
+    return spacing
 
 
 def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
@@ -289,15 +292,16 @@ def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[fl
     return ((float(_HEIGHTS_M[best]),), -90.0) if one[best] > none + _GAIN else ((), -90.0)
 
 
-def _peaks(count: IntArray, width_deg: float) -> IndexArray:
+def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     """Bins at which the smoothed count peaks: by half its height over what surrounds it, and by enough returns."""
     sigma = width_deg / _BIN_DEG
     smooth = gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
     peaks, shape = find_peaks(smooth, height=_FEWEST_RETURNS, prominence=_FEWEST_RETURNS / 2)
-    return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
+    standing: IndexArray = peaks[shape["prominences"] > 0.5 * smooth[peaks]]
+    return standing
 
 
-def _explained(count: IntArray, peaks: IndexArray, width_deg: float) -> float:
+def _explained(count: IndexArray, peaks: IndexArray, width_deg: float) -> float:
     """(s - c) / (1 - c): s the share of returns within two widths of a peak, c the share of angles that are."""
     reach = round(2 * width_deg / _BIN_DEG)
     near: BoolArray = np.zeros(len(count), dtype=np.bool_)
