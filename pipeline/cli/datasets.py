@@ -17,7 +17,7 @@ def synth(
     pairs: Annotated[int, typer.Option("--pairs", min=1, help="How many streets; each gives one pair.")] = 50,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other streets.")] = 0,
     sensor: Annotated[
-        str, typer.Option("--sensor", help="Model of the sensor: vlp32c, hdl64, os1-64 or carla.")
+        str, typer.Option("--sensor", help="Model of the sensor: vlp32c, hdl64, os1-64, carla or another of docs/sensors.md.")
     ] = "vlp32c",
     points: Annotated[
         int | None,
@@ -43,7 +43,7 @@ def synth(
 
     fidpipe synth dense/ --pairs 1 --sensor hdl64 --points 120000
     """
-    from ...stages.sensing.ray_casting import SENSORS
+    from ...stages.sensing.sensor_models import SENSORS
     from ..engine.progress import Reporter
     from ..experiments.synth import SynthRequest, make_dataset
 

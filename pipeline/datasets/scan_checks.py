@@ -28,6 +28,7 @@ from .pairs import ScanPair, read_dataset
 from .readers import files_of, formats, holds_frames, read_scan, stem_of, suffix_of
 from .readers.frames import address_of
 from .readers.scan import label_path_of
+from .sensor_checks import SensorCheck, describe_sides
 
 _MOST_NOT_FINITE = 0.25
 
@@ -103,11 +104,13 @@ class DatasetCheck:
     """What would be read from a dataset, and what is wrong with it.
 
     pairs : each with the facts of its sides; a missing file has none
+    sensors : of the two sides
     faults, warnings : one line each, with the name of the pair
     """
 
     folder: Path
     pairs: list[tuple[ScanPair, dict[str, ScanFacts]]]
+    sensors: SensorCheck
     faults: list[str]
     warnings: list[str]
 
@@ -131,7 +134,8 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         own_faults = [pair.fault, *(scan.fault for scan in sides.values())]
         faults += [f"pair {pair.pair_id}: {fault}" for fault in own_faults if fault]
         warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides, own.frames)]
-    return DatasetCheck(folder, pairs, faults, warnings)
+    sensors = describe_sides(dataset.pairs, settings.input)
+    return DatasetCheck(folder, pairs, sensors, faults, warnings)
 
 
 def inspect_pairs(pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]) -> list[PairFacts]:

@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 
 from ...schemas.errors import FidpipeError
-from ...stages.sensing.ray_casting import SENSORS, SensorModel
 from ...stages.sensing.rescan import RECORDED
+from ...stages.sensing.sensor_models import SENSORS, SensorModel
 
 _TABLES = (".csv", ".toml")
 _ANGLES = ("elevation_deg", "azimuth_offset_deg")
 _UNIFORM = ("channels", "upper_deg", "lower_deg")
 #: What a table need not say.
-_USUAL = replace(SENSORS["hdl64"], name="table", azimuth_step_deg=0.2, range_quantum_m=0.0)
-_NUMBERS = tuple(field.name for field in fields(SensorModel) if field.name not in ("name", *_ANGLES))
+_USUAL = replace(SENSORS["hdl64"], name="table", title="", source="", azimuth_step_deg=0.2, range_quantum_m=0.0)
+_NUMBERS = tuple(
+    field.name for field in fields(SensorModel) if field.name not in ("name", "title", "source", "unit_deg", *_ANGLES)
+)
 
 
 def read_sensor(name: str) -> SensorModel:

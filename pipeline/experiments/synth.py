@@ -17,8 +17,9 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import Settings
-from ...stages.sensing.ray_casting import SENSORS, need_ray_caster
+from ...stages.sensing.ray_casting import need_ray_caster
 from ...stages.sensing.scans import make_pair
+from ...stages.sensing.sensor_models import SENSORS
 from ...stages.sensing.things import KINDS
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
 from ..engine.engine import Engine, Machines

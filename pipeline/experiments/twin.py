@@ -25,8 +25,9 @@ from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
 from ...stages.sensing.flaws import FLAWS, ChosenFlaw, lose_foliage
-from ...stages.sensing.ray_casting import SensorModel, fire, need_ray_caster
+from ...stages.sensing.ray_casting import fire, need_ray_caster
 from ...stages.sensing.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
+from ...stages.sensing.sensor_models import SensorModel
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
 from ..datasets.readers import read_scan, stem_of
 from ..datasets.readers.scan import label_path_of

@@ -1,4 +1,4 @@
-"""Sensor models and ray casting: where a sensor's beams go, what they meet first, and what is measured of it.
+"""Ray casting: where a sensor's beams go, what they meet first, and what is measured of it.
 
 A static scene, a sensor that does not move during its revolution, one return per pulse.
 """
@@ -11,36 +11,7 @@ import numpy as np
 
 from ...schemas.errors import FidpipeError
 from ..arrays import FloatArray, IndexArray
-
-
-@dataclass(frozen=True)
-class SensorModel:
-    """A spinning LiDAR.
-
-    elevation_deg, azimuth_offset_deg : by laser; the offset is added to the azimuth of the firing
-    azimuth_step_deg : between two firings
-    min_range_m, max_range_m : returns outside are not reported
-    range_noise_m : standard deviation along the ray
-    range_quantum_m : ranges are multiples of it; 0 for any
-    lost_share : share of the pulses that are lost whatever they meet
-    signal_range_m : range at which a white surface that faces the sensor still answers 63 % of the pulses
-    """
-
-    name: str
-    elevation_deg: tuple[float, ...]
-    azimuth_offset_deg: tuple[float, ...]
-    azimuth_step_deg: float
-    min_range_m: float
-    max_range_m: float
-    range_noise_m: float
-    range_quantum_m: float
-    lost_share: float
-    signal_range_m: float
-
-    @property
-    def n_beams(self) -> int:
-        """Number of lasers."""
-        return len(self.elevation_deg)
+from .sensor_models import SensorModel
 
 
 @dataclass(frozen=True)
@@ -77,76 +48,6 @@ class Hits:
     cos_incidence: FloatArray
 
 
-# fmt: off
-#: VLP-32C: elevation and azimuth offset in degrees, by laser id, as both public drivers have them (velodyne, nebula).
-_VLP32C_DEG = (
-    (-25.000, -1.4), (-1.000, +4.2), (-1.667, -1.4), (-15.639, +1.4),
-    (-11.310, -1.4), (+0.000, +1.4), (-0.667, -4.2), (-8.843, +1.4),
-    (-7.254, -1.4), (+0.333, +4.2), (-0.333, -1.4), (-6.148, +1.4),
-    (-5.333, -4.2), (+1.333, +1.4), (+0.667, -4.2), (-4.000, +1.4),
-    (-4.667, -1.4), (+1.667, +4.2), (+1.000, -1.4), (-3.667, +4.2),
-    (-3.333, -4.2), (+3.333, +1.4), (+2.333, -1.4), (-2.667, +1.4),
-    (-3.000, -1.4), (+7.000, +1.4), (+4.667, -1.4), (-2.333, +4.2),
-    (-2.000, -4.2), (+15.000, +1.4), (+10.333, -1.4), (-1.333, +1.4),
-)
-# fmt: on
-_DEG_PER_S = 600 / 60 * 360.0
-
-#: Sensors by name. VLP-32C: firing cycle 55.296 us at 600 rpm. HDL-64E: nominal angles, as each unit has its own
-#: calibration; 2083 firings per revolution. OS1-64: design values of the first generation, 2048 columns. CARLA: its
-#: ray_cast sensor with default field of view, channels and drop-off; the usual 100 m and 0.2 degrees for 10 m and 2.
-SENSORS = {
-    "vlp32c": SensorModel(
-        name="vlp32c",
-        elevation_deg=tuple(elevation for elevation, _ in _VLP32C_DEG),
-        azimuth_offset_deg=tuple(offset for _, offset in _VLP32C_DEG),
-        azimuth_step_deg=55.296e-6 * _DEG_PER_S,
-        min_range_m=1.0,
-        max_range_m=200.0,
-        range_noise_m=0.03,
-        range_quantum_m=0.004,
-        lost_share=0.03,
-        signal_range_m=65.0,
-    ),
-    "hdl64": SensorModel(
-        name="hdl64",
-        elevation_deg=(*np.linspace(2.0, -8.333, 32).tolist(), *np.linspace(-8.833, -24.333, 32).tolist()),
-        azimuth_offset_deg=(0.0,) * 64,
-        azimuth_step_deg=48e-6 * _DEG_PER_S,
-        min_range_m=0.9,
-        max_range_m=120.0,
-        range_noise_m=0.02,
-        range_quantum_m=0.002,
-        lost_share=0.03,
-        signal_range_m=60.0,
-    ),
-    "os1-64": SensorModel(
-        name="os1-64",
-        elevation_deg=tuple(np.linspace(16.611, -16.611, 64).tolist()),
-        azimuth_offset_deg=(-3.164, -1.055, 1.055, 3.164) * 16,
-        azimuth_step_deg=360.0 / 2048,
-        min_range_m=0.8,
-        max_range_m=120.0,
-        range_noise_m=0.03,
-        range_quantum_m=0.001,
-        lost_share=0.03,
-        signal_range_m=55.0,
-    ),
-    "carla": SensorModel(
-        name="carla",
-        elevation_deg=tuple(np.linspace(10.0, -30.0, 32).tolist()),
-        azimuth_offset_deg=(0.0,) * 32,
-        azimuth_step_deg=0.2,
-        min_range_m=0.1,
-        max_range_m=100.0,
-        range_noise_m=0.0,
-        range_quantum_m=0.0,
-        lost_share=0.45,
-        signal_range_m=1e4,
-    ),
-}
-
-
 def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> Beams:
     """The beams of one revolution, which turns clockwise seen from above.
 
@@ -161,6 +62,7 @@ def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = N
 
     Examples
     --------
+    >>> from .sensor_models import SENSORS
     >>> beams = fire(SENSORS["vlp32c"])
     >>> len(beams.azimuth_rad) // 32, round(float(np.degrees(beams.elevation_rad[3])), 3)
     (1808, -15.639)

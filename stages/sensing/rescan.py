@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from .flaws import SCATTERED
-from .ray_casting import RayTarget, SensorModel, measure_ranges
+from .ray_casting import RayTarget, measure_ranges
+from .sensor_models import SensorModel
 from .surfels import fit_planes, voxel_ids
 
 VOXEL_M = 0.1

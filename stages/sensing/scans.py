@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Float32Array, FloatArray, IndexArray
-from .ray_casting import Beams, RayTarget, SensorModel, fire, measure_ranges, return_probability
+from .ray_casting import Beams, RayTarget, fire, measure_ranges, return_probability
 from .scene import build_scene
+from .sensor_models import SensorModel
 from .things import Mesh, join_meshes
 from .twin import Copy, build_twin
 

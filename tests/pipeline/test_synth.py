@@ -25,8 +25,8 @@ from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
-from fidpipe.stages.sensing.ray_casting import SENSORS
 from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.sensor_models import SENSORS
 from fidpipe.stages.sensing.things import KINDS
 
 N_POINTS = 400  # of a small scan

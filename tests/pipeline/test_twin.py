@@ -18,8 +18,8 @@ from fidpipe.schemas.errors import DatasetError, FidpipeError
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.sensing.flaws import FLAWS, parse_flaws
-from fidpipe.stages.sensing.ray_casting import SENSORS, SensorModel
 from fidpipe.stages.sensing.rescan import RECORDED
+from fidpipe.stages.sensing.sensor_models import SENSORS, SensorModel
 from runs import command, run, tables
 from scenes import box, moved, rigid, write_bin
 

@@ -12,7 +12,9 @@ from rich.text import Text
 from ....schemas.columns import SIDES
 from ....schemas.paper import TIMINGS
 from ....schemas.results import JsonObject
+from ....stages.sensing.sensor import sensor_lines
 from ...datasets.scan_checks import DatasetCheck, ScanFacts
+from ...datasets.sensor_checks import SensorCheck
 from ...engine.costs import CostModel
 from ...results.status import STATES, RunStatus
 from ...storage.files import free_bytes, megabytes
@@ -55,6 +57,7 @@ def check_view(dataset: DatasetCheck) -> RenderableType:
     verdict = f"{len(dataset.pairs) - n_faulty} of {len(dataset.pairs)} pairs can be evaluated"
     return Group(
         plain_table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
+        *_sensor_lines(dataset.sensors),
         *(Text(f"warning: {text}", style="yellow") for text in dataset.warnings),
         *(Text(f"fault: {text}", style="red") for text in dataset.faults),
         _space_needed(_disk_bytes(dataset)),
@@ -85,6 +88,15 @@ def status_view(status: RunStatus, *, with_timings: bool = False) -> RenderableT
         *(_timing_tables(status.mean_seconds) if with_timings and status.mean_seconds else ()),
         *([Text(f"finish it with: {command_again(status.folder, status.dataset)}")] if is_open else ()),
     )
+
+
+def _sensor_lines(sensors: SensorCheck) -> list[Text]:
+    """What sensors the sides are from, and in what they differ."""
+    names = {"real": "real sensor", "sim": "simulated sensor"}
+    lines = [Text(f"Sensors, as pairs {', '.join(sensors.pair_ids)} tell", style="bold")] if sensors.sides else []
+    for side, facts in sensors.sides.items():
+        lines += [Text(names[side]), *(Text(f"  {line}") for line in sensor_lines(facts))]
+    return [*lines, *(Text(f"differs: {text}", style="yellow") for text in sensors.differences)]
 
 
 def _scan_json(facts: ScanFacts | None) -> JsonObject | None:

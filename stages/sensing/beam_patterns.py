@@ -1,0 +1,326 @@
+"""At which elevations the beams of a sensor point, read from a scan; and which known sensor has such beams."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .sensor_models import SENSORS, SensorModel
+
+_HEIGHTS_M = np.round(np.arange(-0.3, 0.301, 0.01), 2)
+_BLOCKS_APART_M = (0.05, 0.12)
+_BAND_DEG, _BAND_BIN_DEG = 1.0, 0.04
+_NEAREST_M = 0.15
+_FARTHER_M = 1.0  # where heights are read, and all where they are not 0
+_BIN_DEG = 0.01
+_WIDTHS_DEG = (0.02, 0.04, 0.08)
+_GAIN = 0.1  # of mean log density, for a further height to be believed
+_SHARP, _TOLD = 0.9, 0.75
+_SECTOR_DEG = 60.0
+_FEWEST_BEAMS = 8
+_FEWEST_RETURNS = 8
+_EXACT_DEG = 0.06
+_FIT = 0.25  # of the distance of neighbouring beams
+
+
+@dataclass(frozen=True)
+class BeamPattern:
+    """The beams of a sensor.
+
+    elevation_deg : (b,) float64, ascending
+    width_deg : how far from its elevation a beam's returns lie
+    is_even : whether all neighbouring beams are equally far apart
+    origin_height_m : heights above the origin at which they start: of all, or of a lower and an upper block
+    block_deg : elevation between the blocks
+    explained : share of the returns that lie in beams, beyond what would do so anyhow: 0 for none, 1 for all
+    is_sharp : whether they stand out in the whole scan; else they are those of a sector, and their number is about so
+    """
+
+    elevation_deg: FloatArray
+    width_deg: float
+    is_even: bool
+    origin_height_m: tuple[float, ...]
+    block_deg: float
+    explained: float
+    is_sharp: bool = True
+
+    def beam_of(self, points: FloatArray) -> IndexArray:
+        """(n,) intp, the beam that each point lies in, -1 for none."""
+        level = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
+        elevation = _elevation(points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg)
+        middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
+        beam = np.searchsorted(middle, elevation)
+        reach = np.minimum(2 * self.width_deg, 0.4 * _spacing(self.elevation_deg))
+        return np.where(np.abs(elevation - self.elevation_deg[beam]) <= reach[beam], beam, -1)
+
+
+def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern | str:
+    """The beams that the returns of a scan lie in, or why they cannot be told.
+
+    A beam of elevation e that starts h above the origin has z / r = tan e + h / r at the horizontal distance r, however
+    noisy the range. Heights: those for which z / r - h / r is densest in angle, by the mean log of the collision
+    density sum n (n - 1) / (N (N - 1)) in bands of one degree; 0, one for all beams, or one each for a lower and an
+    upper block (HDL-64E), if that gains enough. Elevations: peaks of the density, under the kernel width of three that
+    explains most. A scan in which they are not sharp (compensated for motion, say) is looked at in sectors of 60
+    degrees as well: beams that fit a known sensor are told, others are not, as a scan out of its sensor's frame has
+    some too. With rings, the elevation of a beam is the median over its ring.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, the sensor's frame; finite, none at the origin
+    ring : (n,) int32, number of each point's beam, -1 where it has none
+    """
+    level = np.hypot(points[:, 0], points[:, 1])
+    is_used = level > _NEAREST_M
+    level, z = level[is_used], points[is_used, 2]
+    if len(level) < 100:
+        return f"{len(level)} returns beyond {_NEAREST_M:g} m"
+    tangent, nearness = z / level, 1.0 / level
+    whole = _read(tangent, nearness)
+    if ring is not None and (by_ring := _by_ring(tangent, nearness, ring[is_used], whole)):
+        return by_ring
+    if whole and whole.explained >= _SHARP:
+        return whole
+    azimuth = np.degrees(np.arctan2(points[is_used, 1], points[is_used, 0]))
+    found = [whole]
+    for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
+        is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
+        found.append(_read(tangent[is_in], nearness[is_in]) if is_in.sum() >= 1000 else None)
+    told = [replace(each, is_sharp=False) for each in found if each and each.explained >= _TOLD and recognise(each)[0]]
+    if not told:
+        return (
+            "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
+        )
+    return max(told, key=lambda pattern: pattern.explained)
+
+
+def recognise(pattern: BeamPattern) -> tuple[str | None, str]:
+    """The title of the known sensor with these beams, or None; and then why not.
+
+    A sensor whose table holds for every unit fits if 95 % of the beams lie within 0.06 degrees, or a quarter of the
+    distance to its neighbour, of a beam of the table, 90 % of the table's beams within their limits are seen, and
+    70 % of all. One whose units differ (HDL-64E, Ouster) may be shifted and stretched, each half of the table by
+    itself, by its `unit_deg` and 5 %; then 85 % must fit. Evenly spaced beams are never stretched: no unit has them.
+    Every second beam of a table is tried too. If two sensors fit equally well, none is named.
+    """
+    observed = pattern.elevation_deg
+    if len(observed) < _FEWEST_BEAMS:
+        return None, f"{len(observed)} beams, at least {_FEWEST_BEAMS} are needed to know a sensor by them"
+    scores: dict[str, float] = {}
+    for title, table, unit_deg in _tables():
+        if score := _fit(observed, table, unit_deg, pattern):
+            scores[title] = max(score, scores.get(title, 0.0))
+    fits = sorted(((score, title) for title, score in scores.items()), reverse=True)
+    if fits and (len(fits) == 1 or fits[0][0] - fits[1][0] > 0.02):
+        return fits[0][1], ""
+    if fits:
+        return None, f"these beams fit {fits[0][1]} and {fits[1][1]} alike"
+    if pattern.is_even:
+        return None, "no known sensor has these; simulators space theirs evenly"
+    return None, "no known sensor has such beams"
+
+
+def _tables() -> Iterator[tuple[str, FloatArray, float]]:
+    """Title, ascending elevations and freedom of each known sensor, and of each second beam of those with many."""
+    for sensor in SENSORS.values():
+        table = np.sort(np.array(sensor.elevation_deg))
+        yield sensor.title, table, sensor.unit_deg
+        if _is_worth_halving(sensor):
+            for first in (0, 1):
+                yield f"every second beam of {sensor.title}", table[first::2], sensor.unit_deg
+
+
+def _is_worth_halving(sensor: SensorModel) -> bool:
+    return sensor.n_beams >= 64
+
+
+def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern) -> float:
+    """How well beams fit a table: mean closeness of those that do, times the share of the table seen; 0 if not."""
+    exact = _matched(observed, table, np.minimum(max(_EXACT_DEG, pattern.width_deg), _FIT * _spacing(table)))
+    if score := _score(exact, observed, table, 0.95, 0.9):
+        return score
+    if not unit_deg or pattern.is_even or abs(len(observed) - len(table)) > 0.2 * len(table):
+        return 0.0
+    free = _stretched(observed, table, unit_deg)
+    return _score(_matched(observed, free, _FIT * _spacing(free)), observed, free, 0.85, 0.85)
+
+
+def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> FloatArray:
+    """The table, each half shifted and stretched about its middle so that most is observed, none passing the other."""
+    scale = np.arange(0.95, 1.051, 0.005)[:, None, None]
+    shift = np.arange(-unit_deg, unit_deg + 1e-9, 0.02)[None, :, None]
+    tried, score = [], []
+    for part in np.array_split(table, 2):
+        places = part.mean() + scale * (part - part.mean()) + shift
+        closeness = np.maximum(0.0, 1.0 - _distance(places, observed) / (_FIT * scale * _spacing(part))).sum(axis=2)
+        row = closeness.argmax(axis=0)
+        tried.append(places[row, np.arange(len(row))])
+        score.append(closeness.max(axis=0))
+    gap = tried[1][None, :, 0] - tried[0][:, None, -1]
+    first = (len(table) + 1) // 2
+    usual = table[first] - table[first - 1]
+    together = np.where((gap > 0.6 * usual) & (gap < 1.6 * usual), score[0][:, None] + score[1], -1.0)
+    low, high = np.unravel_index(together.argmax(), together.shape)
+    stretched: FloatArray = np.concatenate([tried[0][low], tried[1][high]])
+    return stretched
+
+
+def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
+    """(t,) float64, how close the nearest observed beam is to each of the table: 1 at it, 0 at the tolerance, or -1."""
+    closeness: FloatArray = 1.0 - _distance(table, observed) / tolerance_deg
+    return np.where(closeness >= 0, closeness, -1.0)
+
+
+def _score(
+    closeness: FloatArray, observed: FloatArray, table: FloatArray, of_observed: float, of_table: float
+) -> float:
+    is_seen = closeness >= 0
+    is_within = (table >= observed[0] - 0.2) & (table <= observed[-1] + 0.2)
+    enough = (
+        is_seen.sum() >= of_observed * len(observed)
+        and is_seen.sum() >= of_table * is_within.sum()
+        and is_seen.sum() >= max(0.7 * len(table), _FEWEST_BEAMS)
+    )
+    return float((0.5 + 0.5 * closeness[is_seen].mean()) * is_seen.mean()) if enough else 0.0
+
+
+def _distance(places: FloatArray, ascending: FloatArray) -> FloatArray:
+    """From each place to the nearest of some ascending values."""
+    after = np.searchsorted(ascending, places).clip(1, len(ascending) - 1)
+    distance: FloatArray = np.minimum(np.abs(places - ascending[after - 1]), np.abs(places - ascending[after]))
+    return distance
+
+
+def _spacing(ascending: FloatArray) -> FloatArray:
+    """(b,) float64, from each value to the nearer of its neighbours."""
+    gap = np.diff(ascending)
+    spacing: FloatArray = np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
+    return spacing
+
+
+def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
+    """The beams under the best heights and kernel width; None where there are none."""
+    is_far = nearness < 1.0 / _FARTHER_M
+    if is_far.sum() < 100:
+        return None
+    heights, block_deg = _origin_heights(tangent[is_far], nearness[is_far])
+    if heights:
+        tangent, nearness = tangent[is_far], nearness[is_far]
+    elevation = _elevation(tangent, nearness, heights, block_deg)
+    count = np.bincount(((elevation + 90.0) / _BIN_DEG).astype(np.intp), minlength=int(180 / _BIN_DEG) + 1)
+    best: tuple[float, float, IndexArray] | None = None
+    for width in _WIDTHS_DEG:
+        peaks = _peaks(count, width)
+        if len(peaks) >= 2:
+            explained = _explained(count, peaks, width)
+            if best is None or explained > best[0]:
+                best = explained, width, peaks
+    if best is None:
+        return None
+    explained, width, peaks = best
+    ordered = np.sort(elevation)
+    starts, stops = (np.searchsorted(ordered, (peaks + 0.5) * _BIN_DEG - 90.0 + side * width) for side in (-2, 2))
+    centre = np.array([np.median(ordered[a:b]) for a, b in zip(starts, stops, strict=True)])
+    return BeamPattern(centre, width, _is_even(centre), heights, block_deg, explained)
+
+
+def _by_ring(
+    tangent: FloatArray, nearness: FloatArray, ring: IntArray, whole: BeamPattern | None
+) -> BeamPattern | None:
+    """The beams by rings; None where there are too few, or where they are not rings of one elevation each."""
+    is_far = nearness < 1.0 / _FARTHER_M
+    tangent, nearness, ring = tangent[is_far], nearness[is_far], ring[is_far]
+    heights, block_deg = (whole.origin_height_m, whole.block_deg) if whole else ((), -90.0)
+    elevation = _elevation(tangent, nearness, heights, block_deg)
+    parts = [elevation[ring == number] for number in np.unique(ring[ring >= 0])]
+    quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts if len(part) >= _FEWEST_RETURNS])
+    if len(quartiles) < 4:
+        return None
+    quartiles = quartiles[np.argsort(quartiles[:, 1])]
+    width = float(np.median(quartiles[:, 2] - quartiles[:, 0]))
+    if width > np.median(np.diff(quartiles[:, 1])):
+        return None
+    centre = quartiles[:, 1]
+    return BeamPattern(centre, max(width, _WIDTHS_DEG[0]), _is_even(centre), heights, block_deg, 1.0)
+
+
+def _elevation(tangent: FloatArray, nearness: FloatArray, heights: tuple[float, ...], block_deg: float) -> FloatArray:
+    """Elevation of each return as seen from where its beam starts, degrees."""
+    if not heights:
+        return np.degrees(np.arctan(tangent))
+    middle = np.degrees(np.arctan(tangent - np.mean(heights) * nearness))
+    height = np.where(middle < block_deg, heights[0], heights[-1])
+    return np.degrees(np.arctan(tangent - height * nearness))
+
+
+def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[float, ...], float]:
+    """Heights above the origin at which the beams start, () for 0; and the elevation between two blocks of them."""
+    n_bands, per_band = int(180 / _BAND_DEG), int(_BAND_DEG / _BAND_BIN_DEG)
+    density = np.zeros((len(_HEIGHTS_M), n_bands))
+    for row, height in enumerate(_HEIGHTS_M):
+        elevation = np.degrees(np.arctan(tangent - height * nearness))
+        bins = ((elevation + 90.0) / _BAND_BIN_DEG).astype(np.intp).clip(0, n_bands * per_band - 1)
+        count = np.bincount(bins, minlength=n_bands * per_band).reshape(n_bands, per_band).astype(np.float64)
+        total = count.sum(axis=1)
+        pairs, most = (count * (count - 1)).sum(axis=1), np.maximum(total * (total - 1), 1.0)
+        density[row] = total * np.log(np.maximum(pairs, 1.0) * per_band / most)
+        if height == 0:
+            below = np.cumsum(total) / total.sum()
+    lower = np.cumsum(density, axis=1) / len(tangent)
+    one = lower[:, -1]
+    best = int(one.argmax())
+    none = float(one[np.abs(_HEIGHTS_M).argmin()])
+    is_split = (below > 0.15) & (below < 0.85)
+    two, chosen = -np.inf, (0.0, 0.0, -90.0)
+    for row, height in enumerate(_HEIGHTS_M):
+        drop = height - _HEIGHTS_M
+        rows = np.flatnonzero((drop > _BLOCKS_APART_M[0] - 1e-6) & (drop < _BLOCKS_APART_M[1] + 1e-6))
+        if not len(rows) or not is_split.any():
+            continue
+        together = np.where(is_split, lower[rows].max(axis=0) + one[row] - lower[row], -np.inf)
+        band = int(together.argmax())
+        if together[band] > two:
+            two = float(together[band])
+            chosen = float(_HEIGHTS_M[rows[lower[rows, band].argmax()]]), float(height), _BAND_DEG * (band + 1) - 90.0
+    if two > max(none, float(one[best])) + _GAIN:
+        return (chosen[0], chosen[1]), chosen[2]
+    return ((float(_HEIGHTS_M[best]),), -90.0) if one[best] > none + _GAIN else ((), -90.0)
+
+
+def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
+    """Bins at which the smoothed count peaks: by half its height over what surrounds it, and by enough returns."""
+    sigma = width_deg / _BIN_DEG
+    smooth = gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
+    peaks, shape = find_peaks(smooth, height=_FEWEST_RETURNS, prominence=_FEWEST_RETURNS / 2)
+    standing: IndexArray = peaks[shape["prominences"] > 0.5 * smooth[peaks]]
+    return standing
+
+
+def _explained(count: IndexArray, peaks: IndexArray, width_deg: float) -> float:
+    """(s - c) / (1 - c): s the share of returns within two widths of a peak, c the share of angles that are."""
+    reach = round(2 * width_deg / _BIN_DEG)
+    near: BoolArray = np.zeros(len(count), dtype=np.bool_)
+    for offset in range(-reach, reach + 1):
+        near[(peaks + offset).clip(0, len(count) - 1)] = True
+    low, high = np.searchsorted(np.cumsum(count) / count.sum(), (0.005, 0.995))
+    within = slice(int(low), int(high) + 1)
+    by_chance = float(near[within].mean())
+    return float((count[near].sum() / count.sum() - by_chance) / max(1.0 - by_chance, 1e-9))
+
+
+def _is_even(ascending: FloatArray) -> bool:
+    """Whether all distances are multiples of one, within 3 % of it; missing beams leave a multiple."""
+    gap = np.diff(ascending)
+    if len(gap) < 3:
+        return False
+    step = float(np.median(gap))
+    place = np.concatenate([[0.0], np.cumsum(np.round(gap / step))])
+    if np.round(gap / step).min() < 1 or place[-1] > 1.5 * len(gap):
+        return False
+    line = np.polynomial.Polynomial.fit(place, ascending, 1)
+    return bool(np.abs(ascending - line(place)).max() <= 0.03 * step + 0.005)

@@ -1,0 +1,314 @@
+"""What sensor a scan is from: its beams, steps and noise as the points show them, and its model if that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from ..arrays import FloatArray, IndexArray, IntArray
+from .beam_patterns import BeamPattern, find_beams, recognise
+from .plausibility import widest_azimuth_gap_deg
+
+#: Limits of the bands of range, metres, for which the share of lost pulses is told.
+LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
+_FEWEST_POINTS = 500
+_QUANTA_M = (0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
+_QUANTUM_RANGE_M = 30.0
+_RUN = 9  # returns of a beam one after the other
+_RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
+_HOLE = 5  # pulses
+
+
+@dataclass(frozen=True)
+class SensorFacts:
+    """What a scan shows of its sensor; what cannot be told is None, or (), and `untold` has the reason.
+
+    elevation_deg : of its beams, ascending
+    is_even : whether all neighbouring beams are equally far apart
+    is_sharp : whether the beams stand out in the whole scan; else, as after compensation for motion, they were read in
+        a sector, and their number is about so
+    origin_height_m : heights above the origin at which the beams start: of all, or of a lower and an upper block
+    field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
+    azimuth_step_deg : between two firings of a beam
+    range_quantum_m : that ranges are multiples of
+    range_noise_m : standard deviation along the ray on smooth surfaces
+    lost_share : by band of range, see `LOST_BANDS_M`: share of the pulses that are missing in surfaces that are seen
+    has_ring, has_time : whether each point has its beam's number, and its time
+    model : title of the known sensor with these beams
+    untold : by field, why it is not told
+    """
+
+    n_points: int
+    elevation_deg: tuple[float, ...] = ()
+    is_even: bool | None = None
+    is_sharp: bool | None = None
+    origin_height_m: tuple[float, ...] = ()
+    field_of_view_deg: tuple[float, ...] = ()
+    azimuth_step_deg: float | None = None
+    range_quantum_m: float | None = None
+    range_noise_m: float | None = None
+    lost_share: tuple[float | None, ...] = ()
+    has_ring: bool = False
+    has_time: bool = False
+    model: str | None = None
+    untold: dict[str, str] = field(default_factory=dict)
+
+
+def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: bool = False) -> SensorFacts:
+    """What the points of one scan show of the sensor that made it.
+
+    Elevations are the peaks of the density of z / r - h / r over all points, in angle, where r is the horizontal
+    distance and h the height at which beams start; see `beam_patterns.find_beams`. With rings they are medians over
+    each ring. Step: the commonest distance in azimuth of neighbouring returns of a beam. Quantum: the largest q of a
+    list for which ranges R of a beam have |mean exp(2 pi i R / q)| >= 0.7. Noise: rms residual of a parabola through
+    nine returns in a row, its lower quartile over all such runs, as a standard deviation. Lost: of the gaps between
+    returns of one surface, the firings without one.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, the frame of the sensor itself: z up, beams start on the z axis. Not finite and
+        zero ones are left out. A scan that was moved or tilted out of that frame has no beams that could be told
+    ring : (n,) int32, number of each point's beam, if the file has it
+    has_time : whether the file has a time for each point
+    """
+    is_return = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    points, ring = points[is_return], None if ring is None else ring[is_return]
+    facts = SensorFacts(len(points), has_ring=ring is not None, has_time=has_time)
+    if len(points) < _FEWEST_POINTS:
+        return _untold(facts, f"{len(points)} points, at least {_FEWEST_POINTS} are needed")
+    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    around_deg = 360.0 - widest_azimuth_gap_deg(points)
+    view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
+    facts = replace(facts, field_of_view_deg=view)
+    pattern = find_beams(points, ring)
+    if isinstance(pattern, str):
+        return _untold(facts, pattern)
+    untold = {}
+    sweep = _by_beam(points, pattern)
+    step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
+    quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
+    noise, untold["range_noise_m"] = _range_noise(sweep, step)
+    lost, untold["lost_share"] = _lost_share(sweep, step)
+    model, untold["model"] = recognise(pattern)
+    return replace(
+        facts,
+        elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
+        is_even=pattern.is_even,
+        is_sharp=pattern.is_sharp,
+        origin_height_m=pattern.origin_height_m,
+        azimuth_step_deg=step,
+        range_quantum_m=quantum,
+        range_noise_m=noise,
+        lost_share=lost,
+        model=model,
+        untold={name: why for name, why in untold.items() if why},
+    )
+
+
+def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
+    """One sentence for each thing in which the sensors of the two sides differ; nothing about what is not told.
+
+    Elevations differ if their number or limits do (by more than 0.3 degrees, or three beams), or if they are even on
+    one side alone; steps by more than 5 %, quanta at all, noise by a factor of 1.5 and 5 mm, lost shares by 5 points.
+    """
+    found = []
+    if real.elevation_deg and sim.elevation_deg:
+        limits = np.abs(np.subtract(_limits(real), _limits(sim))).max()
+        n_apart = abs(len(real.elevation_deg) - len(sim.elevation_deg))
+        if limits > 0.3 or n_apart > 2 or real.is_even != sim.is_even:
+            found.append(f"real: {beams_text(real)}; simulated: {beams_text(sim)}")
+        if np.abs(np.subtract(_heights(real), _heights(sim))).max() > 0.03:
+            found.append(
+                f"beams start {_heights_text(real)} in the real scan, {_heights_text(sim)} in the simulated one"
+            )
+    elif real.elevation_deg or sim.elevation_deg:
+        found.append(f"real: {beams_text(real)}; simulated: {beams_text(sim)}")
+    steps = (real.azimuth_step_deg, sim.azimuth_step_deg)
+    if steps[0] and steps[1] and not 1 / 1.05 < steps[0] / steps[1] < 1.05:
+        found.append(f"azimuth step: {steps[0]:.3f} degrees real, {steps[1]:.3f} simulated")
+    if real.range_quantum_m != sim.range_quantum_m and real.elevation_deg and sim.elevation_deg:
+        found.append(f"range quantum: {_quantum_text(real)} real, {_quantum_text(sim)} simulated")
+    if real.range_noise_m is not None and sim.range_noise_m is not None:
+        low, high = sorted((real.range_noise_m, sim.range_noise_m))
+        if high > 1.5 * low and high - low > 0.005:
+            found.append(
+                f"range noise on smooth surfaces: {1e3 * real.range_noise_m:.0f} mm real, "
+                f"{1e3 * sim.range_noise_m:.0f} mm simulated"
+            )
+    for low_m, high_m, a, b in zip(LOST_BANDS_M, LOST_BANDS_M[1:], real.lost_share, sim.lost_share, strict=False):
+        if a is not None and b is not None and abs(a - b) > 0.05:
+            found.append(f"pulses lost in surfaces {low_m:.0f} to {high_m:.0f} m away: {a:.0%} real, {b:.0%} simulated")
+    if real.has_time != sim.has_time:
+        found.append(f"a time for each point: {_yes(real.has_time)} real, {_yes(sim.has_time)} simulated")
+    return found
+
+
+def beams_text(facts: SensorFacts) -> str:
+    """Number, range and spacing of the beams, and the model: "32 beams, -25 to +15 degrees, uneven: ..."."""
+    if not facts.elevation_deg:
+        return f"beams not told ({facts.untold['elevation_deg']})"
+    low, high = _limits(facts)
+    evenness = "evenly spaced" if facts.is_even else "uneven"
+    about = "" if facts.is_sharp else "about "
+    text = f"{about}{len(facts.elevation_deg)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
+    return f"{text}: {facts.model}" if facts.model else f"{text}: {facts.untold['model']}"
+
+
+def sensor_lines(facts: SensorFacts) -> list[str]:
+    """What the points tell of their sensor, line by line; what they do not tell, with the reason."""
+    view = facts.field_of_view_deg
+    rows = [
+        ("beams", beams_text(facts)),
+        ("beams start", _heights_text(facts)) if facts.origin_height_m else ("", ""),
+        ("field of view", f"{view[0]:+.4g} to {view[1]:+.4g} degrees, {view[2]:.0f} degrees around")
+        if view
+        else ("", ""),
+        _told(facts, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
+        _told(facts, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
+        _told(facts, "range noise", "range_noise_m", lambda noise: f"{1e3 * noise:.0f} mm on smooth surfaces"),
+        _told(facts, "pulses lost in surfaces", "lost_share", _lost_text),
+        ("for each point", f"ring: {_yes(facts.has_ring)}, time: {_yes(facts.has_time)}"),
+    ]
+    return [f"{name}: {text}" for name, text in rows if name]
+
+
+def _told(facts: SensorFacts, name: str, attribute: str, text: Callable[[Any], str]) -> tuple[str, str]:
+    if attribute in facts.untold:
+        return name, f"not told ({facts.untold[attribute]})"
+    value = getattr(facts, attribute)
+    return (name, text(value)) if value not in (None, ()) else ("", "")
+
+
+def _lost_text(shares: Sequence[float | None]) -> str:
+    bands = zip(LOST_BANDS_M, LOST_BANDS_M[1:], shares, strict=False)
+    known = [f"{share:.0%} at {low:.0f}-{high:.0f} m" for low, high, share in bands if share is not None]
+    return ", ".join(known) or "too few to tell"
+
+
+def _untold(facts: SensorFacts, why: str) -> SensorFacts:
+    """The facts of a scan whose beams cannot be told, and so nothing that is read beam by beam."""
+    others = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share", "model")
+    return replace(facts, untold={"elevation_deg": why, **dict.fromkeys(others, "no beams are told")})
+
+
+def _limits(facts: SensorFacts) -> tuple[float, float]:
+    return facts.elevation_deg[0], facts.elevation_deg[-1]
+
+
+def _heights(facts: SensorFacts) -> tuple[float, float]:
+    """Of the lower and the upper block."""
+    return (facts.origin_height_m[0], facts.origin_height_m[-1]) if facts.origin_height_m else (0.0, 0.0)
+
+
+def _heights_text(facts: SensorFacts) -> str:
+    return " and ".join(f"{height:g}" for height in facts.origin_height_m or (0.0,)) + " m above the origin"
+
+
+def _quantum_text(facts: SensorFacts) -> str:
+    quantum = facts.range_quantum_m
+    return facts.untold["range_quantum_m"] if quantum is None else f"{1e3 * quantum:g} mm"
+
+
+def _yes(has: bool) -> str:
+    return "yes" if has else "no"
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """Returns that lie in a beam, sorted by beam and in it by azimuth.
+
+    beam : (m,) intp, row of the pattern's elevations
+    azimuth_deg, range_m : (m,) float64
+    """
+
+    beam: IndexArray
+    azimuth_deg: FloatArray
+    range_m: FloatArray
+
+    @property
+    def gap_deg(self) -> FloatArray:
+        """(m - 1,) float64, from each return to the next; NaN where that is another beam's."""
+        return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
+
+
+def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
+    beam = pattern.beam_of(points)
+    points, beam = points[beam >= 0], beam[beam >= 0]
+    azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    range_m = np.sqrt((points**2).sum(axis=1))
+    order = np.lexsort((range_m, azimuth_deg, beam))
+    return _Sweep(beam[order], azimuth_deg[order], range_m[order])
+
+
+def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
+    bin_deg, most_deg = 0.002, 4.0
+    gap = sweep.gap_deg
+    gap = gap[(gap > 0.02) & (gap < most_deg)]
+    if len(gap) < _FEWEST_POINTS:
+        return None, "too few neighbouring returns"
+    count = np.bincount((gap / bin_deg).astype(np.intp), minlength=int(most_deg / bin_deg)).astype(np.float64)
+    density = gaussian_filter1d(count, 3.0)
+    peaks, _ = find_peaks(density, height=0.4 * density.max())
+    step = (peaks[0] + 0.5) * bin_deg
+    near = gap[np.abs(gap / step - 1.0) < 0.15]
+    if len(near) < 0.15 * len(gap):
+        return None, "neighbouring returns have no common distance in azimuth"
+    return round(float(np.median(near)), 4), ""
+
+
+def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str]:
+    for step_m in (0.01, 0.001):
+        if np.mean(np.abs(points / step_m - np.round(points / step_m)) < 0.02) > 0.98:
+            return None, f"coordinates are rounded to {1e3 * step_m:g} mm"
+    is_near = sweep.range_m < _QUANTUM_RANGE_M
+    beam, range_m = sweep.beam[is_near], sweep.range_m[is_near]
+    n_returns = np.bincount(beam)
+    used = n_returns >= 50
+    if n_returns[used].sum() < _FEWEST_POINTS:
+        return None, f"too few returns nearer than {_QUANTUM_RANGE_M:g} m"
+    for quantum in _QUANTA_M:
+        turn = 2 * np.pi * range_m / quantum
+        length = np.hypot(np.bincount(beam, np.cos(turn)), np.bincount(beam, np.sin(turn)))
+        if length[used].sum() / n_returns[used].sum() >= 0.7:
+            return quantum, ""
+    return None, f"no quantum from {1e3 * _QUANTA_M[-1]:g} to {1e3 * _QUANTA_M[0]:g} mm"
+
+
+def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, str]:
+    if step_deg is None or len(sweep.beam) < _RUN:
+        return None, "no azimuth step is told"
+    is_next = np.nan_to_num(sweep.gap_deg, nan=np.inf) < 1.5 * step_deg
+    is_run = sliding_window_view(is_next, _RUN - 1).all(axis=1)
+    runs = sliding_window_view(sweep.range_m, _RUN)[is_run]
+    runs = runs[np.ptp(runs, axis=1) < 0.05 * runs.mean(axis=1)]
+    if len(runs) < 200:
+        return None, f"{len(runs)} runs of {_RUN} returns on a surface, at least 200 are needed"
+    place = np.linspace(-1.0, 1.0, _RUN)
+    basis = np.linalg.qr(np.stack([np.ones(_RUN), place, place**2], axis=1))[0]
+    residual = runs - runs @ basis @ basis.T
+    rms = np.sqrt((residual**2).sum(axis=1) / (_RUN - 3))
+    return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
+
+
+def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | None, ...], str]:
+    if step_deg is None:
+        return (), "no azimuth step is told"
+    n_firings = np.round(sweep.gap_deg / step_deg)
+    nearer, farther = (
+        np.minimum(sweep.range_m[:-1], sweep.range_m[1:]),
+        np.maximum(sweep.range_m[:-1], sweep.range_m[1:]),
+    )
+    is_surface = (n_firings >= 1) & (n_firings <= _HOLE + 1) & (farther - nearer < 0.03 * nearer + 0.05)
+    shares: list[float | None] = []
+    for low_m, high_m in pairwise(LOST_BANDS_M):
+        firings = n_firings[is_surface & (nearer >= low_m) & (nearer < high_m)]
+        enough = len(firings) >= _FEWEST_POINTS
+        shares.append(round(float(1.0 - len(firings) / firings.sum()), 3) if enough else None)
+    return tuple(shares), ""

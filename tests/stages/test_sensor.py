@@ -1,0 +1,191 @@
+"""Sensors read from scans of a room, whose beams, step, quantum, noise and losses are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fidpipe.stages.sensing.beam_patterns import BeamPattern, find_beams, recognise
+from fidpipe.stages.sensing.ray_casting import fire, measure_ranges
+from fidpipe.stages.sensing.sensor import beams_text, describe_sensor, differences, sensor_lines
+from fidpipe.stages.sensing.sensor_models import SENSORS
+
+CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])  # of the room
+TILT = np.array([[0.9962, 0, 0.0872], [0, 1, 0], [-0.0872, 0, 0.9962]])  # by five degrees
+STEP_DEG = 0.4
+
+# Elevations of units that are in no table. HDL-64E S3: velodyne_decoder, calibrations/HDL-64E_S3-xiesc.yml. OS1-64:
+# ouster-sdk, tests/metadata/2_1_2_os1-991913000010-64.json. VLP-32A: velodyne_decoder, calibrations/VLP-32A.yml.
+HDL64_S3 = """
+-24.555 -24.147 -23.549 -22.966 -22.358 -21.976 -21.491 -21.064 -20.429 -19.892 -19.247 -18.923 -18.429 -17.964 -17.368
+-16.801 -16.274 -15.906 -15.385 -14.927 -14.291 -13.806 -13.163 -12.83 -12.294 -11.913 -11.295 -10.754 -10.176 -9.744
+-9.3 -8.775 -8.563 -8.219 -7.943 -7.552 -7.23 -6.849 -6.56 -6.19 -5.889 -5.483 -5.135 -4.809 -4.53 -4.157 -3.819 -3.469
+-3.119 -2.792 -2.488 -2.091 -1.81 -1.459 -1.143 -0.756 -0.452 -0.089 0.204 0.591 0.895 1.293 1.562 1.96
+"""
+OS1_64 = """
+-16.679 -16.078 -15.504 -14.968 -14.49 -13.902 -13.347 -12.807 -12.35 -11.777 -11.226 -10.687 -10.227 -9.66 -9.112
+-8.572 -8.116 -7.563 -7.02 -6.471 -6.028 -5.472 -4.929 -4.391 -3.935 -3.386 -2.839 -2.3 -1.854 -1.39 -0.756 -0.205 0.239
+0.787 1.337 1.88 2.328 2.881 3.424 3.967 4.419 4.961 5.504 6.056 6.513 7.049 7.594 8.149 8.603 9.138 9.693 10.251 10.704
+11.251 11.801 12.378 12.837 13.381 13.937 14.526 14.995 15.543 16.118 16.729
+"""
+VLP32A = """
+-14.3 -12.5 -10.7 -8.9 -7.0 -6.0 -4.9 -3.8 -2.5 -2.167 -1.834 -1.5 -1.167 -0.834 -0.5 -0.167 0.167 0.5 0.834 1.167 1.5
+1.834 2.167 2.5 3.8 4.9 6.0 7.0 8.9 10.7 12.5 14.3
+"""
+
+
+def room(sensor, step_deg=STEP_DEG, lost_share=None):
+    """What a sensor sees that stands tilted in the room, in its own frame; noise, quantum, losses as its model has."""
+    rng = np.random.default_rng(0)
+    directions = fire(sensor, step_deg=step_deg).directions()
+    steep = directions @ TILT.T
+    steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
+    range_m = (np.where(steep > 0, CORNERS_M[1], CORNERS_M[0]) / steep).min(axis=1)
+    answered = rng.random(len(range_m)) >= (sensor.lost_share if lost_share is None else lost_share)
+    return (directions * measure_ranges(sensor, range_m, rng)[:, None])[answered]
+
+
+def pattern(text):
+    return BeamPattern(np.sort(np.array(text.split(), dtype=float)), 0.02, False, (), -90.0, 1.0)
+
+
+def even(low, high, n):
+    return replace(
+        SENSORS["hdl64"], elevation_deg=tuple(np.linspace(low, high, n)), azimuth_offset_deg=(0.0,) * n, lost_share=0.0
+    )
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_each_known_sensor_is_named_and_its_elevations_are_those_of_its_table(name):
+    facts = describe_sensor(room(SENSORS[name]))
+    assert facts.model == SENSORS[name].title
+    np.testing.assert_allclose(facts.elevation_deg, np.sort(SENSORS[name].elevation_deg), atol=0.011)
+    assert facts.is_sharp and facts.origin_height_m == ()
+
+
+def test_step_quantum_noise_and_losses_are_those_of_the_model():
+    facts = describe_sensor(room(SENSORS["vlp32c"], step_deg=None, lost_share=0.2))
+    assert facts.azimuth_step_deg == pytest.approx(0.1991, abs=0.001)
+    assert facts.range_quantum_m == 0.004
+    assert facts.range_noise_m == pytest.approx(0.03, rel=0.15)
+    assert facts.lost_share[:2] == pytest.approx((0.2, 0.2), abs=0.02)
+    assert facts.field_of_view_deg == pytest.approx((-25.0, 15.0, 360.0), abs=0.5)
+
+
+def test_what_cannot_be_told_is_none_with_a_reason():
+    facts = describe_sensor(room(replace(SENSORS["vlp16"], range_quantum_m=0.0)))
+    assert facts.range_quantum_m is None and "no quantum" in facts.untold["range_quantum_m"]
+    few = describe_sensor(np.ones((3, 3)))
+    assert few.elevation_deg == () and few.model is None and "at least 500" in few.untold["elevation_deg"]
+    assert describe_sensor(np.full((900, 3), np.nan)).n_points == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda points, rng: points[rng.permutation(len(points))],
+        lambda points, rng: points @ np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]).T,
+        lambda points, rng: points * [1, -1, 1],
+        lambda points, rng: points[rng.random(len(points)) < 0.6],
+        lambda points, rng: np.vstack([points, np.zeros((500, 3)), np.full((5, 3), np.nan)]),
+    ],
+    ids=["order of rows", "turned about z", "mirrored", "40 % lost", "zeros and NaN"],
+)
+def test_the_sensor_does_not_depend_on(change):
+    points = room(SENSORS["hdl32"])
+    before, after = describe_sensor(points), describe_sensor(change(points, np.random.default_rng(1)))
+    assert after.model == before.model == "Velodyne HDL-32E"
+    np.testing.assert_allclose(after.elevation_deg, before.elevation_deg, atol=0.01)
+    assert after.azimuth_step_deg == pytest.approx(before.azimuth_step_deg, abs=1e-3)
+    assert after.range_noise_m == pytest.approx(before.range_noise_m, rel=0.15)
+
+
+def test_the_order_of_rows_changes_no_bit():
+    points = room(SENSORS["vlp32c"])
+    assert describe_sensor(points[::-1]) == describe_sensor(points)
+
+
+@pytest.mark.parametrize("name", ["vlp16", "hdl64", "os1-128", "pandar40p"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda points: points[:, [0, 2, 1]],
+        lambda points: points[:, [2, 1, 0]],
+        lambda points: points + [0, 0, 1.7],
+        lambda points: points @ TILT.T,
+    ],
+    ids=["y and z exchanged", "x and z exchanged", "1.7 m up", "tilted by 5"],
+)
+def test_no_sensor_is_named_out_of_its_frame(name, change):
+    assert describe_sensor(change(room(SENSORS[name]))).model is None
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "n"), [(-24.8, 2.0, 64), (-25.0, 15.0, 32), (-15.0, 16.0, 16), (-22.5, 22.5, 128)]
+)
+def test_even_channels_are_no_known_sensors(low, high, n):
+    facts = describe_sensor(room(even(low, high, n)))
+    assert (facts.model, facts.is_even, len(facts.elevation_deg)) == (None, True, n)
+
+
+def test_units_that_are_in_no_table_are_known_by_their_pattern():
+    assert recognise(pattern(HDL64_S3))[0] == "Velodyne HDL-64E"
+    assert recognise(pattern(OS1_64))[0] == "Ouster OS1-64 (gen 1)"
+    halved = BeamPattern(pattern(HDL64_S3).elevation_deg[1::2], 0.02, False, (), -90.0, 1.0)
+    assert recognise(halved)[0] == "every second beam of Velodyne HDL-64E"
+    assert recognise(pattern(VLP32A)) == (None, "no known sensor has such beams")
+    assert "at least 8" in recognise(pattern("-3 -2 0 1"))[1]
+
+
+def test_two_blocks_of_beams_that_start_above_the_origin_are_seen_through():
+    points = room(SENSORS["hdl64"])
+    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    points[:, 2] += np.where(slope_deg < -8.6, 0.12, 0.2)
+    facts = describe_sensor(points)
+    assert facts.origin_height_m == pytest.approx((0.12, 0.2), abs=0.011)
+    assert facts.model == "Velodyne HDL-64E"
+    assert len(facts.elevation_deg) == 64
+
+
+def test_rings_tell_the_beams_of_a_scan_that_is_smeared():
+    points = room(SENSORS["hdl32"], lost_share=0.0)
+    ring = np.tile(np.arange(32), int(360 / STEP_DEG))
+    turn = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)
+    smeared = points + np.column_stack([1.5 * turn, 0 * turn, 0.2 * turn])
+    facts = describe_sensor(smeared, ring)
+    assert (facts.model, len(facts.elevation_deg), facts.has_ring) == ("Velodyne HDL-32E", 32, True)
+    assert not describe_sensor(smeared).is_sharp
+    assert describe_sensor(points, np.zeros(len(points), dtype=np.int32)).model == "Velodyne HDL-32E"
+
+
+def test_points_anywhere_lie_in_no_beams():
+    cloud = np.random.default_rng(0).uniform(-20, 20, (20_000, 3))
+    assert "is the scan moved or tilted" in find_beams(cloud)
+
+
+def test_the_sides_differ_in_a_sentence():
+    real, sim = describe_sensor(room(SENSORS["vlp32c"])), describe_sensor(room(SENSORS["carla"], lost_share=0.2))
+    assert differences(real, real) == []
+    found = differences(real, sim)
+    assert found[0] == (
+        "real: 32 beams, -25 to +15 degrees, uneven: Velodyne VLP-32C; "
+        "simulated: 32 beams, -30 to +10 degrees, evenly spaced: CARLA's default channels"
+    )
+    assert "range quantum: 4 mm real, no quantum from 0.5 to 50 mm simulated" in found
+    assert any(text.startswith("range noise on smooth surfaces:") for text in found)
+    assert any(text.startswith("pulses lost in surfaces 0 to 10 m away:") for text in found)
+    lost = describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3)))
+    assert "beams not told" in differences(real, lost)[0]
+    assert differences(real, replace(real, has_time=True)) == ["a time for each point: no real, yes simulated"]
+
+
+def test_every_fact_has_a_line():
+    lines = sensor_lines(describe_sensor(room(SENSORS["vlp32c"]), has_time=True))
+    assert lines[0] == f"beams: {beams_text(describe_sensor(room(SENSORS['vlp32c'])))}"
+    assert "azimuth step: 0.400 degrees" in lines
+    assert "range quantum: 4 mm" in lines
+    assert "for each point: ring: no, time: yes" in lines
+    assert any(
+        "not told (returns do not lie" in line or "beams not told" in line
+        for line in sensor_lines(describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3))))
+    )
