@@ -55,8 +55,8 @@ _SECONDS_BETWEEN_LOOKS = 1.0
 _WITHOUT_WORKERS_S = 600.0
 
 
-#: Of a cluster on this machine: one death of a worker ends its tasks (they are tried again alone); one that is silent is
-#: busy in a library; a busy event loop is no news; and what was sent is not kept, for it grows with the pairs.
+#: Of a cluster on this machine: one death of a worker ends its tasks (they are tried again alone); one that is silent
+#: is busy in a library; a busy event loop is no news; and what was sent is not kept, for it grows with the pairs.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-ttl": None,
