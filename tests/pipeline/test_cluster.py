@@ -187,7 +187,9 @@ def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, clus
     versions = library_versions(["fidpipe", "scipy"])
     pool = DaskPool(1, cluster.address, tmp_path / "file", versions)
     try:
-        cluster.workers.pop().terminate()
+        first = cluster.workers.pop()
+        first.terminate()
+        first.wait(60)
         cluster.add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), _TEST_MODULES]))
         pool.submit(pow, 2, 5)
         with pytest.raises(RunError, match=r"other versions: scipy 0\.0\.9 \(here "):
