@@ -17,7 +17,8 @@ from distributed import Client
 import faults
 from fidpipe.pipeline.engine import cluster as engine_cluster
 from fidpipe.pipeline.engine.cluster import DaskPool, code_hash, worker_fault
-from fidpipe.pipeline.jobs import STAGES, metrics
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import STAGES, metrics, selection
 from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
 from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, command, run
@@ -109,6 +110,13 @@ def never_ending_graph(folder, context):
         (folder / str(os.getpid())).touch()
         ctypes.PyDLL(None).sleep(10_000)
     return faults.graph.make_graph(context)
+
+
+def never_ending_selection(context):
+    """The selection job, which for one pair never ends."""
+    while context.pair_id == faults.POISON:
+        time.sleep(1.0)
+    return selection.make_selection(context)
 
 
 def with_metrics(make):
@@ -237,3 +245,12 @@ def test_a_worker_with_other_code_of_the_same_version_is_refused(tmp_path):
     assert fault == (
         f"fidpipe of the same version with other code ({code_hash()}, here 01234567); install the same one there"
     )
+
+
+def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", _TEST_MODULES)
+    stages = faults.with_job("selection", never_ending_selection)
+    small = Policy(worth_splitting_s=0.0, batch_s=0.0)
+    outcome = run(dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S)
+    assert list(outcome.failures) == [faults.POISON]
+    assert f"not finished after {LIMIT_S:g} s of work in stage selection; a larger" in outcome.failures[faults.POISON]
