@@ -30,6 +30,7 @@ TESTS = Path(faults.__file__).parent
 _TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent)])
 N_PAIRS = 6
 LIMIT_S = 3.0
+ENDLESS_S = 900
 POISON_IN_METRICS = "002"
 
 
@@ -108,7 +109,7 @@ def never_ending_graph(folder, context):
     """The graph job, which for one pair never comes back from a library that holds the interpreter."""
     if context.pair_id == faults.POISON:
         (folder / str(os.getpid())).touch()
-        ctypes.PyDLL(None).sleep(10_000)
+        ctypes.PyDLL(None).sleep(ENDLESS_S)
     return faults.graph.make_graph(context)
 
 
@@ -227,7 +228,7 @@ def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
     stages = faults.with_job("graph", partial(never_ending_graph, pids))
     begun = time.monotonic()
     outcome = run(dataset, tmp_path / "run", workers=workers, scheduler=address, stages=stages, pair_timeout_s=LIMIT_S)
-    assert time.monotonic() - begun < 60
+    assert time.monotonic() - begun < ENDLESS_S / 3
     assert list(outcome.failures) == [faults.POISON]
     assert f"not finished after {LIMIT_S:g} s of work in stage graph, real" in outcome.failures[faults.POISON]
     assert not (tmp_path / "run" / ".time_limit").exists()
