@@ -23,7 +23,7 @@ from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .datasets.scan_checks import input_hashes
-from .engine.engine import Machines, RunEngine, Survey, current_records, modules_of
+from .engine.engine import Machines, RunEngine, Survey, current_records
 from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
@@ -136,7 +136,7 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
     stages = stages_under(request.settings) if request.stages is None else request.stages
     with (
         folder.locked(),
-        RunEngine(folder, request.settings, request.machines, reporter, modules_of(stages)) as engine,
+        RunEngine(folder, request.settings, request.machines, reporter, stages) as engine,
     ):
         run = _Run(request, dataset, stages, engine)
         run.inspect(selected)

@@ -23,9 +23,21 @@ FOLDERS = [table for stage in STAGES for table in stage.gives]
 _PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE = 24, 1
 
 
-def run(dataset, out, settings=None, *, workers=1, scheduler=None, pool=None, policy=None, replace=True, **options):
+def run(
+    dataset,
+    out,
+    settings=None,
+    *,
+    workers=1,
+    scheduler=None,
+    pool=None,
+    policy=None,
+    replace=True,
+    pair_timeout_s=None,
+    **options,
+):
     """A run in this process, or on workers or a pool; it may replace what was made with other settings."""
-    machines = Machines(workers, scheduler, pool, policy or Policy())
+    machines = Machines(workers, scheduler, pool, policy or Policy(), pair_timeout_s)
     request = RunRequest(dataset, out, settings or Settings(), machines=machines, replace=replace, **options)
     return run_dataset(request, Reporter(Console(quiet=True)))
 

@@ -38,6 +38,16 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
 ]
+PairTimeout = Annotated[
+    float | None,
+    typer.Option(
+        "--pair-timeout",
+        metavar="SECONDS",
+        min=0.001,
+        help="A pair that takes workers longer than this, all its parts together, fails; the others go on.",
+        show_default="no limit",
+    ),
+]
 Floor = Annotated[
     Path | None,
     typer.Option(

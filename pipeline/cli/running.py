@@ -12,6 +12,7 @@ from .options import (
     AsJson,
     Assignments,
     DatasetFolder,
+    PairTimeout,
     Preset,
     Replace,
     RunFolder,
@@ -59,6 +60,7 @@ def run(
     assignments: Assignments = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
+    pair_timeout: PairTimeout = None,
     from_stage: Annotated[
         str | None, typer.Option("--from", metavar="STAGE", help="Make this stage and those after it again.")
     ] = None,
@@ -96,6 +98,10 @@ def run(
     fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
 
     fidpipe run dataset/ --json | jq '.record.overview.numbers'    progress goes to standard error
+
+    fidpipe run dataset/ --scheduler tcp://host:8786    on a cluster: docs/cluster.md
+
+    fidpipe run dataset/ --pair-timeout 600      a pair that takes more than 10 minutes of work fails, the others go on
     """
     from ...schemas.settings import load
     from ..engine import prefork
@@ -125,7 +131,7 @@ def run(
         settings=in_force,
         from_stage=from_stage,
         pattern=pairs,
-        machines=Machines(workers, scheduler),
+        machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
         replace=replace,
     )
     outcome = run_dataset(request, Reporter())
@@ -159,6 +165,7 @@ def floor(
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
+    pair_timeout: PairTimeout = None,
     replace: Replace = False,
 ) -> None:
     """Evaluate a perfect simulator: each real scan of a dataset against itself measured again.
@@ -201,7 +208,7 @@ def floor(
         seed=seed,
         neighbours=neighbours,
         pattern=pairs,
-        machines=Machines(workers, scheduler),
+        machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
         replace=replace,
     )
     outcome = run_floor(request, Reporter())

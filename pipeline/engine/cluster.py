@@ -7,17 +7,21 @@ the machine).
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import logging
 import os
 import queue
-from collections.abc import Callable, Iterable
+import socket
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from ...schemas.errors import RunError
+from ...schemas.errors import FidpipeError, RunError
 from ..storage.record import library_versions
 from . import prefork
 from .costs import CostModel
@@ -45,13 +49,17 @@ _STOP_S = 2.0
 _KILL_S = 0.2
 
 
-_SECONDS_BETWEEN_COUNTS = 1.0
+_SECONDS_BETWEEN_LOOKS = 1.0
 
 
-#: One death of a worker ends its tasks (they are tried again alone); a busy event loop is no news; and what was sent is
-#: not kept, for it grows with the pairs.
+_WITHOUT_WORKERS_S = 600.0
+
+
+#: Of a cluster on this machine: one death of a worker ends its tasks (they are tried again alone); one that is silent
+#: is busy in a library; a busy event loop is no news; and what was sent is not kept, for it grows with the pairs.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-ttl": None,
     "distributed.admin.tick.limit": "1h",
     "distributed.admin.low-level-log-length": 0,
 }
@@ -62,12 +70,17 @@ class _Worker:
     """What a worker process remembers between tasks."""
 
     limits: Any = field(default=None)
+    libraries: dict[str, str] = field(default_factory=dict)
 
 
 _WORKER = _Worker()
 
 
-def _in_worker(function: Callable[..., Any], *args: Any) -> Any:
+def _in_worker(libraries: dict[str, str], function: Callable[..., Any], *args: Any) -> Any:
+    if libraries != _WORKER.libraries:  # it may have come after the others were asked
+        if fault := other_versions(library_versions_there(libraries), libraries):
+            raise RunError(f"a worker on {socket.gethostname()}: {fault}")
+        _WORKER.libraries = libraries
     if _WORKER.limits is None:
         _WORKER.limits = one_blas_thread()
         _WORKER.limits.__enter__()
@@ -85,11 +98,12 @@ class DaskPool:
     libraries : versions that every worker must have
     memory : bytes that the worker processes may occupy together; None for what there is
     modules : names of those that the jobs are in, to be imported once for all workers of this machine
+    may_end_workers : whether tasks may end the process that they are in, so that something must start it again
 
     Raises
     ------
     RunError
-        The scheduler cannot be reached, or a worker does not see the files or has other library versions.
+        The scheduler cannot be reached, or a worker does not see the files, has other versions, or is not as is wanted.
     """
 
     def __init__(
@@ -100,6 +114,8 @@ class DaskPool:
         libraries: dict[str, str],
         memory: int | None = None,
         modules: Iterable[str] = (),
+        *,
+        may_end_workers: bool = False,
     ) -> None:
         if address is None:
             prefork.start(modules)  # before what is imported here: both take their time
@@ -116,32 +132,30 @@ class DaskPool:
         self._cluster: Any = None
         self._client: Any = None
         self._address, self._given_memory = address, memory
-        self._n_workers, self._asked = 1, -_SECONDS_BETWEEN_COUNTS
+        self._libraries = {} if address is None else libraries
+        self._workers: dict[str, dict[str, Any]] = {}
+        self._looked, self._had_workers = -_SECONDS_BETWEEN_LOOKS, monotonic()
         try:
             self._start(n_workers, address)
             if address is not None:
-                self._check_workers(address, shared_file, libraries)
+                self._check_versions()
+                self._check_workers(shared_file, may_end_workers)
         except BaseException:
             self.close(now=True)
             raise
 
     @property
     def n_workers(self) -> int:
-        """Threads of all workers that are there now, at least 1; asked of the scheduler once in a while."""
-        if monotonic() - self._asked > _SECONDS_BETWEEN_COUNTS:
-            self._asked = monotonic()
-            self._n_workers = max(1, sum(int(n) for n in self._client.nthreads().values()))
-        return self._n_workers
+        """Threads of all workers that are there now, at least 1."""
+        return max(1, sum(int(worker["nthreads"]) for worker in self._workers_now().values()))
 
     @property
     def memory(self) -> Memory:
-        """See `Pool`."""
+        """See `Pool`: of the workers that are there now."""
         if self._given_memory is not None or self._address is None:
             memory = self._given_memory or machine_memory()
             return Memory(memory, memory)
-        limits = [
-            int(worker["memory_limit"]) for worker in self._client.scheduler_info(n_workers=-1)["workers"].values()
-        ]
+        limits = [int(worker["memory_limit"]) for worker in self._workers_now().values() if worker["memory_limit"]]
         return Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits, default=0)))
 
     @property
@@ -152,7 +166,7 @@ class DaskPool:
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
         passed = [[handle.future for handle in arg] if is_handles(arg) else arg for arg in args]
-        future = self._client.submit(_in_worker, function, *passed, pure=False, priority=priority)
+        future = self._client.submit(_in_worker, self._libraries, function, *passed, pure=False, priority=priority)
         handle = Handle(future)
         self._handles[future.key] = handle, keep
         future.add_done_callback(self._done.put)
@@ -160,12 +174,18 @@ class DaskPool:
 
     def next_done(self) -> tuple[Handle, Any]:
         """See `Pool`."""
-        future = self._done.get()
+        future = self._next_future()
         handle, keep = self._handles.pop(future.key)
         if future.status != "finished":
             error = future.exception() if future.status == "error" else None
-            if error is None or isinstance(error, self._killed_worker):
-                return handle, WorkerDied(str(error or future.status))
+            if isinstance(error, self._killed_worker):
+                n_deaths = error.allowed_failures + 1
+                each = f"{n_deaths} workers each time" if n_deaths > 1 else "a worker each time"
+                return handle, WorkerDied(f"{each}, the last one {error.last_worker.address}")
+            if error is None:
+                raise RunError(self._lost(f"a task is {future.status}"))
+            if not isinstance(error, FidpipeError):
+                self._check_versions()  # to a worker of another version what is sent makes no sense
             raise error
         if keep:
             return handle, None
@@ -214,11 +234,58 @@ class DaskPool:
         closing = (nanny.close(timeout=_KILL_S) for nanny in self._cluster.workers.values())
         await asyncio.gather(*closing, return_exceptions=True)
 
-    def _check_workers(self, address: str, shared_file: Path, libraries: dict[str, str]) -> None:
-        content = shared_file.read_bytes()
-        for worker, fault in self._client.run(worker_fault, str(shared_file.resolve()), content, libraries).items():
+    def _next_future(self) -> Any:
+        """The next task that has ended.
+
+        Raises
+        ------
+        RunError
+            The scheduler is lost, or has had no worker for long.
+        """
+        while True:
+            with suppress(queue.Empty):
+                return self._done.get(timeout=_SECONDS_BETWEEN_LOOKS)
+            if self._workers_now():
+                self._had_workers = monotonic()
+            elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
+                raise RunError(self._lost(f"no worker has been there for {_WITHOUT_WORKERS_S:.0f} s"))
+
+    def _workers_now(self) -> dict[str, dict[str, Any]]:
+        """What the scheduler knows of its workers, by address; asked once in a while."""
+        if monotonic() - self._looked > _SECONDS_BETWEEN_LOOKS:
+            try:
+                self._workers = self._client.scheduler_info(n_workers=-1)["workers"]
+            except (OSError, TimeoutError) as error:
+                raise RunError(self._lost("the connection is lost")) from error
+            self._looked = monotonic()
+        return self._workers
+
+    def _lost(self, fault: str) -> str:
+        return f"scheduler {self._address or 'here'}: {fault}; run the same command again: it goes on where it stopped"
+
+    def _check_versions(self) -> None:
+        """Refuses a scheduler or workers of other versions, with `RunError`; no code of ours runs there for that."""
+        told = self._client.get_versions(packages=list(self._libraries))
+        for name, there in [("", told["scheduler"]), *told["workers"].items()]:
+            if isinstance(there, dict) and (fault := other_versions(there["packages"], self._libraries)):
+                raise RunError(f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}")
+
+    def _check_workers(self, shared_file: Path, may_end_workers: bool) -> None:
+        """Refuses workers on which a run could not go on to its end, with `RunError`."""
+        faults = self._client.run(worker_fault, str(shared_file.resolve()), shared_file.read_bytes(), code_hash())
+        for worker, known in self._workers_now().items():
+            if self._given_memory is None and not known["memory_limit"]:
+                faults[worker] = (
+                    "has no memory limit; start it with --memory-limit, or say what all of them may occupy together: "
+                    "--set machine.memory_gib=NUMBER"
+                )
+            if may_end_workers and not known["nanny"]:
+                faults[worker] = (
+                    "has no nanny, and a pair that is out of time ends its worker process; start it with --nanny"
+                )
+        for worker, fault in faults.items():
             if fault:
-                raise RunError(f"scheduler {address}, worker {worker}: {fault}")
+                raise RunError(f"scheduler {self._address}, worker {worker}: {fault}")
 
 
 def start_pool(
@@ -228,33 +295,65 @@ def start_pool(
     shared_file: Path,
     libraries: dict[str, str],
     modules: Iterable[str] = (),
+    *,
+    may_end_workers: bool = False,
 ) -> Pool:
     """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`.
 
-    There are no more workers than the memory holds.
+    There are no more workers than the memory holds. One that may be ended is never this process.
     """
     memory = None if memory_gib is None else int(memory_gib * 2**30)
     n_workers = n_workers or cpu_count()
     if address is None and n_workers > 1:
         n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
-    if address is None and n_workers == 1:
+    if address is None and n_workers == 1 and not may_end_workers:
         return InProcess(memory)
-    return DaskPool(n_workers, address, shared_file, libraries, memory, modules)
+    return DaskPool(n_workers, address, shared_file, libraries, memory, modules, may_end_workers=may_end_workers)
 
 
-def worker_fault(path: str, content: bytes, libraries: dict[str, str]) -> str:
-    """Why a worker cannot serve a run: it does not see the run's files, or has other versions; "" if it can."""
+def worker_fault(path: str, content: bytes, code: str) -> str:
+    """Why a worker cannot serve a run: it does not see the run's files, or runs other code; "" if it can."""
+    if code_hash() != code:
+        return f"fidpipe of the same version with other code ({code_hash()}, here {code}); install the same one there"
     try:
         own = Path(path).read_bytes()
     except OSError as error:
         return f"{path} cannot be read there ({error.strerror}); workers must see the same files under the same paths"
-    if own != content:
-        return f"{path} is another file there; workers must see the same files under the same paths"
-    versions = library_versions(libraries)
+    return (
+        "" if own == content else f"{path} is another file there; workers must see the same files under the same paths"
+    )
+
+
+def other_versions(there: Mapping[str, str | None], wanted: Mapping[str, str]) -> str:
+    """Which versions are others there than here, both named; "" if none is."""
     other = [
-        f"{name} {versions[name]} (here {wanted})" for name, wanted in libraries.items() if versions[name] != wanted
+        f"{name} {there.get(name) or 'is not installed'} (here {version})"
+        for name, version in wanted.items()
+        if there.get(name) != version
     ]
-    return f"other library versions: {', '.join(other)}; install the same ones there" if other else ""
+    return f"other versions: {', '.join(other)}; install the same ones there" if other else ""
+
+
+def library_versions_there(names: Iterable[str]) -> dict[str, str | None]:
+    """Versions by distribution name in this process; None of what is not installed."""
+    versions: dict[str, str | None] = {}
+    for name in names:
+        try:
+            versions |= library_versions([name])
+        except PackageNotFoundError:
+            versions[name] = None
+    return versions
+
+
+@cache
+def code_hash() -> str:
+    """A hash of fidpipe's own code: two checkouts of one version may differ."""
+    root = Path(__file__).parents[2]
+    digest = hashlib.sha256()
+    for folder in ("pipeline", "schemas", "stages"):
+        for path in sorted((root / folder).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:8]
 
 
 def cpu_count() -> int:

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
+from shutil import rmtree
 from types import TracebackType
 from typing import Self
 
@@ -39,12 +40,15 @@ from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import Handle, InProcess, Pool, WorkerDied
 from .progress import Reporter, Work, seconds_of
 from .schedule import Policy, Schedule
+from .time_limit import TimeLimit
 from .worker import BatchResult, JobFailure, failures_in_words, is_required
 
 _FEW_PAIRS = 16  # whose files are read in this process
 _MOST_PAIRS_PER_BATCH = 32
 _LEAST_BATCHES = 8
 _BATCHES_PER_WORKER = 4
+
+_TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 
 PlanPair = Callable[[ScanPair], PairPlan]
 
@@ -57,12 +61,14 @@ class Machines:
     scheduler : address of a dask scheduler, instead of a cluster on this machine
     pool : to be used instead of either; it is not closed
     policy : how work is cut into batches
+    pair_timeout_s : a pair that workers have worked on for longer fails; None for as long as it takes
     """
 
     workers: int | None = None
     scheduler: str | None = None
     pool: Pool | None = None
     policy: Policy = field(default_factory=Policy)
+    pair_timeout_s: float | None = None
 
 
 @dataclass
@@ -93,6 +99,7 @@ class Engine:
     machines : where work is done
     reporter : told how it goes on
     modules : names of those that the jobs are in
+    libraries : what the jobs call; with those that every run needs, workers of a cluster must have the same versions
     shared_file : that every worker of a cluster must see with the same content
 
     Attributes
@@ -107,12 +114,14 @@ class Engine:
         machines: Machines,
         reporter: Reporter,
         modules: Iterable[str] = (),
+        libraries: Iterable[str] = (),
         shared_file: Path = Path(),
     ) -> None:
         self.settings, self.reporter = settings, reporter
         self.failures: dict[str, str] = {}
         self.n_made = 0
-        self._machines, self._modules, self._shared_file = machines, tuple(modules), shared_file
+        self._machines, self._shared_file = machines, shared_file
+        self._modules, self._libraries = tuple(modules), tuple(libraries)
         self._traces: set[str] = set()
         self._pool: Pool | None = machines.pool
 
@@ -136,8 +145,9 @@ class Engine:
                 self._machines.scheduler,
                 self.settings.machine.memory_gib,
                 self._shared_file,
-                library_versions(LIBRARIES),
+                library_versions(("fidpipe", *LIBRARIES, *self._libraries)),
                 self._modules,
+                may_end_workers=self._machines.pair_timeout_s is not None,
             )
             if self._pool.dashboard:
                 self.reporter.say(f"dask dashboard: {self._pool.dashboard}")
@@ -164,9 +174,21 @@ class Engine:
         pool = self.pool
         self.reporter.start(work)
         try:
-            yield Schedule(pool, plans, work.n_pairs, self, self._machines.policy)
+            yield Schedule(pool, self._limited(plans), work.n_pairs, self, self._machines.policy)
         finally:
             self.reporter.stop()
+
+    def _limited(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
+        """The plans with the time limit of their pairs; what was noted of an earlier run is removed."""
+        seconds = self._machines.pair_timeout_s
+        for i, plan in enumerate(plans):
+            if seconds is None or plan.folder is None:
+                yield plan
+                continue
+            notes = plan.folder / _TIME_NOTES
+            if i == 0:
+                rmtree(notes, ignore_errors=True)
+            yield replace(plan, limit=TimeLimit(seconds, notes / str(i)))
 
     def fail(self, name: str, reason: str) -> None:
         """Something came to nothing, by pair_id or "pair_id, part"."""
@@ -194,6 +216,8 @@ class Engine:
             self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
         if own:
             self.fail(plan.pair_id, failures_in_words(own))
+        if plan.limit is not None:
+            rmtree(plan.limit.folder, ignore_errors=True)
         for trace in [failure.trace for failure in failures if failure.trace]:
             if trace not in self._traces:
                 self._traces.add(trace)
@@ -206,7 +230,8 @@ class RunEngine(Engine):
     Parameters
     ----------
     folder : of the run; locked where anything is to be made
-    settings, machines, reporter, modules : see `Engine`
+    settings, machines, reporter : see `Engine`
+    stages : whose jobs may be wanted
 
     Attributes
     ----------
@@ -215,9 +240,17 @@ class RunEngine(Engine):
     """
 
     def __init__(
-        self, folder: RunFolder, settings: Settings, machines: Machines, reporter: Reporter, modules: Iterable[str] = ()
+        self,
+        folder: RunFolder,
+        settings: Settings,
+        machines: Machines,
+        reporter: Reporter,
+        stages: Iterable[Stage] = (),
     ) -> None:
-        super().__init__(settings, machines, reporter, modules, folder.token_path)
+        stages = tuple(stages)
+        modules = dict.fromkeys(stage.make.__module__ for stage in stages)
+        libraries = dict.fromkeys(name for stage in stages for name in stage.libraries(settings))
+        super().__init__(settings, machines, reporter, modules, libraries, folder.token_path)
         self.folder = folder
         self.contents: dict[str, dict[str, ScanContent]] = {}
         self.frames: dict[str, FrameSuspect] = {}
@@ -352,6 +385,7 @@ class RunEngine(Engine):
             raise DiskFullError(f"{error}: it goes on where it stopped; the {pairs} about {need} in all") from error
         finally:
             self.folder.ledger.commit()
+            rmtree(self.folder.folder / _TIME_NOTES, ignore_errors=True)
         if self.failures:
             self.folder.remove_strays()  # what a worker wrote before it died
 
@@ -444,11 +478,6 @@ def current_records(folder: RunFolder, pair_ids: Iterable[str], stages: Iterable
         for record in folder.ledger.jobs(pair_id).values():
             if record.stage in wanted:
                 yield record
-
-
-def modules_of(stages: Iterable[Stage]) -> tuple[str, ...]:
-    """The modules that the jobs of some stages are in, by name."""
-    return tuple(dict.fromkeys(stage.make.__module__ for stage in stages))
 
 
 def _by_reason(unwanted: Mapping[JobName, str]) -> dict[str, list[JobName]]:

@@ -21,12 +21,11 @@ class MemoryBudget:
 
     def __init__(self, pool: Pool, costs: CostModel) -> None:
         self._pool, self._costs = pool, costs
-        self._memory = pool.memory
 
     @property
     def usable(self) -> int:
         """Bytes for what batches make, of all workers together."""
-        return max(0, self._memory.together - self._costs.process_bytes * self._pool.n_workers)
+        return max(0, self._pool.memory.together - self._costs.process_bytes * self._pool.n_workers)
 
     def admits(self, need: int, running: Iterable[int]) -> bool:
         """Whether a batch of this need fits beside those that run; a pool takes more batches than run at once."""
@@ -41,7 +40,7 @@ class MemoryBudget:
         """Why the rest of a pair does not fit into the memory even when nothing runs beside it; None if it does."""
         own = self._costs.pair_bytes(plan.n_raw)
         number, n_keep = largest_object(plan.objects or [])
-        usable = max(0, self._memory.alone - self._costs.process_bytes)
+        usable = max(0, self._pool.memory.alone - self._costs.process_bytes)
         need = own + self._costs.object_bytes(n_keep)
         if need <= usable:
             return None

@@ -17,6 +17,7 @@ from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.record import library_versions
 from ..storage.tables import JobName, JobRecord
+from .time_limit import TimeLimit
 
 OUT_OF_DATE = "out of date"  #: the reason for which a result is not wanted that was made from or with something else
 
@@ -72,6 +73,7 @@ class PairPlan:
     jobs : in their order
     inputs : by side, what its file holds
     folder, token : of the run; no folder where everything stays in memory
+    limit : how long workers may work on it; None for as long as it takes
     """
 
     pair: ScanPair
@@ -80,6 +82,7 @@ class PairPlan:
     label_names: Mapping[int, str] = field(default_factory=dict)
     folder: Path | None = None
     token: str = ""
+    limit: TimeLimit | None = None
 
     @property
     def pair_id(self) -> str:

@@ -282,8 +282,8 @@ class Schedule:
         """All that is left of a pair in one piece; small pairs wait for others to go with them."""
         self._bundle.append(pair)
         pair.n_waiting += 1
-        if sum(map(self._weight, self._bundle)) >= 1:
-            self._submit_bundle()
+        if sum(map(self._weight, self._bundle)) >= 1 or pair.plan.limit is not None:
+            self._submit_bundle()  # what runs out of time must take no other pair along
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch; each stops where an object needs more than its share."""

@@ -21,6 +21,7 @@ from ..stage import Column, Context, Facts, Grain, Made, Step, Tables, total_ste
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan
+from .time_limit import Clock, OutOfTimeError
 
 
 @dataclass(frozen=True)
@@ -67,50 +68,22 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
     """Makes and writes the jobs of each pair; one broken job does not stop the others that do not need it."""
     results = []
     for batch in batches:
-        jobs = [batch.plan.job(name) for name in batch.jobs]
-        has_parts = any(job.part not in job.stage.parts for job in jobs)
-        tables = _kept_tables(batch.plan) if has_parts else PairTables(batch.plan)
-        records: list[JobRecord] = []
-        failures: list[JobFailure] = []
-        failed: set[JobId] = set()
-        for job in jobs:
-            if failed.intersection(job.needs):
-                failed.add(job.name)
-                continue
-            if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
-                _, n_keep = largest_object(tables.objects)
-                if costs.object_bytes(n_keep) > batch.bytes_for_objects:
-                    break
-            try:
-                records.append(make_job(tables, job))
-            except DiskFullError:
-                raise  # of every pair that comes after
-            except Exception as error:  # one broken pair does not stop a dataset
-                failures.append(_failure(job, error))
-                failed.add(job.name)
-                if is_required(job):
-                    break
-        results.append(BatchResult(batch.plan.pair_id, tuple(records), tuple(failures)))
+        try:
+            with Clock(batch.plan.limit) as clock:
+                results.append(_make_jobs(batch, costs, clock))
+        except OutOfTimeError as error:
+            failure = JobFailure(*batch.jobs[0], str(error))
+            results.append(BatchResult(batch.plan.pair_id, failures=(failure,)))
     return results
 
 
 def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]) -> ObjectRows | JobFailure:
     """The rows of some objects, by the stages over objects that are wanted; nothing is written."""
-    tables = _kept_tables(plan)
-    made: dict[JobId, Tables] = {}
-    steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
-    beside: dict[tuple[str, str], pa.Table] = {}
-    for name in jobs:
-        job = plan.job(name)
-        source = _WithRows(tables, beside)
-        context = Context(job.stage, job.part, job.settings, source, objects, job.arguments)
-        try:
-            made[name] = job.stage.make(context).tables
-        except Exception as error:  # one broken pair does not stop a dataset
-            return _failure(job, error)
-        steps[name] = total_steps(context.steps)
-        beside |= {(table, ""): rows for table, rows in made[name].items()}
-    return ObjectRows(made, steps)
+    try:
+        with Clock(plan.limit) as clock:
+            return _make_rows(plan, jobs, objects, clock)
+    except OutOfTimeError as error:
+        return JobFailure(*jobs[0], str(error))
 
 
 def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRows | JobFailure]) -> list[BatchResult]:
@@ -267,6 +240,57 @@ class _WithRows:
 def is_required(job: Job) -> bool:
     """Whether its pair comes to nothing without it: neither an extra nor a part of an experiment."""
     return not job.stage.is_extra and job.part in job.stage.parts
+
+
+def _make_jobs(batch: PairBatch, costs: CostModel, clock: Clock) -> BatchResult:
+    """Makes and writes the jobs of one pair."""
+    jobs = [batch.plan.job(name) for name in batch.jobs]
+    has_parts = any(job.part not in job.stage.parts for job in jobs)
+    tables = _kept_tables(batch.plan) if has_parts else PairTables(batch.plan)
+    records: list[JobRecord] = []
+    failures: list[JobFailure] = []
+    failed: set[JobId] = set()
+    for job in jobs:
+        if failed.intersection(job.needs):
+            failed.add(job.name)
+            continue
+        if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
+            _, n_keep = largest_object(tables.objects)
+            if costs.object_bytes(n_keep) > batch.bytes_for_objects:
+                break
+        clock.begin(*job.name)
+        try:
+            records.append(make_job(tables, job))
+        except DiskFullError:
+            raise  # of every pair that comes after
+        except Exception as error:  # one broken pair does not stop a dataset
+            failures.append(_failure(job, error))
+            failed.add(job.name)
+            if is_required(job):
+                break
+    return BatchResult(batch.plan.pair_id, tuple(records), tuple(failures))
+
+
+def _make_rows(
+    plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...], clock: Clock
+) -> ObjectRows | JobFailure:
+    """See `score_objects`."""
+    tables = _kept_tables(plan)
+    made: dict[JobId, Tables] = {}
+    steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
+    beside: dict[tuple[str, str], pa.Table] = {}
+    for name in jobs:
+        job = plan.job(name)
+        clock.begin(*name)
+        source = _WithRows(tables, beside)
+        context = Context(job.stage, job.part, job.settings, source, objects, job.arguments)
+        try:
+            made[name] = job.stage.make(context).tables
+        except Exception as error:  # one broken pair does not stop a dataset
+            return _failure(job, error)
+        steps[name] = total_steps(context.steps)
+        beside |= {(table, ""): rows for table, rows in made[name].items()}
+    return ObjectRows(made, steps)
 
 
 def _finish_objects(tables: PairTables, job: Job, context: Context, made: Mapping[str, list[pa.Table]]) -> JobRecord:

@@ -26,7 +26,7 @@ from ...stages.summary import mean_and_std
 from ..datasets.pairs import ScanPair, read_dataset, read_label_names
 from ..datasets.readers import is_scan_path, stem_of, suffix_of
 from ..datasets.readers.frames import address_of
-from ..engine.engine import Machines, RunEngine, Survey, modules_of
+from ..engine.engine import Machines, RunEngine, Survey
 from ..engine.plan import OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import STAGES
@@ -319,8 +319,8 @@ def experimenting(
         The folder holds something else, or is in use.
     """
     check_folder(request.out, source.path, name)
-    folder, modules = RunFolder(request.out), modules_of((*STAGES, *stages))
-    with folder.locked(), RunEngine(folder, request.settings, request.machines, reporter, modules) as engine:
+    folder = RunFolder(request.out)
+    with folder.locked(), RunEngine(folder, request.settings, request.machines, reporter, (*STAGES, *stages)) as engine:
         yield Experiment(name, engine, source, stages, sides, replace=request.replace)
 
 

@@ -1,0 +1,125 @@
+"""The time limit of a pair: a worker that works too long on one ends its own process, whatever that is doing.
+
+Nothing else stops a thread that is inside a library: no exception, no signal, no message of the scheduler. The timer of
+`faulthandler` needs no interpreter. What each batch of a pair has taken stands in small files in the run's folder: so
+every worker knows how much is left, and whether another one ended because nothing was.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import secrets
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from types import TracebackType
+from typing import Self, TextIO
+
+from ...schemas.errors import StageError
+
+_FINISHED = ".seconds"
+_OVER = "Timeout ("  # as faulthandler writes it
+_LEAST_S = 0.001
+
+
+@dataclass(frozen=True)
+class TimeLimit:
+    """How long workers may work on a pair.
+
+    seconds : of all its batches together, also of those that run at the same time
+    folder : of what is noted about the pair; every worker sees it
+    """
+
+    seconds: float
+    folder: Path
+
+
+class OutOfTimeError(StageError):
+    """A pair has used up its time."""
+
+
+class Clock:
+    """Within it this thread works on a pair, until the pair's time is over: then the process ends.
+
+    Parameters
+    ----------
+    limit : of the pair; None for none
+
+    Raises
+    ------
+    OutOfTimeError
+        On entry, if nothing is left.
+    """
+
+    def __init__(self, limit: TimeLimit | None) -> None:
+        self._limit = limit
+        self._note: TextIO | None = None
+        self._begun = 0.0
+
+    def __enter__(self) -> Self:
+        """The clock, which runs."""
+        if self._limit is not None:
+            folder = self._limit.folder
+            folder.mkdir(parents=True, exist_ok=True)
+            left = self._limit.seconds - _seconds_used(self._limit)
+            if left <= 0:
+                raise OutOfTimeError(_used_up(self._limit))
+            self._note = (folder / secrets.token_hex(8)).open("w", buffering=1, encoding="utf-8")
+            self._begun = monotonic()
+            _watch(self._begun + left, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stops it, and notes what was used."""
+        if self._note is not None:
+            _watch(None, self._note)
+            self._note.close()
+            path = Path(self._note.name)
+            path.with_suffix(_FINISHED).write_text(str(monotonic() - self._begun), encoding="utf-8")
+            path.unlink(missing_ok=True)
+
+    def begin(self, stage: str, part: str) -> None:
+        """Notes what is begun, for the case that it does not end."""
+        if self._note is not None:
+            self._note.write(f"stage {stage}{', ' + part if part else ''}\n")
+
+
+def _seconds_used(limit: TimeLimit) -> float:
+    """Seconds of the pair's finished batches; `OutOfTimeError` where one ended because time was over."""
+    used = 0.0
+    for path in list(limit.folder.iterdir()):
+        try:
+            text = path.read_text(encoding="utf-8")
+        except FileNotFoundError:  # a batch beside this one has just finished
+            continue
+        if path.suffix == _FINISHED:
+            used += float(text or 0)
+        elif _OVER in text:
+            began = text[: text.index(_OVER)].splitlines()
+            raise OutOfTimeError(_used_up(limit, began[-1] if began else ""))
+    return used
+
+
+def _used_up(limit: TimeLimit, stage: str = "") -> str:
+    where = f" in {stage}" if stage else ""
+    return f"not finished after {limit.seconds:g} s of work{where}; a larger --pair-timeout gives it more"
+
+
+_DEADLINES: dict[int, tuple[float, TextIO]] = {}
+_LOCK = threading.Lock()
+
+
+def _watch(deadline: float | None, note: TextIO) -> None:
+    """Sets this thread's deadline, or takes it away; the process has one timer, for the earliest of its threads."""
+    with _LOCK:
+        if deadline is None:
+            _DEADLINES.pop(threading.get_ident(), None)
+        else:
+            _DEADLINES[threading.get_ident()] = deadline, note
+        faulthandler.cancel_dump_traceback_later()
+        if _DEADLINES:
+            first, noted = min(_DEADLINES.values(), key=lambda entry: entry[0])
+            faulthandler.dump_traceback_later(max(_LEAST_S, first - monotonic()), exit=True, file=noted)

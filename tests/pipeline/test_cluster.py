@@ -1,0 +1,257 @@
+"""A cluster of worker processes over TCP: what it gives, whom it refuses, and what becomes of a dying worker."""
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import psutil
+import pytest
+from distributed import Client
+
+import faults
+from fidpipe.pipeline.engine import cluster as engine_cluster
+from fidpipe.pipeline.engine.cluster import DaskPool, code_hash, worker_fault
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import STAGES, metrics, selection
+from fidpipe.pipeline.storage.record import library_versions
+from fidpipe.schemas.errors import RunError
+from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, command, run
+from scenes import write_dataset
+
+pytestmark = pytest.mark.slow
+
+TESTS = Path(faults.__file__).parent
+_TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent)])
+N_PAIRS = 6
+LIMIT_S = 3.0
+ENDLESS_S = 900
+POISON_IN_METRICS = "002"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    run(dataset, out)
+    return out
+
+
+class Cluster:
+    """A dask scheduler and its workers, each a process of its own; the address is of TCP."""
+
+    def __init__(self, folder):
+        self._folder, self._file = folder, folder / "scheduler.json"
+        self.scheduler = self._start("scheduler", "--port", "0")
+        while not (self._file.exists() and self._file.read_text()):
+            time.sleep(0.05)
+        self.address = json.loads(self._file.read_text())["address"]
+        self.workers = []
+
+    def add_workers(self, n, *options, **environment):
+        """Starts workers of one thread, which see the tests' modules, and waits until they are there."""
+        self.workers += [self._start("worker", "--nthreads", "1", *options, **environment) for _ in range(n)]
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(len(self.workers), timeout=60)
+        return self
+
+    def _start(self, what, *options, **environment):
+        dask = str(Path(FIDPIPE).with_name("dask"))
+        return subprocess.Popen(
+            [dask, what, "--scheduler-file", str(self._file), "--host", "127.0.0.1", "--no-dashboard", *options],
+            cwd=self._folder,
+            env={**os.environ, "PYTHONPATH": _TEST_MODULES, **environment},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def end(self):
+        """Ends what is still there, the scheduler last."""
+        for process in self.workers:
+            process.terminate()
+        for process in (*self.workers, self.scheduler):
+            try:
+                process.wait(10 if process is not self.scheduler else 0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    own = tmp_path / "cluster"
+    own.mkdir()
+    cluster = Cluster(own)
+    yield cluster
+    cluster.end()
+
+
+def kill_own_worker_once(context):
+    """The metrics job, which once in a run takes its worker with it: in the middle of the pairs."""
+    if context.pair_id == POISON_IN_METRICS and "KILLED" in os.environ:
+        flag = Path(os.environ["KILLED"])
+        if not flag.exists():
+            flag.write_text(str(os.getpid()))
+            os.kill(os.getpid(), signal.SIGKILL)
+    return metrics.make_metrics(context)
+
+
+def never_ending_graph(folder, context):
+    """The graph job, which for one pair never comes back from a library that holds the interpreter."""
+    if context.pair_id == faults.POISON:
+        (folder / str(os.getpid())).touch()
+        ctypes.PyDLL(None).sleep(ENDLESS_S)
+    return faults.graph.make_graph(context)
+
+
+def never_ending_selection(context):
+    """The selection job, which for one pair never ends."""
+    while context.pair_id == faults.POISON:
+        time.sleep(1.0)
+    return selection.make_selection(context)
+
+
+def with_metrics(make):
+    return tuple(replace(stage, make=make) if stage.name == "metrics" else stage for stage in STAGES)
+
+
+def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_run(dataset, finished, tmp_path, cluster):
+    killed = tmp_path / "killed"
+    cluster.add_workers(3, "--no-nanny", KILLED=str(killed))
+    outcome = run(
+        dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=with_metrics(kill_own_worker_once)
+    )
+    dead = [process for process in cluster.workers if process.poll() is not None]
+    assert [process.pid for process in dead] == [int(killed.read_text())]
+    assert outcome.failures == {}
+    assert outcome.n_made == N_PAIRS * JOBS_PER_PAIR
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_a_pair_whose_worker_dies_each_time_fails_and_says_so(dataset, tmp_path, cluster):
+    cluster.add_workers(3, "--nanny")
+    stages = faults.with_job("graph", faults.poisoned_graph)
+    outcome = run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
+    assert list(outcome.failures) == [faults.POISON]
+    reason = outcome.failures[faults.POISON]
+    assert reason.startswith("stage graph, real: the worker process died, and again when the pair ran alone")
+    assert "4 workers each time, the last one tcp://127.0.0.1:" in reason
+
+
+def test_a_cluster_whose_workers_are_all_lost_ends_the_run_which_can_be_gone_on_with(
+    dataset, finished, tmp_path, cluster, monkeypatch
+):
+    monkeypatch.setattr(engine_cluster, "_WITHOUT_WORKERS_S", 2.0)
+    cluster.add_workers(1, "--no-nanny")
+    stages = faults.with_job("graph", faults.poisoned_graph)
+    with pytest.raises(RunError, match="no worker has been there for 2 s; run the same command again: it goes on"):
+        run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
+    assert run(dataset, tmp_path / "run").n_made < N_PAIRS * JOBS_PER_PAIR
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def kill_scheduler(context):
+    """The metrics job, which for one pair ends the scheduler."""
+    if context.pair_id == POISON_IN_METRICS:
+        os.kill(int(os.environ["SCHEDULER"]), signal.SIGKILL)
+        time.sleep(0.5)
+    return metrics.make_metrics(context)
+
+
+def test_a_lost_scheduler_is_named(dataset, tmp_path, cluster):
+    cluster.add_workers(2, "--no-nanny", SCHEDULER=str(cluster.scheduler.pid))
+    with pytest.raises(RunError, match=f"scheduler {cluster.address}: .*; run the same command again: it goes on"):
+        run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=with_metrics(kill_scheduler))
+
+
+@pytest.mark.parametrize("library", ["fidpipe", "scipy"])
+def test_a_worker_of_another_version_is_refused_before_anything_runs(dataset, tmp_path, cluster, library):
+    there = tmp_path / f"{library}-0.0.9.dist-info"
+    there.mkdir()
+    (there / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {library}\nVersion: 0.0.9\n")
+    cluster.add_workers(2).add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), _TEST_MODULES]))
+    refused = command("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address)
+    here = library_versions([library])[library]
+    assert refused.returncode == 1
+    assert f"other versions: {library} 0.0.9 (here {here}); install the same ones there" in refused.stderr
+    assert f"scheduler {cluster.address}, worker tcp://127.0.0.1:" in refused.stderr
+    assert not list((tmp_path / "run").rglob("*.parquet"))
+
+
+def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, cluster):
+    (tmp_path / "file").write_text("shared")
+    there = tmp_path / "scipy-0.0.9.dist-info"
+    there.mkdir()
+    (there / "METADATA").write_text("Metadata-Version: 2.1\nName: scipy\nVersion: 0.0.9\n")
+    cluster.add_workers(1)
+    versions = library_versions(["fidpipe", "scipy"])
+    pool = DaskPool(1, cluster.address, tmp_path / "file", versions)
+    try:
+        first = cluster.workers.pop()
+        first.terminate()
+        first.wait(60)
+        cluster.add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), _TEST_MODULES]))
+        pool.submit(pow, 2, 5)
+        with pytest.raises(RunError, match=r"other versions: scipy 0\.0\.9 \(here "):
+            pool.next_done()
+    finally:
+        pool.close()
+
+
+def test_workers_without_a_memory_limit_are_refused_unless_the_memory_is_named(dataset, tmp_path, cluster):
+    cluster.add_workers(1, "--memory-limit", "0")
+    words = ("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address, "--pairs", "000")
+    refused = command(*words)
+    assert refused.returncode == 1
+    assert "has no memory limit; start it with --memory-limit, or say" in refused.stderr
+    assert command(*words, "--set", "machine.memory_gib=2").returncode == 0
+
+
+@pytest.mark.parametrize("on", ["one process", "two processes", "a cluster"])
+def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
+    dataset, finished, tmp_path, request, monkeypatch, on
+):
+    monkeypatch.setenv("PYTHONPATH", _TEST_MODULES)
+    address = request.getfixturevalue("cluster").add_workers(2, "--nanny").address if on == "a cluster" else None
+    workers = {"one process": 1, "two processes": 2}.get(on)
+    pids = tmp_path / "pids"
+    pids.mkdir()
+    stages = faults.with_job("graph", partial(never_ending_graph, pids))
+    begun = time.monotonic()
+    outcome = run(dataset, tmp_path / "run", workers=workers, scheduler=address, stages=stages, pair_timeout_s=LIMIT_S)
+    assert time.monotonic() - begun < ENDLESS_S / 3
+    assert list(outcome.failures) == [faults.POISON]
+    assert f"not finished after {LIMIT_S:g} s of work in stage graph, real" in outcome.failures[faults.POISON]
+    assert not (tmp_path / "run" / ".time_limit").exists()
+    assert len(list(pids.iterdir())) == 1
+    assert not any(psutil.pid_exists(int(path.name)) for path in pids.iterdir())
+    if on != "a cluster":
+        own = psutil.Process()
+        assert [child for child in own.children(recursive=True) if child.ppid() != own.pid] == []
+    assert run(dataset, tmp_path / "run").n_made == JOBS_PER_PAIR
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_a_worker_with_other_code_of_the_same_version_is_refused(tmp_path):
+    fault = worker_fault(str(tmp_path), b"", "01234567")
+    assert fault == (
+        f"fidpipe of the same version with other code ({code_hash()}, here 01234567); install the same one there"
+    )
+
+
+def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", _TEST_MODULES)
+    stages = faults.with_job("selection", never_ending_selection)
+    small = Policy(worth_splitting_s=0.0, batch_s=0.0)
+    outcome = run(dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S)
+    assert list(outcome.failures) == [faults.POISON]
+    assert f"not finished after {LIMIT_S:g} s of work in stage selection; a larger" in outcome.failures[faults.POISON]
