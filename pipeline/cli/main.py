@@ -17,7 +17,7 @@ import typer
 from .datasets import synth, twin
 from .experiments import ablate, perturb
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from .results import compare, gate, report, show
+from .results import compare, export, gate, report, show
 from .running import check, floor, run, status
 
 _SECONDS_TO_STOP = 10.0
@@ -101,5 +101,5 @@ def _root(
     pass
 
 
-for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, floor, twin):
+for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, export, floor, twin):
     app.command()(_command)

@@ -235,7 +235,11 @@ def _points(frame: pd.DataFrame, objects: NDArray[np.void], distance_m: NDArray[
     is_object = points["community"] >= 0
     ids = points["community"][is_object]
     points["status"][is_object] = objects["status"][ids]
-    for name, values in {"r_lambda": objects["r_lambda"][ids], "cdc": objects["cdc"][ids], "distance_m": distance_m}.items():
+    for name, values in {
+        "r_lambda": objects["r_lambda"][ids],
+        "cdc": objects["cdc"][ids],
+        "distance_m": distance_m,
+    }.items():
         points[name] = np.nan
         points[name][is_object] = values
     return points
