@@ -66,7 +66,7 @@ setup: $(VENV)/installed-$(FILE_LIST)
 # A strict editable install links file by file: a new file or new metadata means installing again.
 $(VENV)/installed-$(FILE_LIST): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(INSTALL) --editable '.[synth,patchwork,icp,dev]'
+	$(INSTALL) --editable '.[synth,patchwork,icp,ros,dev]'
 	rm -f $(VENV)/installed-*
 	touch $@
 

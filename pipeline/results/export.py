@@ -267,9 +267,10 @@ def _is_ours(path: Path) -> bool:
 
     try:
         with Reader(path) as bag:
-            return all(connection.topic.startswith(f"{TOPIC}/") for connection in bag.connections)
+            topics = [connection.topic for connection in bag.connections]
     except Exception:  # whatever its parser meets in a file of another kind
         return False
+    return bool(topics) and all(topic.startswith(f"{TOPIC}/") for topic in topics)
 
 
 def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> Iterator[bytes | memoryview]:
