@@ -7,6 +7,7 @@ CloudCompare names them; written here, because trimesh would round coordinates t
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -343,4 +344,6 @@ def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
 
             with writer:
                 yield write
+            with (bag / "bag.mcap").open("rb") as file:
+                os.fsync(file.fileno())
             (bag / "bag.mcap").replace(path)

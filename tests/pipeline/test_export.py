@@ -56,6 +56,20 @@ def exported(request, dataset, tmp_path_factory):
     return run, out / "export"
 
 
+@pytest.fixture(scope="module")
+def timed(dataset, tmp_path_factory):
+    """A run of the pairs a and b, and what gives them other stamps."""
+    base = tmp_path_factory.mktemp("timed")
+
+    def write_manifest(*stamps):
+        rows = [f"{'ab'[i]},{dataset}/real/00{i}.bin,{dataset}/sim/00{i}.bin,{stamp}" for i, stamp in enumerate(stamps)]
+        (base / "pairs.csv").write_text("\n".join(["pair_id,real,sim,timestamp_s", *rows]) + "\n")
+
+    write_manifest("1", "2")
+    run_dataset(base, base / "run")
+    return fidpipe.open_run(base / "run"), write_manifest
+
+
 def read_mcap(path):
     """By topic, the time of each message and its points or text."""
     store, topics = get_typestore(Stores.EMPTY), {}
@@ -191,12 +205,9 @@ def test_without_times_in_the_dataset_the_pairs_are_one_second_apart(exported):
         (["1", "3e9"], None),
     ],
 )
-def test_stamps_are_those_of_the_dataset_if_every_pair_has_its_own(dataset, tmp_path, stamps, wanted):
-    rows = [f"{name},{dataset}/real/00{i}.bin,{dataset}/sim/00{i}.bin,{stamps[i]}" for i, name in enumerate("ab")]
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "pairs.csv").write_text("\n".join(["pair_id,real,sim,timestamp_s", *rows]) + "\n")
-    run_dataset(tmp_path / "data", tmp_path / "run")
-    run = fidpipe.open_run(tmp_path / "run")
+def test_stamps_are_those_of_the_dataset_if_every_pair_has_its_own(timed, tmp_path, stamps, wanted):
+    run, write_manifest = timed
+    write_manifest(*stamps)
     times_ns, has_times = message_times(run, ["a", "b"])
     assert has_times == (wanted is not None)
     assert times_ns == (wanted or {"a": 1_000_000_000, "b": 2_000_000_000})
