@@ -18,7 +18,7 @@ from .datasets import convert, pair, synth, twin
 from .experiments import ablate, perturb
 from .judging import compare, gate
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from .results import report, show
+from .results import export, report, show
 from .running import check, floor, run, status
 
 _SECONDS_TO_STOP = 10.0
@@ -102,5 +102,7 @@ def _root(
     pass
 
 
-for _command in (check, run, synth, report, status, perturb, ablate, show, gate, compare, floor, twin, pair, convert):
+for _command in (
+    *(check, run, synth, report, status, perturb, ablate, show, gate, compare, export, floor, twin, pair, convert),
+):
     app.command()(_command)

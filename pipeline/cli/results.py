@@ -1,8 +1,9 @@
-"""The commands that show finished runs: show, report."""
+"""The commands that show finished runs, or hand them on: show, report, export."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from time import monotonic
 from typing import Annotated
 
 import typer
@@ -116,3 +117,63 @@ def report(
     print(f"figures: {made.figures[0].parent} ({figures}; PNG, SVG and PDF)")
     if opens and not webbrowser.open(made.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {made.page} in one")
+
+
+def export(
+    run: RunFolder,
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help='One MCAP file of ROS 2 messages, NAME.mcap; needs "fidpipe[ros]".')
+    ] = False,
+    ply: Annotated[
+        bool, typer.Option("--ply", help="Two PLY files a pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.")
+    ] = False,
+    pairs: Annotated[
+        str | None, typer.Option("--pairs", metavar="PATTERN", help="Only pairs whose name matches, such as '0000*'.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the files.", show_default="RUN/export")] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace files too that fidpipe export did not write.")
+    ] = False,
+) -> None:
+    """Write the points of a finished run with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
+
+    Each clean point has x, y, z, community (its object, -1: ground), r_lambda, cdc, distance_m (to the other side; NaN
+    where there is none) and status: 0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated.
+
+    MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a point an object, at
+    its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a pair's scores as JSON). Stamps are those of
+    the dataset where each pair has its own, else a second apart.
+
+    Examples
+    --------
+    fidpipe export runs/dataset --mcap                       runs/dataset/export/dataset.mcap, for Foxglove
+
+    fidpipe export runs/dataset --ply --pairs '0007'         0007.real.ply and 0007.sim.ply, for CloudCompare
+
+    fidpipe export runs/dataset --mcap --ply --out viewers/
+    """
+    from ..engine.progress import SECONDS_BETWEEN_LINES, Reporter
+    from ..results.export import LEGEND, export_run
+    from ..results.finished import FinishedRun
+    from ..storage.files import megabytes
+
+    if not (mcap or ply):
+        raise typer.BadParameter("no format is given; --mcap or --ply, or both, is wanted")
+    reporter, last_line = Reporter(), monotonic()
+
+    def pair_done(n_done: int, n_pairs: int) -> None:
+        nonlocal last_line
+        if n_done == n_pairs or monotonic() - last_line >= SECONDS_BETWEEN_LINES:
+            reporter.say(f"{n_done} of {n_pairs} pairs exported")
+            last_line = monotonic()
+
+    finished, folder = FinishedRun(run), out or run / "export"
+    made = export_run(finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done)
+    if n_failed := finished.record.pairs.failed:
+        reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
+    if made.mcap:
+        print(f"MCAP:   {made.mcap}, stamps {'of the dataset' if made.has_times else 'one second apart'}")
+    if made.ply:
+        print(f"PLY:    {len(made.ply)} files in {folder}")
+    print(f"pairs:  {made.n_pairs}, {megabytes(made.n_bytes)}")
+    print(f"status: {LEGEND}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 
@@ -69,14 +68,8 @@ class RunResults:
         RunError
             None does.
         """
-        names: list[str] = self.pairs.pair_id.tolist()
-        if pattern is None:
-            return names
-        chosen = [name for name in names if fnmatchcase(name, pattern)]
-        if not chosen:
-            known = ", ".join(sorted(names)[:5])
-            raise RunError(f"--pairs {pattern!r} matches none of the {len(names)} scored pairs ({known} ...)")
-        return chosen
+        chosen = set(self.run.select(pattern))
+        return [name for name in self.pairs.pair_id if name in chosen]
 
 
 def read_results(folder: Path) -> RunResults:

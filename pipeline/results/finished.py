@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -174,6 +175,17 @@ class FinishedRun:
     def scored(self) -> list[Row]:
         """The rows of the scored pairs, by name."""
         return [row for row in self.rows if row["status"] == "scored"]
+
+    def select(self, pattern: str | None = None) -> list[str]:
+        """Names of the scored pairs that match a pattern (shell style); `RunError` if none does."""
+        names = [row["pair_id"] for row in self.scored]
+        chosen = [name for name in names if pattern is None or fnmatchcase(name, pattern)]
+        if not names:
+            raise RunError(f"run {self.folder}: no pair is scored; fidpipe status {self.folder} says why")
+        if not chosen:
+            known = ", ".join(sorted(names)[:5])
+            raise RunError(f"--pairs {pattern!r} matches none of the {len(names)} scored pairs ({known} ...)")
+        return chosen
 
     def row(self, pair_id: str) -> Row:
         """The row of a pair; `RunError` if the run does not have it."""

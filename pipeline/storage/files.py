@@ -8,8 +8,8 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,21 +43,29 @@ def write_whole(
     parts = [content] if isinstance(content, bytes | memoryview) else content
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            file.writelines(parts)
-            file.flush()
-            os.fsync(file.fileno())
-        if before_rename is not None:
-            before_rename()
-        temporary.replace(path)
+        with named_errors(path, advice):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with temporary.open("wb") as file:
+                file.writelines(parts)
+                file.flush()
+                os.fsync(file.fileno())
+            if before_rename is not None:
+                before_rename()
+            temporary.replace(path)
+    finally:
+        with suppress(OSError):  # it is gone, or its folder is what cannot be written
+            temporary.unlink()
+
+
+@contextmanager
+def named_errors(path: Path, advice: str = "; give another --out") -> Iterator[None]:
+    """Makes errors of the system one `RunError` that names the file being written and ends with advice."""
+    try:
+        yield
     except OSError as error:
         if error.errno in NO_SPACE:
             raise disk_full(path, error.strerror) from error
         raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
-    finally:
-        with suppress(OSError):  # it is gone, or its folder is what cannot be written
-            temporary.unlink()
 
 
 def free_bytes(path: Path) -> int | None:

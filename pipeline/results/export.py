@@ -1,0 +1,349 @@
+"""A finished run for the viewers of others: points and objects with their scores, as MCAP and as PLY.
+
+MCAP: messages of sensor_msgs/PointCloud2 by ROS 2's names, written by rosbags. PLY: binary, with scalar fields as
+CloudCompare names them; written here, because trimesh would round coordinates to 32 bits. All numbers keep 64.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...schemas.columns import SIDES, Row
+from ...schemas.errors import DatasetError, FidpipeError, RunError
+from ...stages.coverage import nearest_distances
+from ..datasets.pairs import read_dataset
+from ..storage.files import named_errors, write_whole
+from ..storage.tables import file_stem
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from .finished import FinishedRun
+
+    #: Writes a message: topic, type of message, nanoseconds, its fields.
+    _Write = Callable[[str, str, int, dict[str, Any]], None]
+
+
+class Status(IntEnum):
+    """What became of the object that a point belongs to; the first is that of points of no object."""
+
+    GROUND = 0
+    SCORED = 1
+    IDENTICAL = 2
+    TOO_SMALL = 3
+    MISSING = 4
+    HALLUCINATED = 5
+
+
+#: Of a point: metres in the real sensor's frame; object (-1: ground); NaN where there is no score.
+POINT = np.dtype(
+    [
+        *((name, "<f8") for name in ("x", "y", "z", "r_lambda", "cdc", "distance_m")),
+        ("community", "<i4"),
+        ("status", "u1"),
+    ]
+)
+_SCORES = ("r_lambda", "cdc", "r_gap", "centroid_distance_m", "alignment_rms_m")
+_COVERAGE = ("covered_0p3m", "median_distance_m")
+#: Of an object, at its centroid: the columns of `metrics` and `coverage`; partner is -1 where there is none.
+OBJECT = np.dtype(
+    [
+        *((name, "<f8") for name in ("x", "y", "z", *_SCORES, *_COVERAGE)),
+        *((name, "<i4") for name in ("community", "partner", "n_points")),
+        ("status", "u1"),
+    ]
+)
+TOPIC = "/fidpipe"
+FRAME = "real_sensor"
+LEGEND = ", ".join(f"{status.value} {status.name.lower()}" for status in Status)
+_CLOUD, _TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
+_POINT_FIELDS = {"<i4": 5, "|u1": 2, "<f8": 8}  # PointField.INT32, UINT8, FLOAT64
+_PLY_TYPES = {"<i4": "int", "|u1": "uchar", "<f8": "double"}
+_PLY_START = b"ply\nformat binary_little_endian 1.0\ncomment fidpipe export"
+_NS = 1_000_000_000
+_LATEST_S = 2**31  # seconds of a ROS stamp are int32
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    mcap : the file, or None
+    ply : the files
+    n_pairs, n_bytes : how many pairs, and how many bytes in all files together
+    has_times : whether the stamps of the messages are those of the dataset; else they are one second apart
+    """
+
+    mcap: Path | None
+    ply: tuple[Path, ...]
+    n_pairs: int
+    n_bytes: int
+    has_times: bool
+
+
+@dataclass(frozen=True)
+class SideClouds:
+    """One side of a pair: its clean points, (n,) of `POINT`, and its objects, (c,) of `OBJECT`."""
+
+    points: NDArray[np.void]
+    objects: NDArray[np.void]
+
+
+def need_rosbags() -> None:
+    """Nothing, if MCAP can be written here.
+
+    Raises
+    ------
+    FidpipeError
+        The library that writes it is not installed.
+    """
+    try:
+        import rosbags  # noqa: F401
+    except ImportError as error:
+        raise FidpipeError(
+            'writing MCAP needs rosbags, which is not installed; install it with: pip install "fidpipe[ros]"'
+        ) from error
+
+
+def export_run(
+    run: FinishedRun,
+    folder: Path,
+    pattern: str | None = None,
+    *,
+    mcap: bool = False,
+    ply: bool = False,
+    replace: bool = False,
+    pair_done: Callable[[int, int], None] = lambda n_done, n_pairs: None,
+) -> Exported:
+    """Writes the scored pairs of a run, one after the other: an MCAP file for all, a PLY file for each pair and side.
+
+    Parameters
+    ----------
+    folder : that they are written into
+    pattern : only pairs whose name matches (shell style)
+    replace : whether files that fidpipe export did not write may be replaced; those that it wrote always are
+    pair_done : called after each pair with the number of pairs done and of all
+
+    Raises
+    ------
+    RunError
+        No pair matches, a table is damaged, a file is in the way or cannot be written.
+    FidpipeError
+        rosbags is not installed.
+    """
+    if mcap:
+        need_rosbags()
+    names = run.select(pattern)
+    bag = folder / f"{run.folder.resolve().name}.mcap" if mcap else None
+    plys = {(name, side): folder / f"{file_stem(name)}.{side}.ply" for name in names for side in SIDES} if ply else {}
+    written = [*([bag] if bag else []), *plys.values()]
+    _refuse_others([] if replace else written)
+    stamps_ns, has_times = message_times(run, names)
+    with _bag(bag, run) if bag else nullcontext() as write:
+        for n_done, name in enumerate(sorted(names, key=stamps_ns.__getitem__), 1):
+            clouds = pair_clouds(run, name)
+            for side, cloud in clouds.items():
+                if ply:
+                    write_whole(plys[name, side], _ply(run, name, side, cloud.points))
+                if write:
+                    write(f"{TOPIC}/{side}", _CLOUD, stamps_ns[name], _cloud(cloud.points))
+                    write(f"{TOPIC}/{side}_objects", _CLOUD, stamps_ns[name], _cloud(cloud.objects))
+            if write:
+                write(f"{TOPIC}/scores", _TEXT, stamps_ns[name], {"data": json.dumps(run.row(name), allow_nan=False)})
+            pair_done(n_done, len(names))
+    n_bytes = sum(path.stat().st_size for path in written)
+    return Exported(bag, tuple(plys.values()), len(names), n_bytes, has_times)
+
+
+def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int], bool]:
+    """The time of each pair in nanoseconds, and whether it is that of the dataset.
+
+    It is `timestamp_s` of the dataset's manifest if all these pairs have one, each its own, from 0 to 2^31 s. Else the
+    pairs of the run are one second apart, the first at 1 s: to ROS, 0 means no time.
+    """
+    try:
+        pairs = read_dataset(Path(run.record.dataset)).pairs
+    except (DatasetError, OSError):  # it need not be here any more
+        pairs = ()
+    known_s = {pair.pair_id: pair.timestamp_s for pair in pairs}
+    times_s = [time_s for name in names if (time_s := known_s.get(name)) is not None and 0 <= time_s < _LATEST_S]
+    if len(set(times_s)) == len(names):
+        return {name: round(time_s * _NS) for name, time_s in zip(names, times_s, strict=True)}, True
+    return {row["pair_id"]: second * _NS for second, row in enumerate(run.scored, 1)}, False
+
+
+def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, SideClouds]:
+    """Points and objects of both sides of a scored pair.
+
+    `distance_m` is that of an object point to the nearest one of the other side, as in the table `coverage`. Objects
+    without a point, as the reference preset has them on the simulated side, have no place and are left out.
+
+    Raises
+    ------
+    RunError
+        A table is damaged or gone.
+    """
+    pair = run.objects_of(pair_id)
+    covered = {(row["side"], row["community_id"]): row for row in run.read_table("coverage", pair_id).to_pylist()}
+    frames = {side: run.points(pair_id, side) for side in SIDES}
+    places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
+    clouds = {}
+    for side, other, distance_m in zip(SIDES, reversed(SIDES), nearest_distances(*places), strict=True):
+        rows = [row | covered[side, row["community_id"]] for row in pair.sides[side]]
+        lone = pair.hallucinated if side == "sim" else []
+        objects = _objects(rows, [(row[f"{side}_id"], row[f"{other}_id"], row) for row in pair.matched], lone)
+        clouds[side] = SideClouds(_points(frames[side], objects, distance_m), objects[objects["n_points"] > 0])
+    return clouds
+
+
+def _objects(rows: list[Row], matched: list[tuple[int, int, Row]], hallucinated: list[int]) -> NDArray[np.void]:
+    """The objects of a side by id, from its rows, from own id, partner and scores of those that are matched."""
+    objects = np.zeros(len(rows), OBJECT)
+    for name, column in {"x": "cx", "y": "cy", "z": "cz"}.items():
+        objects[name] = _numbers(rows, column)
+    for name in (*_COVERAGE, "n_points"):
+        objects[name] = _numbers(rows, name)
+    objects["community"] = np.arange(len(rows))
+    objects["partner"], objects["status"] = -1, Status.MISSING
+    objects["status"][hallucinated] = Status.HALLUCINATED
+    ids = [own for own, _, _ in matched]
+    scores = [row for _, _, row in matched]
+    objects["partner"][ids] = [partner for _, partner, _ in matched]
+    objects["status"][ids] = [Status[row["status"].upper()] for row in scores]
+    for name in _SCORES:
+        objects[name] = np.nan
+        objects[name][ids] = _numbers(scores, name)
+    return objects
+
+
+def _points(frame: pd.DataFrame, objects: NDArray[np.void], distance_m: NDArray[np.float64]) -> NDArray[np.void]:
+    """The points of a side; distances are of its object points."""
+    points = np.zeros(len(frame), POINT)
+    for name in ("x", "y", "z"):
+        points[name] = frame[name]
+    points["community"] = frame.community_id.fillna(-1)
+    is_object = points["community"] >= 0
+    ids = points["community"][is_object]
+    points["status"][is_object] = objects["status"][ids]
+    for name, values in {
+        "r_lambda": objects["r_lambda"][ids],
+        "cdc": objects["cdc"][ids],
+        "distance_m": distance_m,
+    }.items():
+        points[name] = np.nan
+        points[name][is_object] = values
+    return points
+
+
+def _numbers(rows: Sequence[Row], column: str) -> NDArray[np.float64]:
+    """A column of rows; NaN for null."""
+    return np.array([np.nan if row[column] is None else row[column] for row in rows], dtype=np.float64)
+
+
+def _refuse_others(files: Sequence[Path]) -> None:
+    """Raises `RunError` if a file that is in the way was not written by fidpipe export."""
+    for path in files:
+        if path.exists() and not _is_ours(path):
+            raise RunError(f"{path}: is there already, not from fidpipe export; add --replace, or give another --out")
+
+
+def _is_ours(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    if path.suffix == ".ply":
+        with path.open("rb") as file:
+            return file.read(len(_PLY_START)) == _PLY_START
+    from rosbags.rosbag2 import Reader
+
+    try:
+        with Reader(path) as bag:
+            topics = [connection.topic for connection in bag.connections]
+    except Exception:  # whatever its parser meets in a file of another kind
+        return False
+    return bool(topics) and all(topic.startswith(f"{TOPIC}/") for topic in topics)
+
+
+def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> Iterator[bytes | memoryview]:
+    """A PLY file in parts: the header, then the rows as they are in memory."""
+    fields = [
+        f"property {_PLY_TYPES[POINT[name].str]} {name if name in 'xyz' else f'scalar_{name}'}"
+        for name in POINT.names or ()
+    ]
+    lines = [
+        f" of {json.dumps(run.folder.resolve().name)}, pair {json.dumps(pair_id)}, side {side}, preset {run.preset}",
+        "comment metres in the real sensor's frame; community -1 is ground; NaN where there is no score",
+        f"comment status {LEGEND}",
+        f"element vertex {len(points)}",
+        *fields,
+        "end_header\n",
+    ]
+    yield _PLY_START
+    yield "\n".join(lines).encode("ascii")
+    yield points.tobytes()
+
+
+def _cloud(rows: NDArray[np.void]) -> dict[str, Any]:
+    """The fields of a PointCloud2; each row becomes a point, each of its columns a field."""
+    return {
+        "height": 1,
+        "width": len(rows),
+        "fields": [(name, *_field(rows.dtype, name)) for name in rows.dtype.names or ()],
+        "is_bigendian": False,
+        "point_step": rows.dtype.itemsize,
+        "row_step": rows.nbytes,
+        "data": np.frombuffer(rows.tobytes(), np.uint8),
+        "is_dense": True,
+    }
+
+
+def _field(dtype: np.dtype[Any], name: str) -> tuple[int, int]:
+    """Offset and type of a PointField."""
+    fields: Any = dtype.fields
+    own, offset = fields[name][:2]
+    return offset, _POINT_FIELDS[own.str]
+
+
+@contextmanager
+def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
+    """What writes messages to an MCAP file, which is there when all are written, or not at all."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    connections: dict[str, Any] = {}
+    with named_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{path.name[:100]}.", dir=path.parent) as temporary:
+            bag = Path(temporary) / "bag"
+            writer = Writer(bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            writer.set_custom_data("fidpipe", f"{run.record.fidpipe}, preset {run.preset}, status {LEGEND}")
+
+            def write(topic: str, kind: str, time_ns: int, values: dict[str, Any]) -> None:
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=store)
+                if kind == _CLOUD:
+                    stamp = types["builtin_interfaces/msg/Time"](*divmod(time_ns, _NS))
+                    header = types["std_msgs/msg/Header"](stamp, FRAME)
+                    field = types["sensor_msgs/msg/PointField"]
+                    fields = [field(*each, count=1) for each in values["fields"]]
+                    values = values | {"header": header, "fields": fields}
+                writer.write(connections[topic], time_ns, store.serialize_cdr(types[kind](**values), kind))
+
+            with writer:
+                yield write
+            with (bag / "bag.mcap").open("rb") as file:
+                os.fsync(file.fileno())
+            (bag / "bag.mcap").replace(path)

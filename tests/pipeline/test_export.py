@@ -1,0 +1,280 @@
+"""What fidpipe export writes, read back by the libraries of others: every value is that of the run's tables."""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import trimesh
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+import fidpipe
+from fidpipe.pipeline.results.export import POINT, Status, export_run, message_times
+from fidpipe.schemas.errors import FidpipeError, RunError
+from fidpipe.schemas.settings import load
+from runs import command
+from runs import run as run_dataset
+from scenes import box, drifted, write_bin, write_dataset
+
+POINT_FIELD = {5: "<i4", 2: "u1", 8: "<f8"}
+SIDES = ("real", "sim")
+
+
+def write_streets(folder):
+    """Three streets: one drifted with a house invented and the bus gone, one drifted, one the same on both sides."""
+    write_dataset(folder, 3)
+    real = read_bin(folder / "real" / "000.bin")
+    real = np.vstack([real, box([20, -20, 0.5], [6, 2, 2], 120), box([25, 25, 0.5], [2, 2, 2], 90)])
+    gone = real[:, 0] > 15
+    write_bin(folder / "real" / "000.bin", real)
+    invented = box([-30, -30, 2], [2, 2, 2], 60)
+    few = box([25, 25, 0.5], [2, 2, 2], 5)
+    write_bin(folder / "sim" / "000.bin", np.vstack([drifted(real[~gone]), invented, few]))
+    shutil.copy(folder / "real" / "002.bin", folder / "sim" / "002.bin")
+    return folder
+
+
+def read_bin(path):
+    return np.fromfile(path, "<f4").reshape(-1, 4)[:, :3]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_streets(tmp_path_factory.mktemp("data") / "streets")
+
+
+@pytest.fixture(scope="module", params=["paper", "reference"])
+def exported(request, dataset, tmp_path_factory):
+    """A run, and the folder with both formats of it."""
+    out = tmp_path_factory.mktemp(request.param) / "streets"
+    run_dataset(dataset, out, load(None, preset=request.param))
+    run = fidpipe.open_run(out)
+    export_run(run, out / "export", mcap=True, ply=True)
+    return run, out / "export"
+
+
+@pytest.fixture(scope="module")
+def timed(dataset, tmp_path_factory):
+    """A run of the pairs a and b, and what gives them other stamps."""
+    base = tmp_path_factory.mktemp("timed")
+
+    def write_manifest(*stamps):
+        rows = [f"{'ab'[i]},{dataset}/real/00{i}.bin,{dataset}/sim/00{i}.bin,{stamp}" for i, stamp in enumerate(stamps)]
+        (base / "pairs.csv").write_text("\n".join(["pair_id,real,sim,timestamp_s", *rows]) + "\n")
+
+    write_manifest("1", "2")
+    run_dataset(base, base / "run")
+    return fidpipe.open_run(base / "run"), write_manifest
+
+
+def read_mcap(path):
+    """By topic, the time of each message and its points or text."""
+    store, topics = get_typestore(Stores.EMPTY), {}
+    from rosbags.typesys import get_types_from_msg
+
+    with Reader(path) as bag:
+        for connection in bag.connections:  # the types as the file itself defines them
+            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+        for connection, time_ns, content in bag.messages():
+            message = store.deserialize_cdr(content, connection.msgtype)
+            value = message.data if connection.topic == "/fidpipe/scores" else cloud(message)
+            if connection.topic != "/fidpipe/scores":
+                assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == time_ns
+            topics.setdefault(connection.topic, []).append((time_ns, value))
+    return topics
+
+
+def cloud(message):
+    fields = message.fields
+    layout = np.dtype(
+        {
+            "names": [field.name for field in fields],
+            "formats": [POINT_FIELD[field.datatype] for field in fields],
+            "offsets": [field.offset for field in fields],
+            "itemsize": message.point_step,
+        }
+    )
+    return np.frombuffer(message.data.tobytes(), layout)
+
+
+def wanted_points(run, pair_id, side):
+    """The points of a side with object and scores, joined by pandas from the files."""
+    read = lambda table, part: pd.read_parquet(run.folder / table / f"{pair_id}{part}.parquet")  # noqa: E731
+    ground, communities = (read(table, f".{side}") for table in ("ground", "communities"))
+    fates = read("matching", "").rename(columns={"status": "fate"})[["real_id", "sim_id", "fate"]]
+    fates = fates.merge(read("metrics", ""), on=["real_id", "sim_id"], how="left")
+    fates = fates[fates[f"{side}_id"].notna()]
+    points = ground.merge(communities[["point_id", "community_id"]], on="point_id", how="left")
+    known = fates[[f"{side}_id", "fate", "status", "r_lambda", "cdc"]]
+    return points.merge(known, left_on="community_id", right_on=f"{side}_id", how="left")
+
+
+def test_the_points_in_mcap_are_those_of_the_tables(exported):
+    run, folder = exported
+    topics = read_mcap(folder / "streets.mcap")
+    seen = set()
+    for side in SIDES:
+        for (_, points), pair_id in zip(topics[f"/fidpipe/{side}"], ["000", "001", "002"], strict=True):
+            wanted = wanted_points(run, pair_id, side)
+            for name in ("x", "y", "z", "r_lambda", "cdc"):
+                np.testing.assert_array_equal(points[name], wanted[name].to_numpy(dtype=float), err_msg=name)
+            np.testing.assert_array_equal(points["community"], wanted.community_id.fillna(-1))
+            status = wanted.status.fillna(wanted.fate).where(wanted.community_id.notna(), "ground").fillna("missing")
+            assert [Status(code).name.lower() for code in points["status"]] == status.tolist()
+            seen |= set(status)
+    assert seen >= {"ground", "scored", "identical", "missing", "hallucinated"}
+
+
+def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(exported):
+    run, folder = exported
+    topics = read_mcap(folder / "streets.mcap")
+    for i, pair_id in enumerate(["000", "001", "002"]):
+        both = {side: topics[f"/fidpipe/{side}"][i][1] for side in SIDES}
+        coverage = run.table("coverage", [pair_id]).to_pandas()
+        for side, other in (SIDES, SIDES[::-1]):
+            own, others = (both[each][both[each]["community"] >= 0] for each in (side, other))
+            assert np.isnan(both[side]["distance_m"][both[side]["community"] < 0]).all()
+            apart = np.array([[own[c] - value for c in "xyz"] for value in [0.0]])[0].T
+            there = np.array([others[c] for c in "xyz"]).T
+            nearest = np.sqrt(((apart[:, None] - there[None]) ** 2).sum(axis=2)).min(axis=1)
+            np.testing.assert_allclose(own["distance_m"], nearest, atol=1e-12)
+            for row in coverage[coverage.side == side].itertuples():
+                of_object = own if pd.isna(row.community_id) else own[own["community"] == row.community_id]
+                if len(of_object):
+                    assert np.median(of_object["distance_m"]) == row.median_distance_m
+
+
+def test_the_objects_in_mcap_are_those_of_the_tables(exported):
+    run, folder = exported
+    topics = read_mcap(folder / "streets.mcap")
+    for side, other in (SIDES, SIDES[::-1]):
+        for (_, objects), pair_id in zip(topics[f"/fidpipe/{side}_objects"], ["000", "001", "002"], strict=True):
+            wanted = run.objects.query("pair_id == @pair_id and side == @side and n_points > 0")
+            metrics = run.metrics.query("pair_id == @pair_id").set_index(f"{side}_id")
+            covered = run.table("coverage", [pair_id]).to_pandas().query("side == @side").set_index("community_id")
+            ids = objects["community"]
+            assert ids.tolist() == wanted.community_id.tolist()
+            for name, column in {"x": "cx", "y": "cy", "z": "cz", "n_points": "n_points"}.items():
+                np.testing.assert_array_equal(objects[name], wanted[column])
+            for name in ("r_lambda", "cdc", "r_gap", "centroid_distance_m", "alignment_rms_m"):
+                np.testing.assert_array_equal(objects[name], metrics[name].reindex(ids).to_numpy(dtype=float))
+            for name in ("covered_0p3m", "median_distance_m"):
+                np.testing.assert_array_equal(objects[name], covered[name].loc[ids].to_numpy(dtype=float))
+            np.testing.assert_array_equal(objects["partner"], metrics[f"{other}_id"].reindex(ids).fillna(-1))
+
+
+def test_the_scores_of_each_pair_are_a_message_of_json(exported):
+    run, folder = exported
+    texts = read_mcap(folder / "streets.mcap")["/fidpipe/scores"]
+    assert [json.loads(text) for _, text in texts] == run.scored
+
+
+def test_ply_read_by_trimesh_holds_the_same_points_as_scalar_fields(exported):
+    _, folder = exported
+    topics = read_mcap(folder / "streets.mcap")
+    for side in SIDES:
+        for (_, points), pair_id in zip(topics[f"/fidpipe/{side}"], ["000", "001", "002"], strict=True):
+            read = trimesh.load(folder / f"{pair_id}.{side}.ply")
+            np.testing.assert_array_equal(read.vertices, np.array([points[c] for c in "xyz"]).T)
+            rows = read.metadata["_ply_raw"]["vertex"]["data"]
+            for name in set(POINT.names) - set("xyz"):
+                column = rows[f"scalar_{name}"].reshape(-1)
+                assert column.dtype == POINT[name]
+                np.testing.assert_array_equal(column, points[name])
+
+
+def test_without_times_in_the_dataset_the_pairs_are_one_second_apart(exported):
+    run, folder = exported
+    for messages in read_mcap(folder / "streets.mcap").values():
+        assert [time_ns for time_ns, _ in messages] == [1_000_000_000, 2_000_000_000, 3_000_000_000]
+    times_ns, has_times = message_times(run, ["002"])
+    assert not has_times
+    assert times_ns["002"] == 3_000_000_000  # the same as among all
+
+
+@pytest.mark.parametrize(
+    ("stamps", "wanted"),
+    [
+        (["12.5", "10.25"], {"a": 12_500_000_000, "b": 10_250_000_000}),
+        (["12.5", ""], None),
+        (["12.5", "12.5"], None),
+        (["-1", "10"], None),
+        (["1", "3e9"], None),
+    ],
+)
+def test_stamps_are_those_of_the_dataset_if_every_pair_has_its_own(timed, tmp_path, stamps, wanted):
+    run, write_manifest = timed
+    write_manifest(*stamps)
+    times_ns, has_times = message_times(run, ["a", "b"])
+    assert has_times == (wanted is not None)
+    assert times_ns == (wanted or {"a": 1_000_000_000, "b": 2_000_000_000})
+    export_run(run, tmp_path, mcap=True)
+    messages = read_mcap(tmp_path / "run.mcap")["/fidpipe/scores"]
+    assert [(time_ns, json.loads(text)["pair_id"]) for time_ns, text in messages] == sorted(
+        (time_ns, name) for name, time_ns in times_ns.items()
+    )
+
+
+def test_only_pairs_that_match_are_exported(exported, tmp_path):
+    run, _ = exported
+    made = export_run(run, tmp_path, "*1", ply=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["001.real.ply", "001.sim.ply"]
+    assert (made.n_pairs, made.mcap) == (1, None)
+    assert made.n_bytes == sum(path.stat().st_size for path in tmp_path.iterdir())
+    with pytest.raises(RunError, match=r"--pairs 'x\*' matches none of the 3 scored pairs"):
+        export_run(run, tmp_path, "x*", ply=True)
+
+
+@pytest.mark.parametrize(("name", "options"), [("streets.mcap", {"mcap": True}), ("001.sim.ply", {"ply": True})])
+def test_a_file_of_another_origin_stays_unless_it_is_to_be_replaced(exported, tmp_path, name, options):
+    run, folder = exported
+    other = b"ply\nformat ascii 1.0\nend_header\n"
+    (tmp_path / name).write_bytes(other)
+    with pytest.raises(RunError, match=f"{name}: is there already, not from fidpipe export; add --replace"):
+        export_run(run, tmp_path, **options)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [other]
+    export_run(run, tmp_path, **options, replace=True)
+    assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+    export_run(run, tmp_path, **options)  # its own file
+
+
+def test_an_export_that_stops_midway_leaves_the_file_of_before(exported, tmp_path):
+    run, _ = exported
+    whole = shutil.copytree(run.folder, tmp_path / "streets")
+    export_run(fidpipe.open_run(whole), tmp_path / "out", mcap=True)
+    before = (tmp_path / "out" / "streets.mcap").read_bytes()
+    (whole / "objects" / "002.sim.parquet").unlink()
+    with pytest.raises(RunError, match=r"objects/002\.sim\.parquet is damaged or gone"):
+        export_run(fidpipe.open_run(whole), tmp_path / "out", mcap=True)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["streets.mcap"]
+    assert (tmp_path / "out" / "streets.mcap").read_bytes() == before
+
+
+def test_a_folder_that_cannot_be_written_is_named(exported, tmp_path):
+    run, _ = exported
+    (tmp_path / "file").write_text("")
+    for options in ({"mcap": True}, {"ply": True}):
+        with pytest.raises(RunError, match=r"file/.*: cannot be written \(.*\); give another --out"):
+            export_run(run, tmp_path / "file", **options)
+
+
+def test_without_rosbags_the_install_command_is_said_and_ply_is_written(exported, tmp_path, monkeypatch):
+    run, _ = exported
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(FidpipeError, match=r'pip install "fidpipe\[ros\]"'):
+        export_run(run, tmp_path, mcap=True)
+    assert export_run(run, tmp_path, ply=True).n_pairs == 3
+
+
+def test_the_command_says_what_it_wrote(exported):
+    run, _ = exported
+    result = command("export", run.folder, "--mcap", "--ply", "--pairs", "00[01]", "--out", run.folder / "two")
+    assert result.returncode == 0, result.stderr
+    assert "streets.mcap, stamps one second apart" in result.stdout
+    assert "PLY:    4 files in" in result.stdout
+    assert "0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated" in result.stdout
+    assert result.stderr == "2 of 2 pairs exported\n"
+    assert command("export", run.folder).returncode == 2
