@@ -278,3 +278,10 @@ def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
     help_text = " ".join(shown("floor", "--help").split())
     for option, default in (("--noise-m", FloorRequest.noise_m), ("--dropout", FloorRequest.lost_share)):
         assert f"[default: ({default:g})]" in help_text.partition(option)[2]
+
+
+def test_what_limits_trust_names_the_floor_only_where_none_is_at_hand(folder):
+    wanted = f"fidpipe floor {folder / 'streets'}"
+    assert wanted in shown("show", folder / "run")
+    assert wanted not in shown("show", folder / "run", "--floor", folder / "floor")
+    assert "fidpipe floor" not in shown("show", folder / "floor")
