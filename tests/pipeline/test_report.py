@@ -66,7 +66,9 @@ def words(page):
 def test_the_report_is_one_page_and_six_figures_as_png_svg_and_pdf(written):
     assert written.page.name == "report.html"
     assert written.page.stat().st_size < 15e6
-    assert {path.name for path in written.figures} == {f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg", "pdf")}
+    assert {path.name for path in written.figures} == {
+        f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg", "pdf")
+    }
     for path in written.figures:
         if path.suffix == ".png":
             picture = np.asarray(Image.open(path).convert("L"))

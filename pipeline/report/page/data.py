@@ -21,9 +21,10 @@ from ....stages.coverage import COVERAGE_DISTANCES_M
 from ...datasets.frame_checks import frames_summary
 from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
-from ..aggregates import SCORES, along_the_sequence, plain_rows, score_limits
+from ..aggregates import along_the_sequence, plain_rows, score_limits
+from ..alternatives import text_alternatives
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
-from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
+from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, STEERING, on_page
 from ..results import OBJECT_COVERAGE, PairTables, RunResults, Spectra
 from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
 from ..terminal.run import preset_line
@@ -36,7 +37,7 @@ _DIGITS = 6  # of the tables; the panel of an object has all
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 _SCORES = (
-    "cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "centroid_distance_m",
+    "cdc", "r_lambda", "alignment_rms_m", "max_eigenvalue_shift", "laplacian_change", "r_gap", "centroid_distance_m",
 )  # fmt: skip
 _PAIR_COLUMNS = (
     *("pair_id", "n_matched", "n_missing", "n_hallucinated", "match_rate"),
@@ -44,8 +45,8 @@ _PAIR_COLUMNS = (
     *OBJECT_COVERAGE,
 )
 _OBJECT_COLUMNS = (
-    *("object", "pair_id", "group", "quadrant", "status", "range_m", "n_real", "n_sim", "n_keep"),
-    *(*_SCORES, *OBJECT_COVERAGE),
+    *("object", "pair_id", "group", "quadrant", "status", "range_m"),
+    *(*_SCORES, "n_real", "n_sim", "n_keep", *OBJECT_COVERAGE),
 )
 #: About so many points of a side are drawn at most, and of each object at least `_FEWEST`, if it has them.
 _POINTS_PER_SIDE = 9000
@@ -86,10 +87,14 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
             "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
             "ramps": RAMPS,
+            "quadrants": {key: on_page(colour) for key, colour in QUADRANT_COLOURS.items()},
             "none": GREY,
         },
         "far_m": _FAR_M,
-        "scores": {score: {"name": METRIC[score].label, "bound": METRIC[score].high} for score in SCORES},
+        "scores": {
+            score: {"name": METRIC[score].label, "low": low, "high": high}
+            for score, (low, high) in score_limits(results).items()
+        },
         "pairs": _table(results, results.pairs, _PAIR_COLUMNS, pairs_note),
         "objects": _objects(results),
         "facts": _headings(results, _FACTS),
@@ -110,6 +115,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "frames": frames_summary(record.frames, n_pairs) if record.frames else "",
         "notes": _notes(results),
+        "alternatives": text_alternatives(results),
         "floor": excess
         and {
             "title": excess_title(excess),

@@ -84,7 +84,9 @@ function objectColour(object, i, by) {
   const { none, fates } = report.colours;
   if (by === "community") return object.side ? none : communityColour(i);
   if (by === "status") return paint(fates[object.fate]);
-  return object[by] === null ? none : rampColour(object[by] / report.scores[by].bound);
+  if (by === "quadrant") return paint(report.colours.quadrants[object.quadrant] ?? none);
+  const { low, high } = report.scores[by];
+  return object[by] === null ? none : rampColour((object[by] - low) / (high - low));
 }
 
 function rampColour(share) {
@@ -170,6 +172,10 @@ function drawLegend(by) {
       Object.entries(fates)
         .filter(([fate]) => scene.objects.some((object) => object.fate === fate))
         .map(([fate, colour]) => entry(colour, fate)),
+    quadrant: () => [
+      ...Object.entries(report.colours.quadrants).map(([quadrant, colour]) => entry(colour, quadrant)),
+      element("span", "Unmatched objects have no score."),
+    ],
     community: () => [
       element("span", "One colour per object; matched objects have the same on both sides."),
       entry(none, "unmatched"),
@@ -184,8 +190,16 @@ function drawLegend(by) {
     style: `background: linear-gradient(to right, ${ramp().join(",")})`,
   });
   const ofScore = () => [
-    element("span", null, {}, "0", bar, `${score.bound} (${score.name})`),
+    element(
+      "span",
+      null,
+      {},
+      `${number(score.low, 2)} or less`,
+      bar,
+      `${number(score.high, 2)} or more (${score.name})`,
+    ),
     entry(none, "no score"),
+    element("span", "Colours span the 2 to 98 % quantiles over the objects of the run."),
   ];
   byId("legend").replaceChildren(...(entries ?? ofScore)());
 }
