@@ -20,7 +20,7 @@ from .aggregates import (
     range_bands,
     range_bins,
     stage_times,
-)  # fmt: skip
+)
 from .look import shown
 from .quadrants import QUADRANTS
 from .results import RunResults
@@ -72,10 +72,10 @@ def _of_quadrants(results: RunResults) -> dict[str, dict[str, int]]:
 def _medians(results: RunResults, column: str, groups: Iterable[str]) -> str:
     """Medians of both scores of the first groups."""
     medians = results.matched.groupby(column)[list(SCORES)].median()
-    known = [name for name in groups if name in medians.index][:_MOST_GROUPS]
+    known = medians.loc[[name for name in groups if name in medians.index][:_MOST_GROUPS]]
     return "Medians: " + _listed(
-        f"{shown(name)} " + ", ".join(f"{METRIC[score].label} {_number(medians.loc[name, score])}" for score in SCORES)
-        for name in known
+        f"{shown(name)} " + ", ".join(f"{METRIC[score].label} {_number(row[score])}" for score in SCORES)
+        for name, row in known.iterrows()
     )
 
 

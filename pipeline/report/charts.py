@@ -32,7 +32,7 @@ from .aggregates import (
     range_bands,
     range_bins,
     stage_times,
-)  # fmt: skip
+)
 from .look import FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
 from .quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .results import RunResults
@@ -290,7 +290,7 @@ def _sequence(pairs: PairsInOrder) -> Chart:
             marker={"color": on_page(colour), "size": 6, "symbol": symbol},
         )
     along = "time since the first scan (s)" if pairs.has_times else "number of the pair, by name"
-    figure.update_xaxes(title_text=along, **({} if pairs.has_times or len(rows) > 10 else {"dtick": 1}))
+    figure.update_xaxes(title_text=along, dtick=1 if len(rows) <= 10 and not pairs.has_times else None)
     figure.update_yaxes(rangemode="tozero", title_text="match rate, means of scores")
     figure.update_layout(margin_t=30)
     return _plain(figure)

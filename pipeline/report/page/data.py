@@ -229,7 +229,7 @@ def _notes(results: RunResults) -> dict[str, str]:
         "scores_range": f"Matched objects by the distance of the real one. {binned}",
         "scores_bearing": f"Matched objects by the direction of the real one, in twelve sectors. {binned}",
         "sequence": f"Match rate and the mean scores of each pair, {order}.",
-        "fates": "Shares of all pairs together, below how many objects they are of: of few objects a share says little.",
+        "fates": "Shares of all pairs together, below of how many objects: of few a share says little.",
     }
 
 

@@ -172,10 +172,7 @@ function drawLegend(by) {
       Object.entries(fates)
         .filter(([fate]) => scene.objects.some((object) => object.fate === fate))
         .map(([fate, colour]) => entry(colour, fate)),
-    quadrant: () => [
-      ...Object.entries(report.colours.quadrants).map(([quadrant, colour]) => entry(colour, quadrant)),
-      element("span", "Unmatched objects have no score."),
-    ],
+    quadrant: () => Object.entries(report.colours.quadrants).map(([quadrant, colour]) => entry(colour, quadrant)),
     community: () => [
       element("span", "One colour per object; matched objects have the same on both sides."),
       entry(none, "unmatched"),
@@ -190,16 +187,9 @@ function drawLegend(by) {
     style: `background: linear-gradient(to right, ${ramp().join(",")})`,
   });
   const ofScore = () => [
-    element(
-      "span",
-      null,
-      {},
-      `${number(score.low, 2)} or less`,
-      bar,
-      `${number(score.high, 2)} or more (${score.name})`,
-    ),
+    element("span", `${score.name}, 2 to 98 % of the run's objects: ${number(score.low, 2)} `, {}, bar),
+    element("span", number(score.high, 2)),
     entry(none, "no score"),
-    element("span", "Colours span the 2 to 98 % quantiles over the objects of the run."),
   ];
   byId("legend").replaceChildren(...(entries ?? ofScore)());
 }
