@@ -113,8 +113,8 @@ def report(
     made = write_report(run, pairs, one_page_a_pair=folder, out=out, floor=floor)
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
-    figures = ", ".join(path.stem for path in made.figures if path.suffix == ".png")
-    print(f"figures: {made.figures[0].parent} ({figures}; PNG, SVG and PDF)")
+    names = ", ".join(dict.fromkeys(path.stem for path in made.figures))
+    print(f"figures: {made.figures[0].parent} ({names}; PNG, SVG and PDF)")
     if opens and not webbrowser.open(made.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {made.page} in one")
 

@@ -155,7 +155,7 @@ def _boxes(groups: Sequence[dict[str, Any]]) -> Chart:
         figure.add_scatter(mode="markers", showlegend=False, x=xs, y=ys, **look)
     ticks = [f"{in_chart(group['name'], 14)} ({group['n']})" for group in groups]
     places = {"tickvals": list(range(len(groups))), "range": [-0.6, len(groups) - 0.4]}
-    figure.update_xaxes(ticktext=ticks, showgrid=False, **places)
+    figure.update_xaxes(ticktext=ticks, showgrid=False, tickangle=-90 if len(groups) > 2 else 0, **places)
     figure.update_yaxes(range=[0, 2.05], title_text="score of an object")
     figure.update_layout(boxmode="overlay", margin_t=30)
     return _plain(figure)
@@ -201,7 +201,7 @@ def _bands(bands: pd.DataFrame) -> Chart:
             hovertemplate=f"%{{y}} {fate}, %{{customdata:.0f}} % of the {side} objects<extra></extra>",
         )
     figure.update_layout(barmode="group", yaxis_title_text="objects", margin_t=30)
-    figure.update_xaxes(type="category", showgrid=False)
+    figure.update_xaxes(type="category", showgrid=False, tickangle=-45)
     return _plain(figure)
 
 
@@ -223,7 +223,7 @@ def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Chart:
             marker={"color": colour, "size": 7},
         )
     highest = max(np.nanmax(rows[["median", "q3"]].to_numpy(), initial=0.0) for rows in scores.values())
-    figure.update_yaxes(range=[0, 1.08 * highest or 1], title_text="score of an object")
+    figure.update_yaxes(range=[0, 1.08 * highest or 1], title_text="score")
     return _above_counts(figure, bins, max((rows.n for rows in scores.values()), key=sum))
 
 
@@ -242,7 +242,7 @@ def _fates_by(bins: Bins, fates: pd.DataFrame) -> Chart:
             line={"color": colour, "width": 1, "dash": "dot"},
             marker={"color": colour, "size": 8, "symbol": symbol, "line": {"width": 2, "color": colour}},
         )
-    figure.update_yaxes(range=[-0.03, 1.03], tickformat=".0%", title_text="share of the objects")
+    figure.update_yaxes(range=[-0.03, 1.03], tickformat=".0%", title_text="share")
     return _above_counts(figure, bins, fates.matched + fates.missing + fates.hallucinated)
 
 
@@ -269,7 +269,7 @@ def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
     figure.update_xaxes(anchor="y2", **axis)
     figure.update_layout(
         yaxis_domain=[0.34, 1],
-        yaxis2={"domain": [0, 0.22], "title_text": "number", "rangemode": "tozero", "nticks": 3},
+        yaxis2={"domain": [0, 0.22], "rangemode": "tozero", "nticks": 3},
         margin_t=30,
     )
     return _plain(figure)
@@ -294,7 +294,7 @@ def _sequence(pairs: PairsInOrder) -> Chart:
             marker={"color": on_page(colour), "size": 6, "symbol": symbol},
         )
     along = "time since the first scan (s)" if pairs.has_times else "number of the pair, by name"
-    figure.update_xaxes(title_text=along)
+    figure.update_xaxes(title_text=along, dtick=1 if len(rows) <= 10 and not pairs.has_times else None)
     figure.update_yaxes(rangemode="tozero", title_text="match rate, means of scores")
     figure.update_layout(margin_t=30)
     return _plain(figure)
@@ -313,7 +313,7 @@ def _times(times: pd.DataFrame) -> Chart:
             hovertemplate=f"%{{y}}, {in_chart(str(step))}: %{{x:.3f}} s<extra></extra>",
         )
     figure.update_layout(barmode="stack", xaxis_title_text="seconds per pair", margin_t=30)
-    figure.update_layout(legend={"y": -0.2, "yanchor": "top", "font_size": 11, "traceorder": "normal"})
+    figure.update_layout(legend_font_size=11, legend_traceorder="normal")
     figure.update_yaxes(categoryorder="array", categoryarray=times.stage.unique().tolist()[::-1])
     return _plain(figure)
 

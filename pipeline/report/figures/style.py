@@ -42,7 +42,7 @@ def save(figure: Any, folder: Path, name: str) -> list[Path]:
     paths = []
     for kind, metadata in KINDS.items():
         content = BytesIO()
-        figure.savefig(content, format=kind, metadata=metadata)
+        figure.savefig(content, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.08)
         figure.set_layout_engine("none")  # all is in its place now; finding it took half of the time
         paths.append(folder / f"{name}.{kind}")
         write_whole(paths[-1], content.getvalue())

@@ -11,10 +11,11 @@ import pandas as pd
 from ....schemas.metrics import METRIC, metric_of
 from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
-from ..aggregates import SCORES, along_the_sequence, plain_rows
+from ..aggregates import along_the_sequence, plain_rows, score_limits
+from ..alternatives import text_alternatives
 from ..camera import FRAME
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
-from ..look import FATE_COLOURS, GREY, RAMPS, SIDE_COLOURS, STEERING, on_page
+from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, STEERING, on_page
 from ..results import OBJECT_COVERAGE, OBJECT_ROAD, RunResults
 from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
 from ..terminal.run import preset_line
@@ -28,7 +29,7 @@ _DIGITS = 6
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 _SCORES = (
-    "cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "centroid_distance_m",
+    "cdc", "r_lambda", "alignment_rms_m", "max_eigenvalue_shift", "laplacian_change", "r_gap", "centroid_distance_m",
 )  # fmt: skip
 _PAIR_COLUMNS = (
     *("pair_id", "n_matched", "n_missing", "n_hallucinated", "match_rate"),
@@ -36,8 +37,8 @@ _PAIR_COLUMNS = (
     *OBJECT_COVERAGE,
 )
 _OBJECT_COLUMNS = (
-    *("object", "pair_id", "group", "quadrant", "status", "range_m", "n_real", "n_sim", "n_keep"),
-    *(*_SCORES, *OBJECT_COVERAGE),
+    *("object", "pair_id", "group", "quadrant", "status", "range_m"),
+    *(*_SCORES, "n_real", "n_sim", "n_keep", *OBJECT_COVERAGE),
 )
 
 #: Headings of the columns that are no scores; other words stand for themselves.
@@ -62,10 +63,14 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
             "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
             "ramps": RAMPS,
+            "quadrants": {key: on_page(colour) for key, colour in QUADRANT_COLOURS.items()},
             "none": GREY,
         },
         "far_m": FAR_M,
-        "scores": {score: {"name": METRIC[score].label, "bound": METRIC[score].high} for score in SCORES},
+        "scores": {
+            score: {"name": METRIC[score].label, "low": low, "high": high}
+            for score, (low, high) in score_limits(results).items()
+        },
         "pairs": _table(results, results.pairs, _PAIR_COLUMNS, pairs_note),
         "objects": _objects(results),
         "facts": _facts(results),
@@ -85,6 +90,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
+        "alternatives": text_alternatives(results),
         "floor": excess
         and {
             "title": excess_title(excess),
@@ -176,7 +182,7 @@ def _notes(results: RunResults) -> dict[str, str]:
         "scores_range": f"Matched objects by the distance of the real one. {binned}",
         "scores_bearing": f"Matched objects by the direction of the real one, in twelve sectors. {binned}",
         "sequence": f"Match rate and the mean scores of each pair, {order}.",
-        "fates": "Shares of all pairs together, below how many objects they are of: of few objects a share says little.",
+        "fates": "Shares of all pairs together, below of how many objects: of few a share says little.",
     }
 
 

@@ -15,6 +15,8 @@ export function paint(colour) {
   return name ? getComputedStyle(document.documentElement).getPropertyValue(name[1]).trim() : colour;
 }
 
+const isPrinting = () => document.documentElement.dataset.printing === "yes";
+
 // A copy of a chart in the colours of now; only what is named a colour is one, so that no name of a pair is.
 export const themed = (chart) =>
   JSON.parse(JSON.stringify(chart), (key, value) =>
@@ -28,7 +30,9 @@ const resizes = new ResizeObserver((changes) => {
 // Draws a chart, or draws it anew. It follows the size of its place, also when that was hidden meanwhile.
 export function draw(id, { data, layout }, config = {}) {
   const shared = { displaylogo: false, displayModeBar: false };
-  Plotly.react(id, data, { ...layout, template: themed(report.template) }, { ...shared, ...config });
+  const { offsetWidth: width, offsetHeight: height } = byId(id);
+  const size = isPrinting() ? { width, height } : {};
+  Plotly.react(id, data, { ...layout, ...size, template: themed(report.template) }, { ...shared, ...config });
   resizes.observe(byId(id));
 }
 
@@ -43,5 +47,26 @@ export function startCharts(redraw = () => {}) {
     drawCharts();
     redraw();
   });
+  startPrinting(redraw);
   document.documentElement.dataset.ready = "yes";
+}
+
+// On paper all is light, and as wide as the paper.
+function startPrinting(redraw) {
+  const { dataset } = document.documentElement;
+  let theme;
+  window.addEventListener("beforeprint", () => {
+    theme = dataset.theme;
+    dataset.theme = "light";
+    dataset.printing = "yes";
+    drawCharts();
+    redraw();
+  });
+  window.addEventListener("afterprint", () => {
+    if (theme) dataset.theme = theme;
+    else delete dataset.theme;
+    delete dataset.printing;
+    drawCharts();
+    redraw();
+  });
 }

@@ -26,7 +26,7 @@ import {
   sideColour,
   strokes,
 } from "./points.js";
-import { counted, element, shorten, shown } from "./tables.js";
+import { number, counted, element, shorten, shown } from "./tables.js";
 
 const MOST_DRAWN = 9000; // of a side in the whole pair, and of each object at least FEWEST_DRAWN; the panel has all
 const FEWEST_DRAWN = 80;
@@ -97,7 +97,9 @@ function objectColour(object, i, by) {
   const { none, fates } = report.colours;
   if (by === "community") return object.side ? none : communityColour(i);
   if (by === "status") return paint(fates[object.fate]);
-  return object[by] === null ? none : rampColour(object[by] / report.scores[by].bound);
+  if (by === "quadrant") return paint(report.colours.quadrants[object.quadrant] ?? none);
+  const { low, high } = report.scores[by];
+  return object[by] === null ? none : rampColour((object[by] - low) / (high - low));
 }
 
 // By side, the colour of its drawn points, one for all or one each.
@@ -171,6 +173,7 @@ function drawLegend(by) {
       Object.entries(fates)
         .filter(([fate]) => scene.pair.objects.some((object) => object.fate === fate))
         .map(([fate, colour]) => entry(colour, fate)),
+    quadrant: () => Object.entries(report.colours.quadrants).map(([quadrant, colour]) => entry(colour, quadrant)),
     community: () => [
       element("span", "One colour per object; matched objects have the same on both sides."),
       entry(none, "unmatched"),
@@ -181,7 +184,8 @@ function drawLegend(by) {
     ],
   }[by];
   const ofScore = () => [
-    element("span", null, {}, "0", bar, `${score.bound} (${score.name})`),
+    element("span", `${score.name}, 2 to 98 % of the run's objects: ${number(score.low, 2)} `, {}, bar),
+    element("span", number(score.high, 2)),
     entry(none, "no score"),
   ];
   const road = byId("show_road").checked ? [entry("var(--line)", "road (removed as ground), thinned")] : [];

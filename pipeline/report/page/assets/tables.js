@@ -35,23 +35,58 @@ const COMPARE = {
   "=": (a, b) => a === b,
 };
 
-// What rows a filter such as "wall r_lambda > 0.5" wants: all its words and all its bounds hold.
-function wantedBy(filter, columns) {
-  const bounds = [];
-  const rest = filter.replace(/([a-z]\w*)\s*(<=|>=|<|>|=)\s*(-?[\d.]+)/gi, (whole, name, sign, value) => {
-    const column = columns.find(({ key, title }) => [key, title.toLowerCase()].includes(name.toLowerCase()));
-    if (!column) return whole;
-    bounds.push((row) => typeof row[column.key] === "number" && COMPARE[sign](row[column.key], Number(value)));
-    return " ";
-  });
-  const words = rest.toLowerCase().split(/\s+/).filter(Boolean);
+const plainText = (text) => String(text).toLowerCase().replace(/\s+/g, " ").trim();
+
+// The column that a text ends with, by key or heading, with its unit or without, and the words before it.
+function columnAtEnd(text, columns) {
+  const names = columns.flatMap((column) =>
+    [column.key, column.title, column.title.replace(/\s*\([^)]*\)$/, "")].map((name) => [plainText(name), column]),
+  );
+  const longestFirst = names.sort(([a], [b]) => b.length - a.length);
+  const found = longestFirst.find(([name]) => text === name || text.endsWith(` ${name}`));
+  return found && { column: found[1], before: text.slice(0, text.length - found[0].length) };
+}
+
+// What rows a filter such as "wall range (m) > 30" wants: all its words and all its bounds hold. A bound that cannot be
+// read leaves the rows as they are, and says why in `problem`.
+function wantedBy(filter, columns, rows) {
   const text = (row) =>
     columns
       .filter((column) => column.text)
-      .map((column) => String(row[column.key] ?? ""))
-      .join(" ")
-      .toLowerCase();
-  return (row) => bounds.every((holds) => holds(row)) && words.every((word) => text(row).includes(word));
+      .map((column) => plainText(row[column.key] ?? ""))
+      .join(" ");
+  const [bounds, words, problems] = [[], [], []];
+  const add = (found) => words.push(...plainText(found).split(" ").filter(Boolean));
+  const bound = /([^<>=]*?)\s*(<=|>=|<|>|=)\s*("[^"]*"|\S*)/g;
+  let end = 0;
+  for (const [whole, left, sign, right] of filter.matchAll(bound)) {
+    end = filter.indexOf(whole, end) + whole.length;
+    const own = columnAtEnd(plainText(left), columns);
+    const word = plainText(whole)
+      .split(" ")
+      .find((part) => part.includes(sign));
+    if (!own && rows.some((row) => text(row).includes(word))) {
+      add(whole);
+      continue;
+    }
+    if (!own) {
+      const name = /\S+(\s*\([^)]*\))?$/.exec(left.trim())?.[0] ?? "";
+      add(left.trim().slice(0, left.trim().length - name.length));
+      problems.push(`no such column: ${name || "(none)"}. There are: ${columns.map(({ title }) => title).join("; ")}.`);
+      continue;
+    }
+    add(own.before);
+    const { key, title, text: isText } = own.column;
+    const wanted = right.replaceAll('"', "");
+    if (isText && sign === "=") bounds.push((row) => plainText(row[key] ?? "") === plainText(wanted));
+    else if (isText) problems.push(`${title} holds words: ${title} = "some words" is wanted.`);
+    else if (wanted === "" || Number.isNaN(Number(wanted)))
+      problems.push(`${title} ${sign} ${wanted || "?"}: a number is wanted.`);
+    else bounds.push((row) => typeof row[key] === "number" && COMPARE[sign](row[key], Number(wanted)));
+  }
+  add(filter.slice(end));
+  const isWanted = (row) => bounds.every((holds) => holds(row)) && words.every((word) => text(row).includes(word));
+  return { isWanted, problem: problems.join(" ") };
 }
 
 // Order of two values, nulls last whichever way the others go.
@@ -76,11 +111,13 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
     type: "search",
     "aria-label": `Filter ${what}`,
     placeholder: "words, or r_lambda > 0.5",
+    title: `Words, and bounds on columns: ${columns.map((column) => column.title).join("; ")}`,
   });
   const count = element("p", null, { class: "note", role: "status" });
   const body = element("tbody");
   const heads = columns.map((column) => {
-    const button = element("button", column.title, { type: "button", title: column.about });
+    const title = column.about ? `${column.title}. ${column.about}` : column.title;
+    const button = element("button", column.title, { type: "button", title });
     button.addEventListener("click", () => {
       state.isUp = state.sort === column.key ? !state.isUp : column.text || column.up;
       state.sort = column.key;
@@ -120,7 +157,8 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
   }
 
   function fill() {
-    const chosen = rows.filter(wantedBy(filter.value, columns));
+    const { isWanted, problem } = wantedBy(filter.value, columns, rows);
+    const chosen = rows.filter(isWanted);
     if (state.sort !== null) chosen.sort((a, b) => order(a[state.sort], b[state.sort], state.isUp));
     const first = chosen.slice(0, state.n);
     body.replaceChildren(
@@ -130,7 +168,7 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
       head.setAttribute("aria-sort", columns[k].key !== state.sort ? "none" : state.isUp ? "ascending" : "descending");
     });
     const part = first.length < chosen.length ? `, the first ${first.length} shown` : "";
-    count.textContent = `${counted(chosen.length)} of ${counted(rows.length)} ${what}${part}. ${state.sort === null ? note : ""}`;
+    count.textContent = `${problem ? `${shown(problem)} ` : ""}${counted(chosen.length)} of ${counted(rows.length)} ${what}${part}. ${state.sort === null ? note : ""}`;
     more.hidden = first.length === chosen.length;
   }
   fill();
