@@ -26,7 +26,7 @@ import {
   sideColour,
   strokes,
 } from "./points.js";
-import { number, counted, element, shorten, shown } from "./tables.js";
+import { counted, element, number, shorten, shown } from "./tables.js";
 
 const MOST_DRAWN = 9000; // of a side in the whole pair, and of each object at least FEWEST_DRAWN; the panel has all
 const FEWEST_DRAWN = 80;
