@@ -191,9 +191,14 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     assert f"{moved:+.3f}" in shown
     assert "1 pair of other scans" in shown
     assert "says nothing about chance" in shown
+    assert "are of other objects than before: the match rate moved" in shown
     other = run(data, folder, Settings.model_validate({"matching": {"delta_m": 3.0}})).record
     assert other.previous.changes == ("matching.delta_m was 5.0, is 3.0",)
     assert other.previous.means["cdc_mean"] == after.summary["cdc_mean"].mean
+    covered = next(
+        line for line in text_of(as_view(FinishedRun(folder), None, None)).splitlines() if "covered, 0" in line
+    )
+    assert "same" in covered, "no setting of the matching moves a surface"
 
 
 def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished, tmp_path, monkeypatch):

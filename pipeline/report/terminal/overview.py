@@ -25,7 +25,8 @@ def overview_view(folder: Path, record: RunRecord, overview: Overview) -> Render
     parts: list[RenderableType] = [
         Text(f"\n{verdict_sentence(overview.verdict)}\n", style="bold"),
         plain_table("In five numbers", headings, rows, words=(0, len(headings) - 1)),
-        *(Text(line) for line in moved_lines(record)),
+        *(Text(line) for line in moved_lines(record, overview)),
+        *([Text()] if record.previous else ()),
     ]
     if overview.worst:
         worst = plain_table(
@@ -43,7 +44,7 @@ def overview_view(folder: Path, record: RunRecord, overview: Overview) -> Render
 def overview_markdown(record: RunRecord, overview: Overview) -> str:
     """The same as Markdown."""
     headings, *rows = number_rows(record, overview)
-    parts = [verdict_sentence(overview.verdict), markdown_table(headings, rows), *moved_lines(record)]
+    parts = [verdict_sentence(overview.verdict), markdown_table(headings, rows), *moved_lines(record, overview)]
     if overview.worst:
         parts += ["**The worst objects**", markdown_table(_OBJECT_HEADINGS, _worst_rows(overview))]
     for title, lines in (
@@ -61,13 +62,13 @@ def number_rows(record: RunRecord, overview: Overview) -> list[list[str]]:
     rows = [["score", "mean", "std", "pairs", *["last run", "moved"] * has_last, "better"]]
     for one in overview.numbers:
         moved = None if one.mean is None or one.last is None else one.mean - one.last
-        last = [number(one.last), signed(moved)] * has_last
+        last = [number(one.last), "same" if moved == 0 else signed(moved)] * has_last
         pairs = f"{one.n_pairs} of {record.pairs.scored}"
         rows.append([one.label, number(one.mean), number(one.std), pairs, *last, one.better])
     return rows
 
 
-def moved_lines(record: RunRecord) -> list[str]:
+def moved_lines(record: RunRecord, overview: Overview) -> list[str]:
     """What the last run of the folder was, what is other since, and what a moved number does not say."""
     last = record.previous
     if last is None:
@@ -75,10 +76,13 @@ def moved_lines(record: RunRecord) -> list[str]:
     changes = list(last.changes[:_MOST_CHANGES]) or ["nothing that is known"]
     if len(last.changes) > _MOST_CHANGES:
         changes.append(f"{len(last.changes) - _MOST_CHANGES} more, see previous in run.json")
+    match_rate = overview.numbers[0]
+    are_others = "CDC, r_lambda and r_gap are of other objects than before: the match rate moved"
     return [
         f"last run: {last.written[:16].replace('T', ' ')} by fidpipe {last.fidpipe}, {last.n_pairs} "
         f"pair{'s' * (last.n_pairs != 1)} scored; other since: {'; '.join(changes)}",
         "a number that moved says nothing about chance: keep both runs (--out), and fidpipe compare judges",
+        *([are_others] if match_rate.last is not None and match_rate.mean != match_rate.last else ()),
     ]
 
 
