@@ -40,9 +40,15 @@ export function drawCharts() {
   for (const [id, chart] of Object.entries(report.charts)) draw(id, themed(chart));
 }
 
+// Lets the browser show what is drawn, and hear its user, before more is drawn.
+export const pause = () => new Promise((done) => setTimeout(done));
+
 // redraw: what else has the colours of the theme
-export function startCharts(redraw = () => {}) {
-  drawCharts();
+export async function startCharts(redraw = () => {}) {
+  for (const [id, chart] of Object.entries(report.charts)) {
+    draw(id, themed(chart));
+    await pause();
+  }
   darkSystem.addEventListener("change", () => {
     drawCharts();
     redraw();

@@ -18,7 +18,7 @@ makeTable(byId("pairs_table"), "pairs", report.pairs, (row) => linkTo(row.pair_i
 makeTable(byId("objects_table"), "objects", report.objects, (row) => linkTo(row.pair_id, row.object.split(", ")[0]));
 for (const change of ["click", "input"]) byId("objects_table").addEventListener(change, markRow);
 startTheme();
-startCharts(redrawScene);
+await startCharts(redrawScene);
 for (const id of ["quadrants", "polar"]) {
   byId(id).on(
     "plotly_click",
