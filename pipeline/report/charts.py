@@ -257,7 +257,10 @@ def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
         hovertemplate="%{y} objects<extra></extra>",
     )
     if bins.column == "range_m":
-        axis = {"title_text": "distance from the sensor (m)", "range": [0, bins.low + bins.width * len(bins.names)]}
+        axis: Chart = {
+            "title_text": "distance from the sensor (m)",
+            "range": [0, bins.low + bins.width * len(bins.names)],
+        }
     else:  # as seen by the sensor: left is left
         names = {180: "behind", 90: "left", 0: "ahead", -90: "right"}
         axis = {"title_text": "direction from the sensor", "range": [196, -166]}
