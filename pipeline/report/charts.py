@@ -258,7 +258,7 @@ def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
         hovertemplate="%{y} objects<extra></extra>",
     )
     if bins.column == "range_m":
-        axis: dict[str, Any] = {
+        axis: Chart = {
             "title_text": "distance from the sensor (m)",
             "range": [0, bins.low + bins.width * len(bins.names)],
         }

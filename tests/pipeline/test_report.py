@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 from io import StringIO
+from types import SimpleNamespace
 from urllib.parse import parse_qs
 from xml.etree import ElementTree
 
@@ -17,7 +18,17 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.report.aggregates import histograms, quadrants
+from fidpipe.pipeline.report.aggregates import (
+    along_the_sequence,
+    bearing_bins,
+    binned_fates,
+    binned_scores,
+    histograms,
+    quadrants,
+    range_bins,
+    score_limits,
+)
+from fidpipe.pipeline.report.alternatives import text_alternatives
 from fidpipe.pipeline.report.charts import run_charts
 from fidpipe.pipeline.report.figures.run import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
@@ -468,3 +479,83 @@ def test_objects_without_a_score_are_in_no_quadrant(tmp_path):
     assert counted["n_null"] == len(results.matched) > 0
     assert quadrants(results)["no score"]["n"] == len(results.matched)
     assert "are too small to judge" in words(write_report(tmp_path / "run").page)
+
+
+def placed(range_m, bearing_deg, **columns):
+    """A stand-in for the results of a run: matched objects at given places, one missing and one hallucinated."""
+    matched = pd.DataFrame({"range_m": range_m, "bearing_deg": bearing_deg, **columns})
+    unmatched = pd.DataFrame(
+        {"range_m": [10.0, 35.0], "bearing_deg": [179.0, 0.0], "status": ["missing", "hallucinated"]}
+    )
+    return SimpleNamespace(matched=matched, unmatched=unmatched)
+
+
+def test_scores_are_binned_by_range_with_median_quartiles_and_number():
+    scores = {"r_lambda": [0.1, 0.2, 0.3, 0.6, np.nan], "cdc": [1.0, 1.2, 1.4, 0.5, 0.7]}
+    results = placed([1.0, 5.0, 9.9, 10.0, 35.0], [0.0] * 5, **scores)
+    bins = range_bins(results)
+    assert bins.names == ("0 to 10 m", "10 to 20 m", "20 to 30 m", "30 to 40 m")
+    assert bins.middles == [5, 15, 25, 35]
+    rows = binned_scores(results, bins)
+    assert rows["r_lambda"].n.tolist() == [3, 1, 0, 0]
+    assert rows["r_lambda"].loc["0 to 10 m", ["q1", "median", "q3"]].tolist() == pytest.approx([0.15, 0.2, 0.25])
+    assert rows["r_lambda"].loc["10 to 20 m", "median"] == 0.6
+    assert rows["r_lambda"].loc["10 to 20 m", ["q1", "q3"]].isna().all(), "of one object no spread is shown"
+    assert rows["r_lambda"].iloc[2:].drop(columns="n").isna().all(axis=None)
+    assert rows["cdc"].n.tolist() == [3, 1, 0, 1]
+
+
+def test_far_objects_are_binned_more_coarsely():
+    results = placed([1.0, 125.0], [0.0, 0.0])
+    assert range_bins(results).names[-1] == "120 to 140 m"
+    assert len(range_bins(results).names) == 7
+
+
+def test_bearings_go_round_and_one_sector_is_straight_ahead():
+    bins = bearing_bins()
+    places = pd.DataFrame({"bearing_deg": [-14.9, 14.9, 15.0, 90.0, 180.0, -180.0, 170.0, -165.0]})
+    assert [bins.names[i] for i in bins.index(places)] == [
+        *["-15 to 15°"] * 2, "15 to 45°", "75 to 105°", *["165 to 195°"] * 3, "-165 to -135°",
+    ]  # fmt: skip
+
+
+def test_shares_of_missing_and_hallucinated_objects_are_of_the_objects_of_their_own_side():
+    results = placed([1.0, 12.0, 15.0, 39.0], [0.0, 10.0, 178.0, 90.0])
+    fates = binned_fates(results, range_bins(results))
+    assert fates.matched.tolist() == [1, 2, 0, 1]
+    assert fates.missing_share.tolist() == pytest.approx([0, 1 / 3, np.nan, 0], nan_ok=True)
+    assert fates.hallucinated_share.tolist() == pytest.approx([0, 0, np.nan, 1 / 2], nan_ok=True)
+    around = binned_fates(results, bearing_bins())
+    assert around.loc["165 to 195°", ["matched", "missing", "missing_share"]].tolist() == [1, 1, 0.5]
+    assert around.loc["-15 to 15°", ["matched", "hallucinated"]].tolist() == [2, 1]
+
+
+def test_pairs_are_in_the_order_of_time_only_where_each_has_one():
+    results = SimpleNamespace(pairs=pd.DataFrame({"pair_id": ["c", "a", "b"]}))
+    timed = along_the_sequence(results, {"a": 100.0, "b": 130.5, "c": 90.0})
+    assert timed.has_times
+    assert timed.rows.pair_id.tolist() == ["c", "a", "b"]
+    assert timed.rows.place.tolist() == [0, 10, 40.5]
+    named = along_the_sequence(results, {"a": 100.0})
+    assert not named.has_times
+    assert named.rows.pair_id.tolist() == ["a", "b", "c"]
+    assert named.rows.place.tolist() == [1, 2, 3]
+
+
+def test_colours_span_the_scores_that_occur():
+    values = np.linspace(0.2, 0.7, 101)
+    results = placed([1.0] * 101, [0.0] * 101, r_lambda=values, cdc=[0.4] * 101)
+    limits = score_limits(results)
+    assert limits["r_lambda"] == pytest.approx((0.21, 0.69))
+    assert limits["cdc"] == (0, 2), "all alike: the whole scale"
+
+
+def test_every_chart_of_a_run_has_a_text_alternative_with_its_numbers(report_run):
+    results = read_results(report_run)
+    texts = text_alternatives(results)
+    assert set(texts) == set(run_charts(results))
+    assert all(re.search(r"\d", text) for text in texts.values())
+    assert f"median {results.matched.cdc.median():.2f}" in texts["hist_cdc"]
+    assert (
+        f"match rate {results.pairs.match_rate.min():.2f} to {results.pairs.match_rate.max():.2f}" in texts["sequence"]
+    )

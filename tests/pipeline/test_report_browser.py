@@ -1,8 +1,10 @@
 """The report in a real browser: Debian's Chromium, headless, with WebGL in software."""
 
+import base64
 import io
 import json
 import os
+import re
 import shutil
 from urllib.parse import quote, unquote
 
@@ -516,3 +518,120 @@ def test_the_panel_stands_beside_the_view_or_below_it_on_a_phone(page):
     resize(page, WIDTHS[1])
     settle(page)
     assert place("panel")["top"] >= place("scene")["bottom"]
+
+
+def filtered(browser, wanted):
+    """The rows of the table of objects under a filter, and what is said of them."""
+    browser.execute_script(
+        "const box = document.querySelector('#objects_table input');"
+        "box.value = arguments[0]; box.dispatchEvent(new Event('input'))",
+        wanted,
+    )
+    return table(browser, "objects_table"), browser.find_element("css selector", "#objects_table .note").text
+
+
+def test_filters_know_columns_as_they_are_headed(page, run_folder):
+    everything, _ = filtered(page, "")
+    heading = {title.replace("\N{NO-BREAK SPACE}", " "): title for title in everything}
+    for bound in ("range (m) > 8", "points, real > 100", "alignment (m) > 0.3", "r_lambda > 0.3", "CDC > 0.1"):
+        name, limit = bound.split(" > ")
+        values = pd.to_numeric(everything[heading[name]].str.replace(",", ""), errors="coerce")
+        found, said = filtered(page, bound)
+        assert len(found) == (values > float(limit)).sum(), bound
+        assert "no such column" not in said
+    assert len(filtered(page, "range > 8")[0]) == len(filtered(page, "range_m > 8")[0])
+    assert len(filtered(page, "class = wall")[0]) == len(filtered(page, "wall")[0]) > 0
+    assert set(filtered(page, HOSTILE_CLASS)[0]["class"]) == {HOSTILE_CLASS}, "a word may hold a sign of comparison"
+
+
+def test_a_filter_on_no_column_says_so_and_which_there_are(page):
+    everything, _ = filtered(page, "")
+    found, said = filtered(page, "wall xyz > 3")
+    assert said.startswith("no such column: xyz. There are: object; pair; class;")
+    assert "r_lambda" in said
+    assert set(found["class"]) == {"wall"}, "the word holds all the same"
+    assert filtered(page, "rang (m) > 3")[1].startswith("no such column: rang (m). ")
+    found, said = filtered(page, "r_lambda > x")
+    assert said.startswith("r_lambda > x: a number is wanted.")
+    assert len(found) == len(everything)
+
+
+def test_the_alignment_is_seen_without_scrolling_and_hover_tells_whole_names(page):
+    for name in ("pairs_table", "objects_table"):
+        right, edge = page.execute_script(
+            "const box = document.querySelector('#' + arguments[0] + ' .box');"
+            "const head = [...box.querySelectorAll('th')].find((one) => one.textContent.startsWith('alignment'));"
+            "return [head.getBoundingClientRect().right, box.getBoundingClientRect().right]",
+            name,
+        )
+        assert right <= edge, name
+        missing = page.execute_script(
+            "const cells = [...document.querySelectorAll('#' + arguments[0] + ' :is(th, td.text)')];"
+            "return cells.filter((cell) => ![cell, ...cell.children].some((one) => "
+            "one.title.includes(cell.textContent))).map((cell) => cell.textContent)",
+            name,
+        )
+        assert missing == []
+
+
+def test_every_chart_has_a_text_alternative(page):
+    charts = page.execute_script(
+        "return [...document.querySelectorAll('.chart')].map((one) => [one.id, one.getAttribute('role'), "
+        "one.getAttribute('aria-label') ?? document.getElementById(one.getAttribute('aria-labelledby'))?.textContent])"
+    )
+    assert len(charts) > 10
+    for name, role, text in charts:
+        assert role == "img", name
+        assert text is not None, name
+    drawn = page.execute_script("return Object.keys(JSON.parse(document.getElementById('report').textContent).charts)")
+    texts = {name: text for name, _, text in charts}
+    assert all(re.search(r"\d", texts[name]) for name in drawn)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_label_of_a_chart_is_cut(page, width):
+    resize(page, width)
+    settle(page)
+    script = """return [...document.querySelectorAll('.chart[aria-label] .main-svg text')].flatMap((text) => {
+      const [own, all] = [text.getBoundingClientRect(), text.closest('.chart').getBoundingClientRect()];
+      const isIn = own.left >= all.left - 1 && own.right <= all.right + 1 && own.bottom <= all.bottom + 1;
+      return isIn || !own.width || text.closest('.hoverlayer') ? [] : [[text.closest('.chart').id, text.textContent]];
+    })"""
+    assert page.execute_script(script) == []
+    n_scans = "return document.querySelectorAll('#box_scan .xtick').length"
+    assert page.execute_script(n_scans) == len(HOSTILE_PAIRS)
+
+
+def test_paper_is_light_and_shows_whole_tables_and_charts(page):
+    resize(page, WIDTHS[0], dark=True)
+    page.execute_script(
+        """window.printed = [];
+    window.addEventListener('beforeprint', () => {
+      const wide = [...document.querySelectorAll('.chart .main-svg')].map((svg) => svg.getBoundingClientRect().right);
+      const background = getComputedStyle(document.body).backgroundColor;
+      window.printed.push({background, widest: Math.max(...wide), page: document.body.offsetWidth});
+    });"""
+    )
+    pdf = base64.b64decode(
+        page.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True, "printBackground": True})["data"]
+    )
+    (printed,) = page.execute_script("return window.printed")
+    assert printed["background"] == "rgb(255, 255, 255)"
+    assert printed["widest"] <= printed["page"] <= 1048, "A4 across, less its margins"
+    sizes = {tuple(map(float, box.split())) for box in re.findall(rb"/MediaBox \[([\d. ]+)\]", pdf)}
+    assert all(right > bottom for _, _, right, bottom in sizes), "all pages lie across"
+    assert 5 < len(re.findall(rb"/Type /Page\b", pdf)) < 40
+    page.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia",
+        {"media": "print", "features": [{"name": "prefers-color-scheme", "value": "light"}]},
+    )
+    resize_to_paper = {"width": 1047, "height": 718, "deviceScaleFactor": 1, "mobile": False}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", resize_to_paper)
+    cut = page.execute_script(
+        "return [...document.querySelectorAll('table')].filter((one) => one.getBoundingClientRect().right > 1048)"
+        ".map((one) => one.textContent.slice(0, 80))"
+    )
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert cut == []
+    assert page.execute_script("return document.documentElement.dataset.printing === undefined")
+    assert complaints(page) == []
