@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+from dataclasses import replace
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -15,11 +16,12 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
-from fidpipe.pipeline.report.page.compare import compare_page
+from fidpipe.pipeline.report.page.compare import compare_page, history_page
 from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.report.page.pair import pair_view
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.results.compare import compare_runs
+from fidpipe.pipeline.results.history import read_history
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS, points_in
 
 pytestmark = pytest.mark.slow
@@ -332,6 +334,46 @@ def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, 
     assert (drawn.mean() < 100) == dark
     assert drawn.std() > 2, "an empty chart"
     assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == 12
+    assert complaints(browser) == []
+    assert requests(browser) == [path.as_uri()]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_worst_changes_are_drawn_and_lead_into_both_reports(browser, by_reference, tmp_path, width):
+    base, other = (shutil.copytree(by_reference, tmp_path / name) for name in ("base", "other"))
+    for folder in (base, other):
+        write_report(folder)
+    (comparison,) = compare_runs([base, other])
+    gone = next(one for one in comparison.objects if one.kind == "alike")
+    changed = replace(comparison, objects=(replace(gone, kind="vanished", sim_after=None),))
+    path = tmp_path / "compare.html"
+    path.write_text(compare_page([changed], tmp_path), encoding="utf-8")
+    resize(browser, width)
+    open_page(browser, path)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    boxes = browser.execute_script(
+        "return [...document.querySelectorAll('.panels path')].map((path) => path.getBBox().width)"
+    )
+    assert [width > 0 for width in boxes[1:5:3]] == [True, True], "the real object and the simulated one before"
+    links = browser.find_elements("css selector", ".panels a")
+    addresses = [link.get_attribute("href") for link in links]
+    assert [address.partition("#")[0] for address in addresses] == [
+        (folder / "report.html").as_uri() for folder in (base, other)
+    ]
+    links[1].click()
+    wait_for(browser, "return location.pathname.endsWith('report.html')")
+    wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_history_draws_a_line_for_each_score_and_fits_the_window(browser, run_folder, tmp_path, width):
+    path = tmp_path / "history.html"
+    path.write_text(history_page(read_history([run_folder] * 3)), encoding="utf-8")
+    complaints(browser), requests(browser)
+    resize(browser, width)
+    open_page(browser, path)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    assert len(browser.find_elements("css selector", ".chart .js-line")) >= 10
     assert complaints(browser) == []
     assert requests(browser) == [path.as_uri()]
 
