@@ -162,7 +162,10 @@ def test_a_run_straight_from_two_bags_sees_what_was_changed(real_data, tmp_path)
 
     sim = bag_at(tmp_path / "sim_mcap", [5.0, 5.1, 5.2], changed)
     assert command("pair", real, sim, "-o", tmp_path / "data").returncode == 0
-    done = command("run", tmp_path / "data", "--out", tmp_path / "run", "--preset", "reference", "--workers", 1)
+    shared = ("--set", "ground.shared=true")  # half a scene would have a ground of its own
+    done = command(
+        "run", tmp_path / "data", "--out", tmp_path / "run", "--preset", "reference", "--workers", 1, *shared
+    )
     assert done.returncode == 0, done.stderr
     tables = {
         name: pd.read_parquet(tmp_path / "run" / name) for name in ("ground", "communities", "matching", "metrics")
