@@ -16,12 +16,11 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import write_whole
-from .pairs import MANIFEST
+from .pairs import MANIFEST, UNPAIRED
 from .readers import frames_of, holds_frames, stem_of
 from .readers.frames import address_of
 from .sequences import read_numbers, scans_in
 
-UNPAIRED = "unpaired.csv"
 _TIMES = ("times.txt", "poses.tum")
 _SECONDS = re.compile(r"\d+\.\d+")
 
