@@ -16,12 +16,11 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import write_whole
-from .pairs import MANIFEST
+from .pairs import MANIFEST, UNPAIRED
 from .readers import frames_of, holds_frames, stem_of
 from .readers.frames import address_of
 from .sequences import read_numbers, scans_in
 
-UNPAIRED = "unpaired.csv"
 _TIMES = ("times.txt", "poses.tum")
 _SECONDS = re.compile(r"\d+\.\d+")
 
@@ -100,9 +99,9 @@ def _in_order(source: Path, frames: Sequence[Path], times_s: FloatArray) -> Time
 def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset_s: float | None = None) -> Pairing:
     """Frames that are each other's nearest in time, at most the tolerance apart.
 
-    Without an offset that is taken by which most frames pair; of several such the one of the smallest gaps; of equals
-    0, then that which brings both beginnings together. Tried are 0 and all that bring the first frame of one side to a
-    frame of the other.
+    Without an offset that is taken by which most frames pair; of several such 0, or else the one of the smallest gaps;
+    of equals that which brings both beginnings together. Tried are 0 and all that bring the first frame of one side to
+    a frame of the other.
 
     Parameters
     ----------
@@ -123,10 +122,12 @@ def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset
     found = [_nearest(real_s, sim_s + offset, tolerance_s) for offset in tried]
     most = max(len(gaps) for *_, gaps in found)
     spread = [float(np.abs(gaps).mean()) if len(gaps) == most and most else np.inf for *_, gaps in found]
-    best = int(np.argmin(np.round(np.array(spread) / step))) if most else 0
+    if np.isfinite(spread[0]) or not most:
+        return Pairing(*found[0], 0.0)
+    best = int(np.argmin(np.round(np.array(spread) / step)))
     limit_s = spread[best] + tolerance_s / 10
     alike = [float(offset) for i, offset in enumerate(tried) if i != best and spread[i] <= limit_s]
-    return Pairing(*found[best], float(tried[best]), tuple(alike if most else ()))
+    return Pairing(*found[best], float(tried[best]), tuple(alike))
 
 
 def _nearest(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float) -> tuple[IntArray, IntArray, FloatArray]:

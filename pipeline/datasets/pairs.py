@@ -21,6 +21,7 @@ from ...stages.arrays import FloatArray
 from .readers import formats, is_scan_path, stem_of, suffix_of
 
 MANIFEST = "pairs.csv"
+UNPAIRED = "unpaired.csv"
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
 _ROTATION_TOLERANCE = 1e-3

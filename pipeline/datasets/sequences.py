@@ -14,7 +14,7 @@ import numpy as np
 
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
-from .pairs import LABEL_NAMES, MANIFEST, check_rigid, read_label_names, read_manifest
+from .pairs import LABEL_NAMES, MANIFEST, UNPAIRED, check_rigid, read_label_names, read_manifest
 from .readers import holds_frames, stem_of, suffix_of
 
 FEWEST_FRAMES = 3
@@ -147,11 +147,15 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
 
 
 def scans_in(folder: Path) -> list[Path]:
-    """The scan files of a folder, in the order of their names."""
+    """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
     return sorted(
         path
         for path in folder.iterdir()
-        if path.is_file() and not path.name.startswith(".") and path.name != MANIFEST and suffix_of(path) is not None
+        if path.is_file()
+        and not path.name.startswith(".")
+        and path.name not in (MANIFEST, UNPAIRED)
+        and suffix_of(path) is not None
+        and not holds_frames(path)
     )
 
 

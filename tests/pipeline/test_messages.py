@@ -55,9 +55,9 @@ def test_a_folder_of_nearly_the_right_name_is_pointed_at(dataset, tmp_path, made
 
 def test_a_file_of_an_unknown_format_is_not_called_a_missing_partner(dataset, tmp_path):
     data = shutil.copytree(dataset, tmp_path / "data")
-    (data / "sim" / "000.bin").rename(data / "sim" / "000.las")
+    (data / "sim" / "000.bin").rename(data / "sim" / "000.e57")
     found = read_dataset(data)
-    assert "sim/000.las: not readable; known formats are .pcd.bin, .bin" in found.pairs[0].fault
+    assert "sim/000.e57: not readable; known formats are .pcd.bin, .bin" in found.pairs[0].fault
     assert found.warnings == ()
     shutil.copy(data / "real" / "000.bin", data / "sim" / "000.bin")
     beside = read_dataset(data)
