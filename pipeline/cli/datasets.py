@@ -17,7 +17,10 @@ def synth(
     pairs: Annotated[int, typer.Option("--pairs", min=1, help="How many streets; each gives one pair.")] = 50,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other streets.")] = 0,
     sensor: Annotated[
-        str, typer.Option("--sensor", help="Model of the sensor: vlp32c, hdl64, os1-64, carla or another of docs/sensors.md.")
+        str,
+        typer.Option(
+            "--sensor", help="Model of the sensor: vlp32c, hdl64, os1-64, carla or another of docs/sensors.md."
+        ),
     ] = "vlp32c",
     points: Annotated[
         int | None,

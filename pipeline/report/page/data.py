@@ -18,6 +18,7 @@ from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
 from ....stages.arrays import IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
+from ....stages.sensing.sensor import differences, sensor_lines
 from ...datasets.frame_checks import frames_summary
 from ...results.floor import RunExcess
 from ..aggregates import SCORES, plain_rows
@@ -31,6 +32,7 @@ from ..verdict import limits_in_words, verdict_of
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
 _MOST_FAILURES = 5
+_NOT_IN_TABLES = "for each point"  # rings and times
 _DIGITS = 6  # of the tables; the panel of an object has all
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
@@ -115,6 +117,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             "rows": excess_table(excess),
             "notes": [EXCESS_NOTE, *excess_notes(excess)],
         },
+        "sensors": _sensors(results),
         "settings": record.settings,
         "versions": {
             "": {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}
@@ -124,6 +127,16 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             "machine": record.machine.as_dict(),
         },
     }
+
+
+def _sensors(results: RunResults) -> dict[str, Any]:
+    """What one pair tells of the sensors of both sides: its first by name."""
+    pair_id = results.pairs.pair_id.min()
+    facts = PairTables(results, pair_id).sensors
+    lines = {
+        side: [line for line in sensor_lines(facts[side]) if not line.startswith(_NOT_IN_TABLES)] for side in SIDES
+    }
+    return {"pair_id": pair_id, "lines": lines, "differences": differences(facts["real"], facts["sim"])}
 
 
 def pair_view(results: RunResults, pair_id: str) -> dict[str, Any]:
