@@ -21,6 +21,7 @@ from ...stages.coverage import nearest_distances
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
+from ...stages.sensing.sensor import SensorFacts, describe_sensor
 from ..engine.pool import one_blas_thread
 from ..results.findings import SHAPE_COLUMNS, shape_of
 from ..results.finished import FinishedRun
@@ -167,6 +168,12 @@ class PairTables:
             community = self._columns("communities", side, ["community_id"]).community_id
             clouds[side] = Cloud(points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), community.to_numpy())
         return clouds
+
+    @cached_property
+    def sensors(self) -> dict[str, SensorFacts]:
+        """What the clean points of each side tell of its sensor; of a simulated one that was moved they tell little."""
+        points = {side: self._columns("ground", side, ["x", "y", "z"]).to_numpy() for side in SIDES}
+        return {side: describe_sensor(own) for side, own in points.items()}
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:

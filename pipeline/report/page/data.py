@@ -8,7 +8,9 @@ from typing import Any
 
 import pandas as pd
 
+from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
+from ....stages.sensing.sensor import differences, sensor_lines
 from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
 from ..aggregates import along_the_sequence, plain_rows, score_limits
@@ -16,7 +18,7 @@ from ..alternatives import text_alternatives
 from ..camera import FRAME
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, STEERING, on_page
-from ..results import OBJECT_COVERAGE, OBJECT_ROAD, RunResults
+from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults
 from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
 from ..terminal.run import preset_line
 from ..verdict import limits_in_words, verdict_of
@@ -25,6 +27,7 @@ from .pair import FACTS, FAR_M, MATCHED_COLUMNS, UNMATCHED_COLUMNS
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
 _MOST_FAILURES = 5
+_NOT_IN_TABLES = "for each point"  # rings and times
 _DIGITS = 6
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
@@ -97,6 +100,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             "rows": excess_table(excess),
             "notes": [EXCESS_NOTE, *excess_notes(excess)],
         },
+        "sensors": _sensors(results),
         "settings": record.settings,
         "versions": {
             "": {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}
@@ -106,6 +110,16 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             "machine": record.machine.as_dict(),
         },
     }
+
+
+def _sensors(results: RunResults) -> dict[str, Any]:
+    """What one pair tells of the sensors of both sides: its first by name."""
+    pair_id = results.pairs.pair_id.min()
+    facts = PairTables(results, pair_id).sensors
+    lines = {
+        side: [line for line in sensor_lines(facts[side]) if not line.startswith(_NOT_IN_TABLES)] for side in SIDES
+    }
+    return {"pair_id": pair_id, "lines": lines, "differences": differences(facts["real"], facts["sim"])}
 
 
 def _headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
