@@ -68,12 +68,35 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
     """Makes and writes the jobs of each pair; one broken job does not stop the others that do not need it."""
     results = []
     for batch in batches:
+        jobs = [batch.plan.job(name) for name in batch.jobs]
+        has_parts = any(job.part not in job.stage.parts for job in jobs)
+        tables = _kept_tables(batch.plan) if has_parts else PairTables(batch.plan)
+        records: list[JobRecord] = []
+        failures: list[JobFailure] = []
+        failed: set[JobId] = set()
         try:
             with Clock(batch.plan.limit) as clock:
-                results.append(_make_jobs(batch, costs, clock))
+                for job in jobs:
+                    if failed.intersection(job.needs):
+                        failed.add(job.name)
+                        continue
+                    if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
+                        _, n_keep = largest_object(tables.objects)
+                        if costs.object_bytes(n_keep) > batch.bytes_for_objects:
+                            break
+                    clock.begin(*job.name)
+                    try:
+                        records.append(make_job(tables, job))
+                    except DiskFullError:
+                        raise  # of every pair that comes after
+                    except Exception as error:  # one broken pair does not stop a dataset
+                        failures.append(_failure(job, error))
+                        failed.add(job.name)
+                        if is_required(job):
+                            break
         except OutOfTimeError as error:
-            failure = JobFailure(*batch.jobs[0], str(error))
-            results.append(BatchResult(batch.plan.pair_id, failures=(failure,)))
+            failures.append(JobFailure(*batch.jobs[0], str(error)))
+        results.append(BatchResult(batch.plan.pair_id, tuple(records), tuple(failures)))
     return results
 
 
@@ -240,35 +263,6 @@ class _WithRows:
 def is_required(job: Job) -> bool:
     """Whether its pair comes to nothing without it: neither an extra nor a part of an experiment."""
     return not job.stage.is_extra and job.part in job.stage.parts
-
-
-def _make_jobs(batch: PairBatch, costs: CostModel, clock: Clock) -> BatchResult:
-    """Makes and writes the jobs of one pair."""
-    jobs = [batch.plan.job(name) for name in batch.jobs]
-    has_parts = any(job.part not in job.stage.parts for job in jobs)
-    tables = _kept_tables(batch.plan) if has_parts else PairTables(batch.plan)
-    records: list[JobRecord] = []
-    failures: list[JobFailure] = []
-    failed: set[JobId] = set()
-    for job in jobs:
-        if failed.intersection(job.needs):
-            failed.add(job.name)
-            continue
-        if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
-            _, n_keep = largest_object(tables.objects)
-            if costs.object_bytes(n_keep) > batch.bytes_for_objects:
-                break
-        clock.begin(*job.name)
-        try:
-            records.append(make_job(tables, job))
-        except DiskFullError:
-            raise  # of every pair that comes after
-        except Exception as error:  # one broken pair does not stop a dataset
-            failures.append(_failure(job, error))
-            failed.add(job.name)
-            if is_required(job):
-                break
-    return BatchResult(batch.plan.pair_id, tuple(records), tuple(failures))
 
 
 def _make_rows(

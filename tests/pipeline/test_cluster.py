@@ -207,13 +207,17 @@ def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, clus
         pool.close()
 
 
-def test_workers_without_a_memory_limit_are_refused_unless_the_memory_is_named(dataset, tmp_path, cluster):
-    cluster.add_workers(1, "--memory-limit", "0")
+def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_refused(dataset, tmp_path, cluster):
+    cluster.add_workers(1, "--no-nanny", "--memory-limit", "0")
     words = ("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address, "--pairs", "000")
     refused = command(*words)
     assert refused.returncode == 1
     assert "has no memory limit; start it with --memory-limit, or say" in refused.stderr
-    assert command(*words, "--set", "machine.memory_gib=2").returncode == 0
+    named = (*words, "--set", "machine.memory_gib=2")
+    refused = command(*named, "--pair-timeout", "60")
+    assert refused.returncode == 1
+    assert "has no nanny, and a pair that is out of time ends its worker process; start it with" in refused.stderr
+    assert command(*named).returncode == 0
 
 
 @pytest.mark.parametrize("on", ["one process", "two processes", "a cluster"])
