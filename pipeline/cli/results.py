@@ -122,7 +122,7 @@ def report(
 def export(
     run: RunFolder,
     mcap: Annotated[
-        bool, typer.Option("--mcap", help='One MCAP file of ROS 2 messages, NAME.mcap; needs "fidpipe[ros]".')
+        bool, typer.Option("--mcap", help="One MCAP file of ROS 2 messages, NAME.mcap; needs the extra ros.")
     ] = False,
     ply: Annotated[
         bool, typer.Option("--ply", help="Two PLY files a pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.")

@@ -126,6 +126,9 @@ def test_the_points_in_mcap_are_those_of_the_tables(exported):
             assert [Status(code).name.lower() for code in points["status"]] == status.tolist()
             seen |= set(status)
     assert seen >= {"ground", "scored", "identical", "missing", "hallucinated"}
+    sim = topics["/fidpipe/sim"][0][1]
+    remnants = np.unique(sim["community"][sim["status"] == Status.MISSING])
+    assert remnants.tolist() == ([5] if run.preset == "reference" else [])  # the box that is simulated by a few points
 
 
 def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(exported):
