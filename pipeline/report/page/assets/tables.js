@@ -65,7 +65,7 @@ function wantedBy(filter, columns, rows) {
     const word = plainText(whole)
       .split(" ")
       .find((part) => part.includes(sign));
-    if (!own && rows.some((row) => text(row).includes(word))) {
+    if (!own && word !== sign && rows.some((row) => text(row).includes(word))) {
       add(whole);
       continue;
     }
@@ -150,8 +150,8 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
     if (does === null) return element("td", text, { class: "text", dir: "auto", title: shown(text) });
     const isLink = typeof does === "string";
     const inside = isLink
-      ? element("a", text, { href: does, title: text })
-      : element("button", text, { type: "button", title: `Show ${text}` });
+      ? element("a", text, { href: does, title: shown(text) })
+      : element("button", text, { type: "button", title: `Show ${shown(text)}` });
     if (!isLink) inside.addEventListener("click", does);
     return element("td", null, { class: "text", dir: "auto" }, inside);
   }
