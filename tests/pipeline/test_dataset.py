@@ -184,3 +184,25 @@ def test_wrong_columns_of_a_real_scan_are_seen(real_data, tmp_path):
     assert not any("columns" in text for text in check_dataset(tmp_path, Settings()).warnings)
     as_four = check_dataset(tmp_path, load(None, ["input.columns=x y z intensity"]))
     assert any("are the columns right" in text for text in as_four.warnings)
+
+
+def test_check_tells_the_sensors_of_both_sides_from_the_first_two_pairs(tmp_path):
+    azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 360, 0.5)), np.radians(np.arange(-15.0, 16.0, 2.0)))
+    range_m = 10 + 4 * np.sin(3 * azimuth)
+    rows = np.stack(
+        [
+            range_m * np.cos(elevation) * np.cos(azimuth),
+            range_m * np.cos(elevation) * np.sin(azimuth),
+            range_m * np.sin(elevation),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    dataset = folders(tmp_path, ("a", "b", "c"), ("a", "b"))
+    for name in ("a", "b"):
+        write_bin(dataset / "real" / f"{name}.bin", rows)
+    sensors = check_dataset(dataset, Settings()).sensors
+    assert sensors.pair_ids == ("a", "b")
+    assert sensors.sides["real"].model == "Velodyne VLP-16"
+    assert sensors.sides["real"].azimuth_step_deg == pytest.approx(0.5, abs=0.001)
+    assert sensors.sides["sim"].model is None
+    assert sensors.differences[0].startswith("real: 16 beams, -15 to +15 degrees, evenly spaced: Velodyne VLP-16; sim")

@@ -161,7 +161,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 
 def test_an_unknown_sensor_or_no_pair_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(FidpipeError, match="known are vlp32c, hdl64"):
-        make_dataset(SynthRequest(tmp_path / "out", sensor="hdl32"))
+        make_dataset(SynthRequest(tmp_path / "out", sensor="hdl46"))
     with pytest.raises(FidpipeError, match="pairs 0: at least 1 is wanted"):
         make_dataset(SynthRequest(tmp_path / "out", n_pairs=0))
     assert not (tmp_path / "out").exists()
