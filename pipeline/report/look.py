@@ -68,20 +68,6 @@ def shortened(text: str, most: int = 22) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def shortened_middle(text: str, most: int) -> str:
-    """A text of at most `most` signs, an ellipsis in its middle: names of scans and builds often differ at their end.
-
-    Examples
-    --------
-    >>> shortened_middle("runs/nightly/build-0412", 12)
-    'runs/n…-0412'
-    """
-    if len(text) <= most:
-        return text
-    n_end = (most - 1) // 2
-    return f"{text[: most - 1 - n_end]}…{text[-n_end:]}"
-
-
 def in_chart(name: str, most: int = 22) -> str:
     """A name for a text of plotly, which reads a little markup: shown, shortened, and without meaning as markup."""
     return escape(shortened(shown(name), most), quote=False)

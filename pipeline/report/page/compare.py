@@ -14,7 +14,6 @@ from ...results.followed import worst_changes
 from ...results.history import History
 from ..camera import FRAME
 from ..charts import change_chart, history_chart
-from ..look import shortened_middle
 from ..terminal.compare import (
     ARROWS_NOTE,
     GROUPS_NOTE,
@@ -31,7 +30,7 @@ from ..terminal.compare import (
 )
 from ..terminal.floor import both_excesses_table
 from ..terminal.history import arrowed, history_decision, history_remarks
-from ..terminal.layout import number, signed
+from ..terminal.layout import number, shortened, signed
 from .pictures import draw_change, report_link
 from .render import render
 
@@ -71,10 +70,11 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
 
 def history_page(history: History) -> str:
     """The page of runs in a row: the decision, the runs, their scores, and a line for each score."""
-    names = [shortened_middle(str(run.folder), 24) for run in history.runs]
-    rows: list[list[Any]] = [
-        ["score", *(f"{i}: {shortened_middle(name, 14)}" for i, name in enumerate(names, start=1))]
-    ]
+    folders = [str(run.folder) for run in history.runs]
+    names, narrow = (
+        [short[folder] for folder in folders] for short in (shortened(folders, 24), shortened(folders, 14))
+    )
+    rows: list[list[Any]] = [["score", *(f"{i}: {name}" for i, name in enumerate(narrow, start=1))]]
     for score in history.scores:
         cells = [(number(step.mean), step.since_first, step.since_last) for step in score.steps]
         cells[1] = (*cells[1][:2], "")  # the first run is the one before

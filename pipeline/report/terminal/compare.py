@@ -12,9 +12,9 @@ from ....schemas.metrics import METRIC
 from ....stages.statistics.comparison import BLOCK_S, CONFIDENCE, LEAST_CHANGE, LEAST_PAIRS
 from ...results.compare import Comparison, ScoreChange
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
-from ..look import ARROWS, shortened_middle
+from ..look import ARROWS
 from .floor import both_excesses_table, excess_notes
-from .layout import csv_table, markdown_table, number, percent, plain_table, signed
+from .layout import csv_table, markdown_table, number, percent, plain_table, shortened, signed
 
 _MOST_OBJECTS = 5
 _MOST_LEFT_OUT = 5
@@ -216,8 +216,8 @@ def score_table(comparison: Comparison) -> list[list[str]]:
             [
                 with_arrow(score),
                 score.verdict,
-                str(change.n_pairs),
                 *numbers,
+                str(change.n_pairs),
                 *[seeds] * with_seeds,
                 *[floor] * with_floor,
             ]
@@ -303,7 +303,8 @@ def _parts(comparison: Comparison) -> list[RenderableType]:
         narrow = {"objects": "count", "in both": "in\nboth"}
         for what, groups in ((class_heading(comparison), comparison.by_class), ("range", comparison.by_range)):
             headings, *rows = group_table(what, groups)
-            named = [[shortened_middle(name, 11), *cells] for name, *cells in rows]
+            short = shortened((name for name, *_ in rows), 11)
+            named = [[short[name], *cells] for name, *cells in rows]
             headings = [narrow.get(heading, heading.replace(" change", "\nchange")) for heading in headings]
             parts.append(_table(f"Real objects by {what}", headings, named))
         parts.append(Text(GROUPS_NOTE))
@@ -334,9 +335,8 @@ def _objects(title: str, changes: Sequence[ObjectChange]) -> Table:
     """Some objects in 80 columns, whatever the names of pairs and classes."""
     _, *rows = object_table(changes)
     columns = ("pair", "real object", "range\n(m)", "points", "CDC", "after", "r_lambda", "after")
-    named = [
-        (shortened_middle(pair, 16), f"{shortened_middle(label, 10)} {i}", *cells) for pair, _, label, i, *cells in rows
-    ]
+    pairs, labels = shortened((row[0] for row in rows), 16), shortened((row[2] for row in rows), 10)
+    named = [(pairs[pair], f"{labels[label]} {i}", *cells) for pair, _, label, i, *cells in rows]
     return _table(title, columns, named, words=(0, 1))
 
 

@@ -7,9 +7,9 @@ from rich.text import Text
 
 from ....stages.statistics.comparison import CONFIDENCE, LEAST_PAIRS
 from ...results.history import History, ScoreHistory, Step
-from ..look import ARROWS, shortened_middle
+from ..look import ARROWS
 from .compare import ARROWS_NOTE
-from .layout import csv_table, markdown_table, number, plain_table
+from .layout import csv_table, markdown_table, number, plain_table, shortened
 
 _MARKS = {"better": "+", "worse": "-", "same": "=", "undecided": "."}
 _MARKS_NOTE = (
@@ -20,8 +20,9 @@ _COLOURS = {"better": "green", "worse": "red"}
 
 def history_view(history: History) -> RenderableType:
     """The decision, the runs, and their scores side by side, in 80 columns."""
+    names = shortened((str(run.folder) for run in history.runs), 40)
     runs = [
-        (str(i), run.written[:16].replace("T", " "), run.n_scored, run.n_failed, shortened_middle(str(run.folder), 40))
+        (str(i), run.written[:16].replace("T", " "), run.n_scored, run.n_failed, names[str(run.folder)])
         for i, run in enumerate(history.runs, start=1)
     ]
     rows = [[Text(arrowed(score)), *map(_marked, score.steps)] for score in history.scores]
