@@ -357,8 +357,13 @@ def _classes(findings: Findings) -> RenderableType:
         for own in classes[:_MOST_CLASSES]
     )
     table = plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
-    is_partial = any(own.of_score(score).n != own.n_matched for own in classes for score in DISTRIBUTED)
-    return Group(table, *([Text("* without those that are too small for the score\n")] if is_partial else ()))
+    fewer = [
+        f"{own.label} {METRIC[score].label} of {own.of_score(score).n}"
+        for own in classes[:_MOST_CLASSES]
+        for score in DISTRIBUTED
+        if own.of_score(score).n != own.n_matched
+    ]
+    return Group(table, *([Text(f"* some objects are too small for the score: {', '.join(fewer)}\n")] if fewer else ()))
 
 
 def _mean_of(own: ClassFindings, score: str) -> str:
