@@ -78,9 +78,8 @@ def summary_view(
     ----------
     overview : as `run_overview` gives it
     """
-    parts = _all_tables(rows, record) if with_all else []
     return Group(
-        *parts,
+        *(_all_tables(rows, record) if with_all else ()),
         *_asked_for(record),
         *_failures_parts(folder, rows, frozenset()),
         *_glance(folder, rows, record, overview, with_pairs=not with_all),
@@ -122,7 +121,7 @@ def _all_tables(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
     if record.findings is None:
         return []
     headings, *sides = coverage_rows(record)
-    title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
+    title = "Surface (mean and std over pairs; the rest is missing or invented)"
     scored = [row for row in rows if row["status"] == "scored"]
     return [
         _pairs_table(scored, _MOST_PAIRS),
