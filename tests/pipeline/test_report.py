@@ -355,8 +355,10 @@ def test_a_class_says_of_how_many_objects_a_mean_is_where_some_have_no_score(rep
     fewer = first.model_copy(update={"r_lambda_n": first.n_matched - 1})
     findings = run.record.findings.model_copy(update={"classes": (fewer, *others)})
     console = Console(file=StringIO(), width=400)
-    console.print(summary_view(report_run, run.rows, run.record.model_copy(update={"findings": findings})))
-    assert f"{first.r_lambda_mean:.3f} (of {first.n_matched - 1})" in console.file.getvalue()
+    record = run.record.model_copy(update={"findings": findings})
+    console.print(summary_view(report_run, run.rows, record, record.overview, with_all=True))
+    assert f"{first.r_lambda_mean:.3f}*" in console.file.getvalue()
+    assert f"{first.label} r_lambda of {first.n_matched - 1}" in console.file.getvalue()
 
 
 def test_the_worst_stand_first_and_unmatched_objects_last(report_run):

@@ -79,9 +79,8 @@ def summary_view(
     ----------
     overview : as `run_overview` gives it
     """
-    parts = _all_tables(rows, record) if with_all else []
     return Group(
-        *parts,
+        *(_all_tables(rows, record) if with_all else ()),
         *_asked_for(record),
         *_failures_parts(folder, rows, frozenset()),
         *_glance(folder, rows, record, overview, with_pairs=not with_all),
@@ -123,7 +122,7 @@ def _all_tables(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
     if record.findings is None:
         return []
     headings, *sides = coverage_rows(record)
-    title = "Surface (mean and standard deviation over pairs; the rest is missing or invented)"
+    title = "Surface (mean and std over pairs; the rest is missing or invented)"
     scored = [row for row in rows if row["status"] == "scored"]
     return [
         _pairs_table(scored, _MOST_PAIRS),
@@ -363,8 +362,13 @@ def _classes(findings: Findings) -> RenderableType:
         for own in classes[:_MOST_CLASSES]
     )
     table = plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
-    is_partial = any(own.of_score(score).n != own.n_matched for own in classes for score in DISTRIBUTED)
-    return Group(table, *([Text("* without those that are too small for the score\n")] if is_partial else ()))
+    fewer = [
+        f"{own.label} {METRIC[score].label} of {own.of_score(score).n}"
+        for own in classes[:_MOST_CLASSES]
+        for score in DISTRIBUTED
+        if own.of_score(score).n != own.n_matched
+    ]
+    return Group(table, *([Text(f"* some objects are too small for the score: {', '.join(fewer)}\n")] if fewer else ()))
 
 
 def _mean_of(own: ClassFindings, score: str) -> str:
