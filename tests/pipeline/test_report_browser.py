@@ -16,6 +16,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
+from fidpipe.pipeline.report.aggregates import score_limits
 from fidpipe.pipeline.report.page.compare import compare_page, history_page
 from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.report.page.pair import pair_view
@@ -168,7 +169,7 @@ def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
     assert near(side, BLUE).sum() > 200
     assert near(side, VERMILLION).sum() > 200
     looks = [side]
-    for by in ("community", "r_lambda", "cdc", "status"):
+    for by in ("community", "r_lambda", "cdc", "quadrant", "status"):
         choose(page, "colour", by)
         looks.append(pixels(page, "scene"))
         assert (looks[-1] != looks[-2]).any(axis=2).sum() > 200, by
@@ -677,3 +678,13 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
     assert cut == []
     assert page.execute_script("return document.documentElement.dataset.printing === undefined")
     assert complaints(page) == []
+
+
+def test_the_legend_of_a_score_says_over_which_range_it_is_coloured(page, run_folder):
+    limits = score_limits(read_results(run_folder))
+    for score in ("r_lambda", "cdc"):
+        choose(page, "colour", score)
+        said = by_id(page, "legend").text.split()
+        assert {f"{limit:.2f}" for limit in limits[score]} <= set(said)
+    choose(page, "colour", "quadrant")
+    assert "structure lost" in by_id(page, "legend").text
