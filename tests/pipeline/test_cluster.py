@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 TESTS = Path(faults.__file__).parent
 _TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent)])
 N_PAIRS = 6
-LIMIT_S = 3.0
+LIMIT_S = 20.0  # a healthy pair takes far less, on a busy machine too
 ENDLESS_S = 900
 POISON_IN_METRICS = "002"
 
