@@ -33,7 +33,7 @@ from fidpipe.pipeline.report.charts import run_charts
 from fidpipe.pipeline.report.figures.run import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data, page_words
-from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, write_report
+from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, views_of, write_report
 from fidpipe.pipeline.report.page.render import render
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.report.terminal.run import summary_view
@@ -389,6 +389,9 @@ def test_more_pairs_than_fit_leave_the_worst_the_middle_and_the_best():
     assert shown[0] == "000"
     assert shown[-1] == "099"
     assert "050" in shown
+    with_worst = views_of(names, {"002", "030", "080"})
+    assert [name for name in with_worst if name not in shown] == ["030", "080"], "where the worst objects are"
+    assert with_worst == sorted(with_worst)
 
 
 def test_pairs_chooses_by_name_and_says_when_nothing_matches(report_run):
