@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 from pydantic import JsonValue
@@ -36,6 +37,7 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
         "pairs": pairs,
         "warnings": [*dataset.warnings],
         "faults": [*dataset.faults],
+        "sensors": asdict(dataset.sensors),
         "disk_bytes": _disk_bytes(dataset),
     }
 
