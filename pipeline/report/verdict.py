@@ -82,6 +82,7 @@ class Verdict:
     missing : sentences on what is missing and invented
     moved : since the results that this run replaced; sentences
     trust : what limits the trust in the numbers; sentences
+    warning : that scans seem to lie in another frame, which makes all numbers wrong; "" where none does
     scores, coverage : of the section that follows: headings, then a row for each score, and for each side
     unmatched, surface : what is behind the unmatched objects, and how the simulated surface lies
     """
@@ -95,6 +96,7 @@ class Verdict:
     missing: list[str]
     moved: list[str]
     trust: list[str]
+    warning: str
     scores: list[list[str]]
     unmatched: str
     surface: str
@@ -107,6 +109,7 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so that nothing can be said of it")
     is_met, good_enough = _good_enough(results, excess)
+    told = {"frames", "failed"} | ({"floor"} if excess else set())  # by the page in words of its own
     return Verdict(
         sentence=verdict_sentence(overview.verdict),
         good_enough=good_enough,
@@ -116,7 +119,8 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
         failings=[_sentence(failing.words) for failing in overview.failings],
         missing=list(_missing(overview, record)),
         moved=list(_moved(overview, record)),
-        trust=[_sentence(one.words) for one in overview.trust if not (one.kind == "floor" and excess)],
+        trust=[_sentence(one.words) for one in overview.trust if one.kind not in told],
+        warning=" ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
         scores=_score_rows(record),
         unmatched=" ".join(map(_sentence, unmatched_lines(record))),
         surface=_sentence(surface_line(record)),

@@ -77,7 +77,7 @@ def test_show_and_report_repeat_the_warning_of_the_run(finished, tmp_path):
     last = done.stdout.rstrip().splitlines()[-1]
     assert command("show", out).stdout.rstrip().splitlines()[-1] == last
     page = write_report(out, out=tmp_path).page.read_text()
-    said = html.unescape(re.search('<p id="frames" class="note">(.*?)</p>', page)[1])
+    said = html.unescape(re.search('<p id="frames" class="note worse">(.*?)</p>', page)[1])
     assert said == last.replace("warning", "Warning")
 
 
