@@ -239,5 +239,5 @@ def test_road_that_only_one_cut_left_is_counted_and_said(tmp_path):
     assert record["metrics"]["unmatched"]["hallucinated"]["road"] == (invented > 0.5).sum()
     assert record["metrics"]["unmatched"]["missing"]["road"] == 0
     assert f"{len(invented)} hallucinated objects are road that" in " ".join(
-        command("show", tmp_path / "run").stdout.split()
+        command("show", tmp_path / "run", "--all").stdout.split()
     )
