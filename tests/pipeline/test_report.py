@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+from dataclasses import replace
 from io import StringIO
 from types import SimpleNamespace
 from urllib.parse import parse_qs
@@ -12,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from PIL import Image
 from rich.console import Console
@@ -41,6 +43,7 @@ from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
+from fidpipe.schemas.tables import TABLES
 from fidpipe.stages.metrics import IDENTICAL_CHANGE
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS, embedded
 from runs import assert_same_tables, command, run
@@ -392,6 +395,22 @@ def test_more_pairs_than_fit_leave_the_worst_the_middle_and_the_best():
     with_worst = views_of(names, {"002", "030", "080"})
     assert [name for name in with_worst if name not in shown] == ["030", "080"], "where the worst objects are"
     assert with_worst == sorted(with_worst)
+
+
+def test_the_pairs_of_the_pictures_are_always_in_3d():
+    names = [f"{i:03}" for i in range(50)]
+    shown = some_of(names, MOST_VIEWS, {"013", "036", "044"})
+    assert {"000", "013", "036", "044", "049"} <= set(shown)
+    assert len(shown) == MOST_VIEWS
+    assert shown == sorted(shown)
+
+
+def test_a_table_without_a_column_of_today_names_the_command_that_mends_it(report_run, monkeypatch):
+    coverage = TABLES["coverage"]
+    later = coverage.schema.append(pa.field("later", pa.float64()))
+    monkeypatch.setitem(TABLES, "coverage", replace(coverage, schema=later))
+    with pytest.raises(RunError, match=r"table coverage has no column later, .* fidpipe run"):
+        read_results(report_run)
 
 
 def test_pairs_chooses_by_name_and_says_when_nothing_matches(report_run):
