@@ -331,6 +331,16 @@ def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
     assert all("…" in pair and what in shapes and len(cells) == 7 for pair, what, *cells in rows), "a name is broken"
 
 
+def test_each_score_stands_under_its_heading(versions):
+    found = compare_runs(versions)[0]
+    headings, *rows = score_table(found)
+    for score, cells in zip(found.scores, rows, strict=True):
+        cell, own = dict(zip(headings, cells, strict=True)), score.difference
+        assert (cell["verdict"], cell["pairs"]) == (score.verdict, str(own.n_pairs))
+        assert float(cell["before"].replace(",", "")) == pytest.approx(own.before, abs=6e-3)
+        assert float(cell["after"].replace(",", "")) == pytest.approx(own.after, abs=6e-3)
+
+
 def test_markdown_and_csv_hold_the_scores(versions):
     found = compare_runs(versions)[0]
     rows = list(csv.DictReader(io.StringIO(compare_csv([found]))))
