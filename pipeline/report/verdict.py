@@ -25,6 +25,7 @@ from ..storage.record import unmatched_worst
 from .camera import Camera, box_around, inside, object_address
 from .results import PairTables, RunResults
 from .terminal.layout import mean_and_spread, number, percent, signed
+from .terminal.overview import changes_since, other_objects
 from .terminal.run import coverage_rows, surface_line, unmatched_lines
 
 #: Of a class or a band at least so many real objects are wanted before it is called the one that lacks most.
@@ -264,14 +265,16 @@ def _moved(overview: Overview, record: RunRecord) -> Iterator[str]:
     if last is None:
         yield "These are the first results of this folder. To compare with another run: fidpipe compare OTHER THIS."
         return
-    yield f"Against the results of {last.written} ({last.n_pairs} pairs, fidpipe {last.fidpipe}):"
+    written = last.written[:16].replace("T", " ")
+    yield f"Against the results of {written} ({last.n_pairs} pairs, fidpipe {last.fidpipe}):"
     moved = [
         f"{one.label} {signed(one.mean - one.last)} ({_change(one)})"
         for one in overview.numbers
         if _change(one) and one.mean is not None and one.last is not None
     ]
     yield _sentence("; ".join(moved)) if moved else "None of the five numbers moved."
-    if last.changes:
-        yield _sentence(f"what differs: {'; '.join(last.changes)}")
+    if changes := changes_since(last):
+        yield _sentence(f"what differs: {'; '.join(changes)}")
+    yield from map(_sentence, other_objects(overview))
     if moved:
         yield "Whether that is more than chance: fidpipe compare, with both runs kept."

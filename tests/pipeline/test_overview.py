@@ -13,9 +13,11 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.report.results import read_results
 from fidpipe.pipeline.report.terminal.layout import csv_table, markdown_table, plain_table, shortened
 from fidpipe.pipeline.report.terminal.run import outcome_view
 from fidpipe.pipeline.report.terminal.show import as_view, pair_view
+from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.results.findings import ObjectRows, SideRows
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.overview import Tally, run_overview, verdict_sentence
@@ -192,6 +194,7 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     assert "1 pair of other scans" in shown
     assert "says nothing about chance" in shown
     assert "are of other objects than before: the match rate moved" in shown
+    assert "are of other objects than before: the match rate moved" in " ".join(verdict_of(read_results(folder)).moved)
     other = run(data, folder, Settings.model_validate({"matching": {"delta_m": 3.0}})).record
     assert other.previous.changes == ("matching.delta_m was 5.0, is 3.0",)
     assert other.previous.means["cdc_mean"] == after.summary["cdc_mean"].mean

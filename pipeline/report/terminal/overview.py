@@ -9,7 +9,7 @@ from textwrap import fill
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.text import Text
 
-from ....schemas.results import Overview, RunRecord
+from ....schemas.results import Overview, PreviousRun, RunRecord
 from ...results.overview import verdict_sentence
 from .layout import markdown_table, number, plain_table, signed
 
@@ -73,17 +73,26 @@ def moved_lines(record: RunRecord, overview: Overview) -> list[str]:
     last = record.previous
     if last is None:
         return []
-    changes = list(last.changes[:_MOST_CHANGES]) or ["nothing that is known"]
-    if len(last.changes) > _MOST_CHANGES:
-        changes.append(f"{len(last.changes) - _MOST_CHANGES} more, see previous in run.json")
-    match_rate = overview.numbers[0]
-    are_others = "CDC, r_lambda and r_gap are of other objects than before: the match rate moved"
+    changes = changes_since(last) or ["nothing that is known"]
     return [
         f"last run: {last.written[:16].replace('T', ' ')} by fidpipe {last.fidpipe}, {last.n_pairs} "
         f"pair{'s' * (last.n_pairs != 1)} scored; other since: {'; '.join(changes)}",
         "a number that moved says nothing about chance: keep both runs (--out), and fidpipe compare judges",
-        *([are_others] if match_rate.last is not None and match_rate.mean != match_rate.last else ()),
+        *other_objects(overview),
     ]
+
+
+def changes_since(last: PreviousRun) -> list[str]:
+    """What is other than in the last run of the folder; of many changes the first ones."""
+    n_more = len(last.changes) - _MOST_CHANGES
+    return [*last.changes[:_MOST_CHANGES], *[f"{n_more} more, see previous in run.json"] * (n_more > 0)]
+
+
+def other_objects(overview: Overview) -> list[str]:
+    """That the scores are of other objects than in the last run, where the match rate moved."""
+    match_rate = overview.numbers[0]
+    moved = match_rate.last is not None and match_rate.mean != match_rate.last
+    return ["CDC, r_lambda and r_gap are of other objects than before: the match rate moved"] * moved
 
 
 def _worst_rows(overview: Overview) -> list[tuple[object, ...]]:
