@@ -188,8 +188,9 @@ def _notes(results: RunResults) -> dict[str, str]:
         else "in the order of their names: the dataset does not say when the scans were taken"
     )
     seen = "Unmatched objects of all pairs around the sensor, at their centroids, seen from above."
+    limits = f"Shares are of the matched objects. Limits: {limits_in_words()}."
     return {
-        "quadrants": f"Limits: {limits_in_words()}.{_part(min(n_scored, MOST_DOTS), n_matched, dots)}",
+        "quadrants": f"{limits}{_part(min(n_scored, MOST_DOTS), n_matched, dots)}",
         "polar": f"{seen}{_part(MOST_DOTS, n_unmatched, ' are drawn, largest first')}",
         "box_scan": f"By scan, {chosen}. {whiskers}",
         "box_class": f"By {kind}, the most frequent first. {whiskers}",
