@@ -77,7 +77,8 @@ def read_dataset(folder: Path) -> Dataset:
         There is no such folder, no pair in it, the manifest or `labels.toml` is wrong, or two files have one stem.
     """
     if folder.is_file():
-        raise DatasetError(f"dataset {folder}: is a file, a folder is wanted: {folder.parent}")
+        wanted = folder.parent if folder.name == MANIFEST else "fidpipe pair REAL SIM makes one of two recordings"
+        raise DatasetError(f"dataset {folder}: is a file, a folder is wanted: {wanted}")
     if not folder.is_dir():
         raise DatasetError(f"dataset {folder}: no such folder")
     manifest = folder / MANIFEST

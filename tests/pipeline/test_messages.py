@@ -39,6 +39,12 @@ def test_a_manifest_in_place_of_its_folder_is_named_as_a_file(tmp_path):
         read_dataset(tmp_path / "pairs.csv")
 
 
+def test_a_recording_in_place_of_a_dataset_leads_to_the_command_that_pairs(tmp_path):
+    (tmp_path / "drive.bag").write_bytes(b"#ROSBAG V2.0")
+    with pytest.raises(DatasetError, match=r"drive\.bag: is a file, .* fidpipe pair REAL SIM makes one"):
+        read_dataset(tmp_path / "drive.bag")
+
+
 def test_a_scan_that_is_not_there_is_no_missing_folder(tmp_path):
     assert one_error(command("perturb", "nothere.bin", cwd=tmp_path)) == (
         "error: nothere.bin: no such file; a scan file or a dataset folder is wanted"
