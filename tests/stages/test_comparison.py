@@ -102,10 +102,11 @@ def test_a_break_on_five_pairs_is_far_beyond_noise_and_noise_is_not(rng):
 def test_without_any_difference_ten_scores_raise_a_false_alarm_in_at_most_one_of_twenty_cases(case):
     _, make, n = case
     repeats = 200
-    false, far = false_alarms.rates(make, n, repeats)
+    false, far, fails_a_gate = false_alarms.rates(make, n, repeats)
     most = 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5  # the nominal rate and its binomial error, one-sided 1 %
     assert false <= most
     assert far <= most
+    assert fails_a_gate <= most
 
 
 @pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.01), (10, 0.05, 0.6), (50, 0.95, 0.99)])
