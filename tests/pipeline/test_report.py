@@ -397,14 +397,6 @@ def test_more_pairs_than_fit_leave_the_worst_the_middle_and_the_best():
     assert with_worst == sorted(with_worst)
 
 
-def test_the_pairs_of_the_pictures_are_always_in_3d():
-    names = [f"{i:03}" for i in range(50)]
-    shown = some_of(names, MOST_VIEWS, {"013", "036", "044"})
-    assert {"000", "013", "036", "044", "049"} <= set(shown)
-    assert len(shown) == MOST_VIEWS
-    assert shown == sorted(shown)
-
-
 def test_a_table_without_a_column_of_today_names_the_command_that_mends_it(report_run, monkeypatch):
     coverage = TABLES["coverage"]
     later = coverage.schema.append(pa.field("later", pa.float64()))
