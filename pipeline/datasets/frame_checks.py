@@ -121,14 +121,14 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     for where in places.values():
         pair_ids = list(dict.fromkeys(pair_id for pair_id, _ in where))
         lines += [
-            f"pair {pair_id}: real and simulated file are equal, byte by byte; two different scans are wanted"
+            f"pair {pair_id}: real and simulated file hold the same points; two different scans are wanted"
             for pair_id in pair_ids
             if len([side for name, side in where if name == pair_id]) == len(SIDES)
         ]
         if len(pair_ids) > 1:
             named = ", ".join(f"{pair_id} ({side})" for pair_id, side in where[:5])
             more = f" and {len(where) - 5} more" * (len(where) > 5)
-            lines.append(f"pairs {named}{more}: the files are equal, byte by byte; each scan is wanted in one pair")
+            lines.append(f"pairs {named}{more}: the files hold the same points; each scan is wanted in one pair")
     return lines
 
 

@@ -19,7 +19,7 @@ from ...schemas.metrics import metric_of
 from ...schemas.results import HeadlineNumber, Overview, RunRecord, WorstObject
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
-from ..results.overview import run_overview, verdict_sentence
+from ..results.overview import FEWEST_OBJECTS, run_overview, verdict_sentence
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..storage.record import unmatched_worst
 from .camera import Camera, box_around, inside, object_address
@@ -28,8 +28,6 @@ from .terminal.layout import mean_and_spread, number, percent, signed
 from .terminal.overview import changes_since, other_objects
 from .terminal.run import coverage_rows, surface_line, unmatched_lines
 
-#: Of a class or a band at least so many real objects are wanted before it is called the one that lacks most.
-_FEWEST_TO_JUDGE = 20
 _SCORES = (
     *("match_rate", "cdc_mean", "r_lambda_mean", "max_eigenvalue_shift_mean", "laplacian_change_mean", "r_gap_mean"),
     *("alignment_rms_m_mean", "centroid_distance_m_mean"),
@@ -156,9 +154,11 @@ def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | 
     except (RunError, ValueError) as error:
         return None, [f"The criteria of {folder / 'gate.json'} cannot be judged again: {error}"]
     unmet = [verdict for verdict in result.judged if not verdict.passed]
-    met = f"{len(result.judged) - len(unmet)} of {len(result.judged)} acceptance criteria are met"
+    on_scores = [verdict for verdict in result.judged if not verdict.criterion.measure.startswith("pairs.")]
+    n_met = sum(verdict.passed for verdict in on_scores)
+    met = f"{n_met} of {len(on_scores)} acceptance criteria on scores are met"
     if not unmet:
-        return True, [f"Yes: {met}."]
+        return True, [f"Yes: {met}, and those on the run itself (complete, no pair failed, nothing changed since)."]
     why = [f"{one.criterion.name}: {one.why or number(one.value)}" for one in unmet[:3]]
     return False, [f"No: {met}.", *map(_sentence, why)]
 
@@ -247,8 +247,8 @@ def _missing(overview: Overview, record: RunRecord) -> Iterator[str]:
         yield f"{of.missing:,} of {of.n_real:,} real objects ({share}), {of.missing / n_pairs:.1f} a pair."
     findings = record.findings
     if of.missing and findings is not None:
-        kinds = [one for one in findings.classes if one.n_real >= _FEWEST_TO_JUDGE and one.missing_share]
-        bands = [one for one in findings.range_m.bands if one.n_real >= _FEWEST_TO_JUDGE and one.missing_share]
+        kinds = [one for one in findings.classes if one.n_real >= FEWEST_OBJECTS and one.missing_share]
+        bands = [one for one in findings.range_m.bands if one.n_real >= FEWEST_OBJECTS and one.missing_share]
         if len(findings.classes) > 1 and kinds:
             kind = max(kinds, key=lambda one: one.missing_share or 0.0)
             yield f"Most of all {kind.label}: {percent(kind.missing_share)} of {kind.n_real} are missing."

@@ -122,7 +122,7 @@ def recognise(pattern: BeamPattern) -> tuple[str | None, str]:
         return None, f"these beams fit {fits[0][1]} and {fits[1][1]} alike"
     if pattern.is_even:
         return None, "no known sensor has these; simulators space theirs evenly"
-    return None, "no known sensor has such beams"
+    return None, "no sensor of the table has such beams"
 
 
 def _tables() -> Iterator[tuple[str, FloatArray, float]]:

@@ -133,7 +133,7 @@ def test_units_that_are_in_no_table_are_known_by_their_pattern():
     assert recognise(pattern(OS1_64))[0] == "Ouster OS1-64 (gen 1)"
     halved = BeamPattern(pattern(HDL64_S3).elevation_deg[1::2], 0.02, False, (), -90.0, 1.0)
     assert recognise(halved)[0] == "every second beam of Velodyne HDL-64E"
-    assert recognise(pattern(VLP32A)) == (None, "no known sensor has such beams")
+    assert recognise(pattern(VLP32A)) == (None, "no sensor of the table has such beams")
     assert "at least 8" in recognise(pattern("-3 -2 0 1"))[1]
 
 
