@@ -17,7 +17,14 @@ import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError, RunError
-from ..schemas.results import Findings, JsonObject, ObjectOverview, Overview, PreviousRun, RunHeader, RunRecord
+from ..schemas.record import RunHeader, RunRecord
+from ..schemas.results import (
+    Findings,
+    JsonObject,
+    ObjectOverview,
+    Overview,
+    PreviousRun,
+)
 from ..schemas.settings import Settings, preset_of, to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.frame_checks import shared_files, swapped_sides

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..schemas.results import SURFACE_STATES
+from ..schemas.record import SURFACE_STATES
 from .arrays import BoolArray, FloatArray, IntArray
 
 #: A point is covered if the other side has a point at most so far away.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.results import FrameSuspect
+from ...schemas.record import FrameSuspect
 from ...stages.sensing.frames import FrameCheck
 from .pairs import ScanPair
 

@@ -17,7 +17,7 @@ from typing import Self
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError
-from ...schemas.results import FrameSuspect
+from ...schemas.record import FrameSuspect
 from ...schemas.settings import Settings
 from ..datasets.frame_checks import frames_name
 from ..datasets.pairs import ScanPair

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.metrics import OBJECT_METRICS
-from ...schemas.results import SurfaceStates
+from ...schemas.record import SurfaceStates
 from ...schemas.settings import Settings
 from ...schemas.tables import METRICS
 from ...stages.arrays import FloatArray

@@ -16,7 +16,8 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
-from ...schemas.results import HeadlineNumber, Overview, RunRecord, WorstObject
+from ...schemas.record import RunRecord
+from ...schemas.results import HeadlineNumber, Overview, WorstObject
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
 from ..results.overview import FEWEST_OBJECTS, run_overview, verdict_sentence

@@ -21,7 +21,8 @@ import pyarrow.parquet as pq
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
-from ...schemas.results import JsonObject, RunRecord
+from ...schemas.record import RunRecord
+from ...schemas.results import JsonObject
 from ...schemas.tables import TABLES
 from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
@@ -66,14 +67,7 @@ class PairObjects:
 class FinishedRun:
     """A run that has ended: its record, and its tables as pandas frames or as Arrow, each checked as it is read.
 
-    Parameters
-    ----------
-    folder : as `fidpipe run` wrote it
-
-    Raises
-    ------
-    RunError
-        The folder is no run, the run has not ended, or its table of pairs is damaged.
+    What it takes and raises is said by `open_run`, by which Python users make one.
 
     Examples
     --------

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.metrics import metric_of
+from ...schemas.record import RunRecord
 from ...schemas.results import (
     Caution,
     Failing,
@@ -24,7 +25,6 @@ from ...schemas.results import (
     HeadlineNumber,
     ObjectOverview,
     Overview,
-    RunRecord,
     Verdict,
     WorstObject,
 )

@@ -16,17 +16,15 @@ from typing import Any
 
 from ...schemas.columns import Row
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
-from ...schemas.results import (
-    Findings,
+from ...schemas.record import (
     FrameSuspect,
     Machine,
     PairCounts,
-    PreviousRun,
     RunHeader,
     RunRecord,
-    ScoreSummary,
     Seconds,
 )
+from ...schemas.results import Findings, PreviousRun, ScoreSummary
 from ...schemas.settings import Settings, departures, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole

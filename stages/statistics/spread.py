@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import t as student_t
 
-from ...schemas.results import Spread
+from ...schemas.record import Spread
 from ..arrays import FloatArray
 from ..summary import mean_and_std
 

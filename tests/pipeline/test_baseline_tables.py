@@ -15,7 +15,7 @@ from fidpipe.pipeline.jobs.baselines import summarise_baselines
 from fidpipe.pipeline.report.terminal.run import baselines_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.tables import JobRecord
-from fidpipe.schemas.results import BaselineSummary
+from fidpipe.schemas.record import BaselineSummary
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES
 from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, marks, run, run_twice

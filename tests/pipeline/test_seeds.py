@@ -14,7 +14,7 @@ from fidpipe.pipeline.report.terminal.run import seeds_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.metrics import SEEDED_SCORES
-from fidpipe.schemas.results import SeedSummary
+from fidpipe.schemas.record import SeedSummary
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import SEEDS
 from runs import assert_same_tables, changed_files, command, marks, run, run_twice

@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from fidpipe.schemas.results import Findings, RunRecord, ScoreSummary
+from fidpipe.schemas.record import RunRecord
+from fidpipe.schemas.results import Findings, ScoreSummary
 from runs import run
 from scenes import write_dataset
 

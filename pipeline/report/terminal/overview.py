@@ -9,7 +9,8 @@ from textwrap import fill
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.text import Text
 
-from ....schemas.results import Overview, PreviousRun, RunRecord
+from ....schemas.record import RunRecord
+from ....schemas.results import Overview, PreviousRun
 from ...results.overview import verdict_sentence
 from .layout import markdown_table, number, plain_table, signed
 

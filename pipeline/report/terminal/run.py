@@ -22,16 +22,18 @@ from ....schemas.metrics import (
     reach_words,
     unit_words,
 )
-from ....schemas.results import (
+from ....schemas.record import (
     SURFACE_STATES,
     BaselineSummary,
+    RunRecord,
+    SeedSummary,
+    SurfaceStates,
+)
+from ....schemas.results import (
     Claim,
     ClassFindings,
     Findings,
     Overview,
-    RunRecord,
-    SeedSummary,
-    SurfaceStates,
     Unmatched,
 )
 from ....schemas.settings import PRESET_OBJECTS

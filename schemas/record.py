@@ -1,0 +1,192 @@
+"""What `run.json` holds: how a run was made, how its pairs went, and what it found (`results`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import BeforeValidator, ConfigDict, PlainSerializer
+
+from .results import Claim, Findings, JsonObject, Overview, PreviousRun, Result, ScoreSummary
+
+
+class BaselineSummary(Result):
+    """A baseline over the pairs.
+
+    level : "objects" (mean over the matched objects of a pair) or "scans" (all object points of its two scans)
+    n, n_null : objects or scans with and without a value
+    seconds : per pair, beside the first number of a method; else null
+    """
+
+    baseline: str
+    level: str
+    unit: str | None
+    mean: float | None
+    std: float | None
+    n: int
+    n_null: int
+    seconds: float | None
+
+
+class Spread(Result):
+    """The spread of one score over seeds and pairs; null where there are too few values.
+
+    mean : over pairs, of each pair's mean over seeds
+    std_pairs : standard deviation (n - 1) over pairs of each pair's mean over seeds
+    std_seeds : standard deviation over seeds within a pair: root mean square of those (n - 1) of all pairs
+    least_pair, least_dataset : repeatability limit (ISO 5725): two evaluations of a pair (of all pairs) under seeds of
+        their own that differ only by chance are nearer than this in 95 % of the cases
+    """
+
+    mean: float | None
+    std_pairs: float | None
+    std_seeds: float | None
+    least_pair: float | None
+    least_dataset: float | None
+
+
+class MeanStd(Result):
+    """Mean and standard deviation (n - 1); null where there are too few values."""
+
+    mean: float | None
+    std: float | None
+
+
+class SeedSummary(Result):
+    """The repeats under other seeds: of each score the spread over all pairs; of each pair mean and deviation."""
+
+    n_seeds: int
+    n_pairs: int
+    dataset: dict[str, Spread]
+    pairs: dict[str, dict[str, MeanStd]]
+
+
+class Machine(Result):
+    """Where a run was made."""
+
+    python: str
+    system: str
+    processor: str
+    cores: int | None
+
+
+class PairCounts(Result):
+    """Pairs of the dataset by state."""
+
+    scored: int
+    failed: int
+    to_do: int
+
+
+class Seconds(Result):
+    """Seconds by stage and step (mean over the pairs that have the stage), and by pair and stage."""
+
+    mean: dict[str, dict[str, float]]
+    pairs: dict[str, dict[str, float]]
+
+
+class FrameSuspect(Result):
+    """A pair whose simulated scan fits the real one much better in another reading than as it is evaluated.
+
+    reading : in words, such as "mirrored in y"
+    coverage, as_it_lies : 0 to 1, how well the scans cover each other in that reading, and as they are evaluated
+    setting : what makes that reading the one that is evaluated
+    """
+
+    reading: str
+    coverage: float
+    as_it_lies: float
+    setting: str
+
+
+class RunHeader(Result):
+    """What `run.json` holds from the start of a run: what it is made from and with.
+
+    preset : whose objects they are, and in `departures` the settings that differ from its own
+    settings : by group and name, as they are in force
+    stages : version of each stage's code
+    libraries : version of each library, null where it is not installed
+    previous : the finished results of this folder that these replace; None where there were none, or none others
+    """
+
+    fidpipe: str
+    written: str
+    dataset: str
+    preset: str
+    departures: tuple[str, ...]
+    settings: dict[str, JsonObject]
+    seed: int
+    stages: dict[str, int]
+    libraries: dict[str, str | None]
+    machine: Machine
+    previous: PreviousRun | None = None
+
+
+class SurfaceStates(Result):
+    """Unmatched objects of all pairs, by whether their surface is on the other side: see `stages.coverage`.
+
+    there : it is, and only divided differently
+    road : of all three, those that lie mostly below the other side's ground cut: road that only one side's cut left;
+        None where an older fidpipe wrote the record
+    """
+
+    there: int
+    partly: int
+    absent: int
+    road: int | None = None
+
+
+#: The names of the states.
+SURFACE_STATES = tuple(name for name in SurfaceStates.model_fields if name != "road")
+
+
+class UnmatchedSurface(Result):
+    """What is behind the objects that only one side has."""
+
+    missing: SurfaceStates
+    hallucinated: SurfaceStates
+
+
+class MetricsSummary(Result):
+    """What the stage metrics says of all pairs."""
+
+    unmatched: UnmatchedSurface
+
+
+class RunRecord(RunHeader):
+    """What `run.json` holds at the end of a run.
+
+    workers : of the last command; 0 where there was nothing to do
+    wall_s : seconds of the last command by phase
+    summary : by column of `pairs`; `cdc_unmatched_worst_mean` and the like: with unmatched objects counted as worst
+    findings : None ({} in JSON) where no pair is scored
+    overview : None where no pair is scored, or an older fidpipe wrote the record
+    inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
+    frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
+    metrics : what is behind the unmatched objects; None where an older fidpipe wrote the record
+    baselines, seeds : only where they were asked for
+    """
+
+    model_config = ConfigDict(extra="allow")  # what a later version adds is shown as it is
+
+    workers: int
+    wall_s: dict[str, float]
+    pairs: PairCounts
+    summary: dict[str, ScoreSummary]
+    findings: Annotated[
+        Findings | None,
+        BeforeValidator(lambda value: value or None),
+        PlainSerializer(lambda found: {} if found is None else found.as_dict()),
+    ]
+    seconds: Seconds
+    inputs: dict[str, dict[str, str]]
+    overview: Overview | None = None
+    frames: dict[str, FrameSuspect] | None = None
+    metrics: MetricsSummary | None = None
+    baselines: tuple[BaselineSummary, ...] = ()
+    seeds: SeedSummary | None = None
+
+    @property
+    def claims(self) -> Sequence[Claim]:
+        """The paper's claims; none where no pair is scored."""
+        return self.findings.claims if self.findings else ()
