@@ -1,5 +1,6 @@
 # make run    sets up, makes a small synthetic dataset, evaluates it, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
+# make docs   builds the documentation: build/docs/index.html
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
@@ -11,8 +12,9 @@ SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache_
 FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 	--config-settings editable_mode=strict
+SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test check fast bench clean setup browser javascript
+.PHONY: run test check fast docs bench clean setup browser javascript
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -26,10 +28,14 @@ check: setup browser javascript
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
+	$(SPHINX)
 	$(BIN)/pytest
 
 fast: setup
 	$(BIN)/pytest -m "not slow"
+
+docs: setup
+	$(SPHINX)
 
 bench: setup
 	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin
@@ -66,7 +72,7 @@ setup: $(VENV)/installed-$(FILE_LIST)
 # A strict editable install links file by file: a new file or new metadata means installing again.
 $(VENV)/installed-$(FILE_LIST): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(INSTALL) --editable '.[all,dev]'
+	$(INSTALL) --editable '.[all,dev,docs]'
 	rm -f $(VENV)/installed-*
 	touch $@
 

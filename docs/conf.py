@@ -1,0 +1,59 @@
+"""How Sphinx builds this folder: `make docs`, pages in build/docs. Nothing comes from a network."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+
+import fidpipe
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+    from sphinx.writers.html5 import HTML5Translator
+
+project = "fidpipe"
+author = "the fidpipe developers"
+version = release = fidpipe.__version__
+
+extensions = ["myst_nb"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_heading_anchors = 4
+nitpicky = True
+
+# The tutorial runs at each build, in a folder of its own, with the fidpipe of the interpreter that runs Sphinx.
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+os.environ["COLUMNS"] = "100"
+
+html_theme = "furo"
+html_title = "fidpipe"
+html_math_renderer = "mathml"
+html_copy_source = False
+html_show_sourcelink = False
+html_show_copyright = False
+
+
+def inline_math(writer: HTML5Translator, node: nodes.math) -> None:
+    """Writes a formula in the line as MathML, which every browser draws without a script or a font from elsewhere."""
+    writer.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def block_math(writer: HTML5Translator, node: nodes.math_block) -> None:
+    """Writes a formula on lines of its own as MathML."""
+    writer.body.append(f'<div class="math-block">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Registers the writer of formulas."""
+    app.add_html_math_renderer("mathml", (inline_math, None), (block_math, None))
