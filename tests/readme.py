@@ -1,23 +1,25 @@
-"""The tables of the README that come from the code. `python tests/readme.py` writes them anew."""
+"""The tables of the documentation that come from the code. `python tests/readme.py` writes them anew."""
 
 import re
 from pathlib import Path
 
 from fidpipe.schemas import metrics, settings
 
-FILE = Path(__file__).parents[1] / "README.md"
-TABLES = {"scores": metrics.to_markdown, "settings": settings.to_markdown}
+DOCS = Path(__file__).parents[1] / "docs"
+TABLES = {DOCS / "scores.md": {"scores": metrics.to_markdown}, DOCS / "settings.md": {"settings": settings.to_markdown}}
 
 
-def with_tables(text):
-    """The text with each table between its two marks; the marks must be there."""
-    for name, table in TABLES.items():
+def with_tables(page):
+    """The text of a page with each of its tables between its two marks; the marks must be there."""
+    text = page.read_text(encoding="utf-8")
+    for name, table in TABLES[page].items():
         marks = re.compile(rf"(<!-- {name}: .*? -->\n).*?(<!-- end of {name} -->)", re.DOTALL)
         text, n = marks.subn(lambda found, table=table: found[1] + table() + found[2], text)
         if n != 1:
-            raise ValueError(f"{FILE}: {n} tables marked {name!r} found, one is wanted")
+            raise ValueError(f"{page}: {n} tables marked {name!r} found, one is wanted")
     return text
 
 
 if __name__ == "__main__":
-    FILE.write_text(with_tables(FILE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in TABLES:
+        page.write_text(with_tables(page), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What the README's map promises of the way through the house."""
+"""What docs/development.md promises of the way through the house."""
 
 import traceback
 from pathlib import Path
@@ -10,7 +10,7 @@ from runs import run
 from scenes import write_dataset
 
 PACKAGE = Path(fidpipe.__file__).parent
-README = Path(__file__).resolve().parents[1] / "README.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "development.md"
 
 
 def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, monkeypatch):
@@ -27,5 +27,5 @@ def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, mo
         calls = [*way, "build_graph"]
         assert len(calls) <= 7, calls
         assert calls[0] == "run_dataset"
-    named = " ".join(README.read_text().split())
+    named = " ".join(PAGE.read_text().split())
     assert all(f"`{name}`" in named or f".{name}`" in named for name in ways[0][:-1])

@@ -1,4 +1,4 @@
-"""The catalogue of scores, against the tables, the functions that compute, and the README."""
+"""The catalogue of scores, against the tables, the functions that compute, and the documentation."""
 
 import numpy as np
 import pytest
@@ -81,6 +81,6 @@ def test_identical_objects_have_the_value_of_the_catalogue_in_every_own_score(tw
             assert getattr(scores, metric.column) == pytest.approx(metric.equal, abs=1e-9), metric.column
 
 
-def test_the_tables_of_the_readme_are_those_of_the_code():
-    text = readme.FILE.read_text(encoding="utf-8")
-    assert readme.with_tables(text) == text, "renew them with: python tests/readme.py"
+@pytest.mark.parametrize("page", readme.TABLES, ids=lambda page: page.name)
+def test_the_tables_of_a_page_are_those_of_the_code(page):
+    assert readme.with_tables(page) == page.read_text(encoding="utf-8"), "renew them with: python tests/readme.py"
