@@ -20,7 +20,7 @@ project = "fidpipe"
 author = "the fidpipe developers"
 version = release = fidpipe.__version__
 
-extensions = ["myst_nb"]
+extensions = ["myst_nb", "sphinxcontrib.typer"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 nitpicky = True
