@@ -32,10 +32,12 @@ nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-os.environ["COLUMNS"] = "100"
+os.environ["COLUMNS"] = "86"
 
 html_theme = "furo"
 html_title = "fidpipe"
+html_static_path = ["_static"]
+html_css_files = ["look.css"]
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sourcelink = False
