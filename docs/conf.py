@@ -24,6 +24,7 @@ extensions = ["myst_nb", "sphinxcontrib.typer"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 nitpicky = True
+highlight_language = "none"
 
 # The tutorial runs at each build, in a folder of its own, with the fidpipe of the interpreter that runs Sphinx.
 nb_execution_mode = "force"
@@ -32,7 +33,7 @@ nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-os.environ["COLUMNS"] = "86"
+os.environ["COLUMNS"] = "100"
 
 html_theme = "furo"
 html_title = "fidpipe"
