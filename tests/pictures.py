@@ -37,6 +37,7 @@ N_PAIRS = 16
 GROUND_COLOUR = "#bbbbbb"
 #: How many nodes the object of the pictures of one object has, more or less.
 TYPICAL_NODES = 400
+PANEL_SHAPE = 0.7  #: height over width
 NEAR_M = 30.0  #: what is too fine for a whole scan is shown so far around the sensor
 
 
@@ -257,7 +258,8 @@ def draw_selection(view, path):
     """One object on both sides by influence, and its alignment."""
     with style.new_figure(10, 3.6) as figure:
         whole = [view.own.seen(view.own.graphs[side].points) for side in SIDES]
-        axes, between = three_views(figure, np.concatenate(whole))
+        kept = [view.own.kept(side) + view.own.kept("real", centred=False).mean(axis=0) for side in SIDES]
+        axes, between = three_views(figure, np.concatenate(whole + kept))
         for axis, side in zip(axes, SIDES, strict=False):
             coloured = selection(axis, view, side)
             axis.set_title(
@@ -269,7 +271,6 @@ def draw_selection(view, path):
                 )
             )
         figure.colorbar(coloured, ax=axes, label="influence", shrink=0.7, pad=0.02)
-        kept = [view.own.kept(side) + view.own.kept("real", centred=False).mean(axis=0) for side in SIDES]
         axes[2].add_collection(LineCollection(np.stack(kept, axis=1), colors="black", linewidths=0.3))
         for side, places in zip(SIDES, kept, strict=True):
             style.dots(axes[2], places, 4, SIDE_COLOURS[side])
@@ -332,16 +333,26 @@ STAGE_PICTURES = {
 }
 
 
+def fill_panel(axis):
+    """Widens what is shown to the shape of a panel, true to scale, so that all panels are alike."""
+    low, high = np.array([axis.get_xlim(), axis.get_ylim()]).T
+    width = max(high[0] - low[0], (high[1] - low[1]) / PANEL_SHAPE)
+    half, middle = np.array([width, width * PANEL_SHAPE]) / 2, (low + high) / 2
+    for set_limits, low_end, high_end in zip((axis.set_xlim, axis.set_ylim), middle - half, middle + half, strict=True):
+        set_limits(low_end, high_end)
+
+
 def draw_pipeline(view, path):
     """What each stage makes of the same pair, in order."""
-    with style.new_figure(12, 5.6) as figure:
+    with style.new_figure(12, 4.7) as figure:
         axes = figure.subplots(2, 4).ravel()
         for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=True), 1):
             panel(axis, view)
             axis.set(title=f"{number} {name}", xlabel="", ylabel="")
-            axis.set_box_aspect(0.7)
-            if name != "ground":
-                axis.set_aspect("equal", adjustable="datalim")
+            if name == "ground":
+                axis.set_box_aspect(PANEL_SHAPE)
+            else:
+                fill_panel(axis)
             axis.tick_params(labelsize=6)
         save(figure, path)
 
