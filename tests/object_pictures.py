@@ -23,7 +23,7 @@ from fidpipe.stages.linalg.subgraph import Edges, split_by_community
 #: Nodes that an object needs to be looked at, and those that can still be told apart in a picture.
 FEWEST_NODES, MOST_NODES = 150, 2000
 GOOD_ALIGNMENT_M, BAD_ALIGNMENT_M = 0.5, 2.0
-DPI, N_COLOURS = 130, 256
+DPI, N_COLOURS = 150, 256
 MOST_EDGES = 6000  #: more are thinned out evenly in a picture
 WORDS = {"real": "real", "sim": "simulated"}
 
@@ -37,6 +37,12 @@ class Wanted:
     value: float
     least_rms_m: float = 0.0
     most_rms_m: float = np.inf
+
+    @property
+    def heading(self):
+        """What stands over its column: `r_lambda near 0.1`."""
+        note = ", misaligned" if self.least_rms_m else ""
+        return f"{METRIC[self.score].heading} near {self.value:g}{note}"
 
 
 WANTED = (
@@ -61,7 +67,7 @@ def choose(matched, wanted):
 
 def numbers_table(rows):
     """Markdown: one column for each chosen object, what it is and its scores."""
-    lines = ["| | " + " | ".join(f"{METRIC[own.score].heading} near {own.value:g}" for own in rows) + " |"]
+    lines = ["| | " + " | ".join(own.heading for own in rows) + " |"]
     lines.append("|---|" + "---|" * len(rows))
     cells = [f"`{row.pair_id} {row.real_id}`, {row.group}" for row in rows.values()]
     lines.append(f"| pair and object | {' | '.join(cells)} |")
@@ -122,7 +128,7 @@ def draw_structure(own, path):
     row = own.row
     spectra = {side: eigenvalues(own.laplacian(side)) for side in SIDES}
     shifts = np.abs(spectra["sim"] - spectra["real"])
-    with style.new_figure(11, 5.4, _title(row)) as figure:
+    with style.new_figure(9, 5, _title(row)) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1.35, 1))
         axes, between = three_views(left, np.concatenate([own.kept(side) for side in SIDES]))
         whole, apart = right.subplots(2, 1)
@@ -132,13 +138,13 @@ def draw_structure(own, path):
             look = {"colors": SIDE_COLOURS[side], "linewidths": 0.3, "alpha": 0.12, "rasterized": True}
             axis.add_collection(LineCollection(places[shown], **look))
             style.dots(axis, places, 2.5, "black")
-            title = f"{WORDS[side]}: {row.n_keep} of {row[f'n_{side}']} nodes,", f"{len(ends):,} edges"
+            title = f"{WORDS[side]}:", f"{row.n_keep} of {row[f'n_{side}']} nodes,", f"{len(ends):,} edges"
             axis.set_title(between.join(title))
         real, sim = own.kept("real"), own.kept("sim")
         axes[2].add_collection(LineCollection(np.stack([real, sim], axis=1), colors="black", linewidths=0.3))
         for side, places in (("real", real), ("sim", sim)):
             style.dots(axes[2], places, 4, SIDE_COLOURS[side])
-        axes[2].set_title(f"aligned: {row.alignment_rms_m:.2f} m apart")
+        axes[2].set_title(between.join(["aligned:", f"{row.alignment_rms_m:.2f} m apart"]))
 
         index = np.arange(1, len(shifts) + 1)
         for side, spectrum in spectra.items():
@@ -175,18 +181,20 @@ def draw_geometry(own, path):
     row, points = own.row, {side: own.graphs[side].points for side in SIDES}
     distances = dict(zip(SIDES, nearest_distances(*points.values()), strict=True))
     costs = {side: 1 - np.exp(-(distances[side] ** 2)) for side in SIDES}
-    with style.new_figure(11, 5.4, _title(row)) as figure:
+    with style.new_figure(9, 5, _title(row)) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1.35, 1))
         axes, between = three_views(left, np.concatenate([own.seen(points[side]) for side in SIDES]))
         far, total = right.subplots(2, 1, height_ratios=(1.8, 1))
         for axis, side in zip(axes, SIDES, strict=False):
             look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
             coloured = style.dots(axis, own.seen(points[side]), 4, costs[side], **look)
-            title = f"{len(points[side]):,} {WORDS[side]} points:", f"mean cost {costs[side].mean():.3f}"
+            title = f"{WORDS[side]}:", f"{len(points[side]):,} points,", f"mean cost {costs[side].mean():.3f}"
             axis.set_title(between.join(title))
             style.dots(axes[2], own.seen(points[side]), 2.5, SIDE_COLOURS[side])
-        axes[2].set_title(between.join(["both as they lie,", f"centroids {row.centroid_distance_m:.2f} m apart"]))
-        left.colorbar(coloured, ax=axes, label="cost of a point, 1 - exp(-d²)", shrink=0.7, pad=0.02)
+        axes[2].set_title(between.join(["both as they lie,", "centroids", f"{row.centroid_distance_m:.2f} m apart"]))
+        left.colorbar(
+            coloured, ax=axes, label="cost of a point, 1 - exp(-d²)", location="bottom", shrink=0.7, aspect=40
+        )
 
         reach = max(2.0, *(np.quantile(own_m, 0.99) for own_m in distances.values()))
         for side, own_m in distances.items():

@@ -77,7 +77,7 @@ def ground(axis, view):
 
 def draw_ground(view, path):
     """The scan from the side, and the heights from which road and cut are found."""
-    with style.new_figure(10, 3.6) as figure:
+    with style.new_figure(8.4, 3.4) as figure:
         scan, heights = figure.subplots(1, 2, width_ratios=(1.7, 1))
         ground(scan, view)
         scan.legend(loc="upper left", markerscale=4, handletextpad=0.1)
@@ -122,7 +122,7 @@ def draw_graph(view, path):
     longest = np.zeros(len(points))
     for end in ends.T:
         np.maximum.at(longest, end, edges.length_m.to_numpy())
-    with style.new_figure(10, 3.6) as figure:
+    with style.new_figure(8.4, 3.4) as figure:
         own, reach = figure.subplots(1, 2, width_ratios=(1.7, 1))
         graph(own, view)
         style.dots(reach, np.column_stack([np.linalg.norm(points, axis=1), longest]), 1.5, SIDE_COLOURS["real"])
@@ -146,7 +146,7 @@ def communities(axis, view, side="real"):
 
 def draw_communities(view, path):
     """The objects of both sides."""
-    with style.new_figure(10, 4) as figure:
+    with style.new_figure(8.4, 3.6) as figure:
         for axis, side in zip(figure.subplots(1, 2, sharex=True, sharey=True), SIDES, strict=True):
             communities(axis, view, side)
         save(figure, path)
@@ -176,7 +176,7 @@ def matching(axis, view):
 
 def draw_matching(view, path):
     """The centroids of a pair, and how far matched ones are apart in all pairs."""
-    with style.new_figure(10, 4.4) as figure:
+    with style.new_figure(8.4, 4.2) as figure:
         above, apart = figure.subplots(1, 2, width_ratios=(1.9, 1))
         matching(above, view)
         above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=4, handletextpad=0.1)
@@ -203,7 +203,7 @@ def coverage(axis, view, side="real"):
 
 def draw_coverage(view, path):
     """Both sides by distance."""
-    with style.new_figure(10, 4.2) as figure:
+    with style.new_figure(8.4, 3.7) as figure:
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for axis, side in zip(axes, SIDES, strict=True):
             coloured = coverage(axis, view, side)
@@ -225,7 +225,7 @@ def surface(axis, view):
 
 def draw_surface(view, path):
     """The planes of the real side, and the roughness of both."""
-    with style.new_figure(10, 4.2) as figure:
+    with style.new_figure(8.4, 3.7) as figure:
         planes, rough = figure.subplots(1, 2, width_ratios=(1.5, 1))
         surface(planes, view)
         for side in SIDES:
@@ -256,7 +256,7 @@ def selection(axis, view, side="real"):
 
 def draw_selection(view, path):
     """One object on both sides by influence, and its alignment."""
-    with style.new_figure(10, 3.6) as figure:
+    with style.new_figure(8.4, 3.4) as figure:
         whole = [view.own.seen(view.own.graphs[side].points) for side in SIDES]
         kept = [view.own.kept(side) + view.own.kept("real", centred=False).mean(axis=0) for side in SIDES]
         axes, between = three_views(figure, np.concatenate(whole + kept))
@@ -295,7 +295,7 @@ def metrics(axis, view, score="r_lambda"):
 
 def draw_metrics(view, path):
     """The objects of a pair by r_lambda and by CDC, and both scores of all objects of the run."""
-    with style.new_figure(12, 3.8) as figure:
+    with style.new_figure(9.6, 3.3) as figure:
         *maps, both = figure.subplots(1, 3, width_ratios=(1, 1, 0.85))
         for axis, score in zip(maps, ("r_lambda", "cdc"), strict=True):
             coloured = metrics(axis, view, score)
@@ -344,7 +344,7 @@ def fill_panel(axis):
 
 def draw_pipeline(view, path):
     """What each stage makes of the same pair, in order."""
-    with style.new_figure(12, 4.7) as figure:
+    with style.new_figure(9.6, 4) as figure:
         axes = figure.subplots(2, 4).ravel()
         for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=True), 1):
             panel(axis, view)

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 _GRAINS = {
-    Grain.SIDE: "side of a pair",
-    Grain.PAIR: "pair",
-    Grain.OBJECT: "some matched objects of a pair",
+    Grain.SIDE: "each side of a pair",
+    Grain.PAIR: "each pair",
+    Grain.OBJECT: "some of a pair's matched objects",
 }
 
 
@@ -55,7 +55,7 @@ class PipelineTable(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """The table."""
-        rows = ["| | stage | one job for each | takes | gives | settings |", "|---" * 6 + "|"]
+        rows = ["| | stage | one job for | takes | gives | settings |", "|---" * 6 + "|"]
         for number, stage in enumerate(STAGES, 1):
             cells = (
                 f"[{stage.name}]({stage.name}.md)",
@@ -70,23 +70,23 @@ class PipelineTable(SphinxDirective):
 
 def tables_of(stage: Stage) -> str:
     """Markdown of what a stage takes and gives."""
-    lines = [f"One job for each {_GRAINS[stage.grain]}; version {stage.version} of the stage.", ""]
+    lines = [f"One job for {_GRAINS[stage.grain]}.", ""]
     lines += ["| takes | columns |", "|---|---|"]
     for table, columns in stage.takes.items():
         words = "points, and labels if it has them" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
         lines.append(f"| {_table_word(table)} | {words or 'facts of its job alone'} |")
-    for table in stage.gives:
-        lines += ["", "| gives | column | type | unit | what |", "|---" * 5 + "|"]
-        lines += [_column_row(table, column) for column in TABLES[table].schema]
+    for table in (TABLES[name] for name in stage.gives):
+        keys = ", ".join(f"`{key}`" for key in table.keys)
+        lines += ["", f"It gives `{table.name}`, rows by {keys}; a column with a question mark may be null:", ""]
+        lines += ["| column | type | unit | what |", "|---" * 4 + "|", *map(_column_row, table.schema)]
     return "\n".join(lines) + "\n"
 
 
-def _column_row(table: str, column: pa.Field) -> str:
-    """One column; those that may be null bear a question mark."""
+def _column_row(column: pa.Field) -> str:
     words = {key.decode(): value.decode() for key, value in column.metadata.items()}
     kind = "string" if str(column.type).startswith("dictionary") else str(column.type)
     null = "?" if column.nullable else ""
-    return f"| `{table}` | `{column.name}`{null} | {kind} | {words.get('unit', '')} | {words['meaning']} |"
+    return f"| `{column.name}`{null} | {kind} | {words.get('unit', '')} | {words['meaning']} |"
 
 
 def _table_word(name: str) -> str:
