@@ -12,6 +12,7 @@ import pyarrow as pa
 from .columns import (
     BOOL,
     COMMUNITY,
+    CONSTANT,
     FLOAT64,
     INT32,
     LABEL,
@@ -307,3 +308,21 @@ TABLES = {
         *EXPERIMENT_TABLES,
     )
 }
+
+
+_TYPES = {str(CONSTANT): "string", "double": "float64", "float": "float32"}
+
+
+def to_markdown() -> str:
+    """All tables for people: a heading for each, and its columns with type, unit, whether null is allowed, meaning."""
+    return "\n".join(_table_to_markdown(table) for table in TABLES.values())
+
+
+def _table_to_markdown(table: Table) -> str:
+    rows = [f"### {table.name}", "", f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", ""]
+    rows += ["| column | type | unit | null | what |", "|---|---|---|---|---|"]
+    for field in table.schema:
+        kind = _TYPES.get(str(field.type), str(field.type))
+        unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))
+        rows.append(f"| `{field.name}` | {kind} | {unit} | {'yes' if field.nullable else ''} | {meaning} |")
+    return "\n".join(rows) + "\n"

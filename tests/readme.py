@@ -3,10 +3,14 @@
 import re
 from pathlib import Path
 
-from fidpipe.schemas import metrics, settings
+from fidpipe.schemas import metrics, settings, tables
 
 DOCS = Path(__file__).parents[1] / "docs"
-TABLES = {DOCS / "scores.md": {"scores": metrics.to_markdown}, DOCS / "settings.md": {"settings": settings.to_markdown}}
+TABLES = {
+    DOCS / "scores.md": {"scores": metrics.to_markdown},
+    DOCS / "settings.md": {"settings": settings.to_markdown},
+    DOCS / "tables.md": {"tables": tables.to_markdown},
+}
 
 
 def with_tables(page):
