@@ -20,7 +20,8 @@ project = "fidpipe"
 author = "the fidpipe developers"
 version = release = fidpipe.__version__
 
-extensions = ["myst_nb", "sphinxcontrib.typer"]
+sys.path.insert(0, str(Path(__file__).with_name("_ext")))
+extensions = ["myst_nb", "sphinxcontrib.typer", "generated"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 nitpicky = True

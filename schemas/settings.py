@@ -374,6 +374,25 @@ def to_markdown() -> str:
     return "\n".join(rows) + "\n"
 
 
+def group_to_markdown(group: str) -> str:
+    """A table of the settings of one group for people: name, value under each preset, what is allowed, what it is for.
+
+    Parameters
+    ----------
+    group : such as "graph"; `KeyError` if there is none of this name
+    """
+    heads = ("setting", *PRESETS, "allowed", "what")
+    rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    own: type[BaseModel] = type(Settings.model_fields[group].default)
+    schema = own.model_json_schema()["properties"]
+    presets = [getattr(parse(values), group) for values in PRESETS.values()]
+    for name, field in own.model_fields.items():
+        values = [_markdown(getattr(preset, name)) for preset in presets]
+        cells = (f"`{group}.{name}`", *values, _allowed(schema[name]), field.description)
+        rows.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(rows) + "\n"
+
+
 def _markdown(value: Any) -> str:
     if value is None or value == ():
         return "none"

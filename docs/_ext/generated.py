@@ -1,0 +1,105 @@
+"""Directives of these pages whose content is the code's: `{settings}`, `{tables}` and `{pipeline}`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sphinx.util.docutils import SphinxDirective
+
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.stage import SCAN, Grain, Stage
+from fidpipe.schemas.settings import Settings, group_to_markdown
+from fidpipe.schemas.tables import TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from docutils import nodes
+    from sphinx.application import Sphinx
+
+_GRAINS = {
+    Grain.SIDE: "each side of a pair",
+    Grain.PAIR: "each pair",
+    Grain.OBJECT: "some of a pair's matched objects",
+}
+
+
+class SettingsTable(SphinxDirective):
+    """A table of the settings of each named group, with the values of the presets."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        """The tables, one after the other."""
+        groups = self.arguments[0].split()
+        if unknown := [group for group in groups if group not in Settings.model_fields]:
+            raise self.error(f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}")
+        return self.parse_text_to_nodes("\n".join(map(group_to_markdown, groups)))
+
+
+class StageTables(SphinxDirective):
+    """What a stage takes, what it gives with each column, and what one of its jobs is about."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """A short list, and a table for each table that the stage gives."""
+        stage = next((own for own in STAGES if own.name == self.arguments[0]), None)
+        if stage is None:
+            raise self.error(f"stage {self.arguments[0]!r}: no such stage; known are {', '.join(_names())}")
+        return self.parse_text_to_nodes(tables_of(stage))
+
+
+class PipelineTable(SphinxDirective):
+    """One row for each stage: what its jobs are about, tables in and out, settings."""
+
+    def run(self) -> list[nodes.Node]:
+        """The table."""
+        rows = ["| | stage | one job for | takes | gives | settings |", "|---" * 6 + "|"]
+        for number, stage in enumerate(STAGES, 1):
+            cells = (
+                f"[{stage.name}]({stage.name}.md)",
+                _GRAINS[stage.grain],
+                ", ".join(map(_table_word, stage.takes)),
+                ", ".join(map(_table_word, stage.gives)),
+                ", ".join(f"`{group}`" for group in stage.settings) or "none",
+            )
+            rows.append(f"| {number} | {' | '.join(cells)} |")
+        return self.parse_text_to_nodes("\n".join(rows) + "\n")
+
+
+def tables_of(stage: Stage) -> str:
+    """Markdown of what a stage takes and gives."""
+    lines = [f"One job for {_GRAINS[stage.grain]}.", ""]
+    lines += ["| takes | columns |", "|---|---|"]
+    for table, columns in stage.takes.items():
+        words = "points, and labels if it has them" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
+        lines.append(f"| {_table_word(table)} | {words or 'facts of its job alone'} |")
+    for table in (TABLES[name] for name in stage.gives):
+        keys = ", ".join(f"`{key}`" for key in table.keys)
+        lines += ["", f"It gives `{table.name}`, rows by {keys}; a column with a question mark may be null:", ""]
+        lines += ["| column | type | unit | what |", "|---" * 4 + "|", *map(_column_row, table.schema)]
+    return "\n".join(lines) + "\n"
+
+
+def _column_row(column: pa.Field) -> str:
+    words = {key.decode(): value.decode() for key, value in column.metadata.items()}
+    kind = "string" if str(column.type).startswith("dictionary") else str(column.type)
+    null = "?" if column.nullable else ""
+    return f"| `{column.name}`{null} | {kind} | {words.get('unit', '')} | {words['meaning']} |"
+
+
+def _table_word(name: str) -> str:
+    return "the scan's file" if name == SCAN else f"`{name}`"
+
+
+def _names() -> list[str]:
+    return [stage.name for stage in STAGES]
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Registers the directives."""
+    app.add_directive("settings", SettingsTable)
+    app.add_directive("tables", StageTables)
+    app.add_directive("pipeline", PipelineTable)
+    return {"parallel_read_safe": True}
