@@ -314,12 +314,13 @@ _TYPES = {str(CONSTANT): "string", "double": "float64", "float": "float32"}
 
 
 def to_markdown() -> str:
-    """All tables for people: a heading for each, and its columns with type, unit, whether null is allowed, meaning."""
-    return "\n".join(_table_to_markdown(table) for table in TABLES.values())
+    """All tables for people: a heading for each, and its columns."""
+    return "\n".join(f"### {table.name}\n\n{columns_to_markdown(table)}" for table in TABLES.values())
 
 
-def _table_to_markdown(table: Table) -> str:
-    rows = [f"### {table.name}", "", f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", ""]
+def columns_to_markdown(table: Table) -> str:
+    """The columns of a table for people, with type, unit, whether null is allowed, meaning, and what sorts its rows."""
+    rows = [f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", ""]
     rows += ["| column | type | unit | null | what |", "|---|---|---|---|---|"]
     for field in table.schema:
         kind = _TYPES.get(str(field.type), str(field.type))

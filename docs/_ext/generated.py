@@ -9,10 +9,9 @@ from sphinx.util.docutils import SphinxDirective
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.stage import SCAN, Grain, Stage
 from fidpipe.schemas.settings import Settings, group_to_markdown
-from fidpipe.schemas.tables import TABLES
+from fidpipe.schemas.tables import TABLES, columns_to_markdown
 
 if TYPE_CHECKING:
-    import pyarrow as pa
     from docutils import nodes
     from sphinx.application import Sphinx
 
@@ -75,18 +74,8 @@ def tables_of(stage: Stage) -> str:
     for table, columns in stage.takes.items():
         words = "points, and labels if it has them" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
         lines.append(f"| {_table_word(table)} | {words or 'facts of its job alone'} |")
-    for table in (TABLES[name] for name in stage.gives):
-        keys = ", ".join(f"`{key}`" for key in table.keys)
-        lines += ["", f"It gives `{table.name}`, rows by {keys}; a column with a question mark may be null:", ""]
-        lines += ["| column | type | unit | what |", "|---" * 4 + "|", *map(_column_row, table.schema)]
+    lines += [f"\nIt gives `{name}`. {columns_to_markdown(TABLES[name])}" for name in stage.gives]
     return "\n".join(lines) + "\n"
-
-
-def _column_row(column: pa.Field) -> str:
-    words = {key.decode(): value.decode() for key, value in column.metadata.items()}
-    kind = "string" if str(column.type).startswith("dictionary") else str(column.type)
-    null = "?" if column.nullable else ""
-    return f"| `{column.name}`{null} | {kind} | {words.get('unit', '')} | {words['meaning']} |"
 
 
 def _table_word(name: str) -> str:
