@@ -25,6 +25,7 @@ extensions = ["myst_nb", "sphinxcontrib.typer", "generated"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 nitpicky = True
+highlight_language = "none"
 
 # The tutorial runs at each build, in a folder of its own, with the fidpipe of the interpreter that runs Sphinx.
 nb_execution_mode = "force"
@@ -37,6 +38,8 @@ os.environ["COLUMNS"] = "100"
 
 html_theme = "furo"
 html_title = "fidpipe"
+html_static_path = ["_static"]
+html_css_files = ["look.css"]
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sourcelink = False

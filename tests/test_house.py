@@ -1,7 +1,10 @@
-"""What docs/development.md promises of the way through the house."""
+"""What docs/development.md promises of the way through the house, and where the links of the pages lead."""
 
+import re
 import traceback
 from pathlib import Path
+
+import pytest
 
 import fidpipe
 from fidpipe.pipeline.jobs import graph
@@ -10,7 +13,11 @@ from runs import run
 from scenes import write_dataset
 
 PACKAGE = Path(fidpipe.__file__).parent
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "development.md"
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "development.md"
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *ROOT.glob("runs/*.md"), *ROOT.glob("benchmarks/*.md")]
+)
 
 
 def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, monkeypatch):
@@ -29,3 +36,13 @@ def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, mo
         assert calls[0] == "run_dataset"
     named = " ".join(PAGE.read_text().split())
     assert all(f"`{name}`" in named or f".{name}`" in named for name in ways[0][:-1])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_relative_link_of_a_page_leads_to_a_file(page):
+    links = re.findall(r"(?<![\"'])\]\((?!\w+:)([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    assert not [link for link in links if not (page.parent / link).exists()]
+
+
+def test_the_readme_is_one_screen():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 60
