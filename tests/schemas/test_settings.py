@@ -1,7 +1,7 @@
 import pytest
 
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, load, to_markdown, to_toml
+from fidpipe.schemas.settings import Settings, group_to_markdown, load, to_markdown, to_toml
 
 
 def test_the_defaults_are_those_of_the_paper():
@@ -80,3 +80,12 @@ def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
     assert "| `5` | above 0 |" in by_name["matching.delta_m"]
     assert "| `greedy` | `greedy`, `optimal` |" in by_name["matching.method"]
     assert "| none | 6 numbers |" in by_name["input.exclude_box"]
+
+
+def test_the_table_of_a_group_has_the_values_of_both_presets():
+    head, _, *lines = group_to_markdown("graph").splitlines()
+    rows = {cells[1].strip(): [cell.strip() for cell in cells[2:5]] for cells in (line.split("|") for line in lines)}
+    assert head.startswith("| setting | paper | reference | allowed |")
+    assert rows["`graph.k`"] == ["`90`", "`90`", "1 to 2000"]
+    assert rows["`graph.ties`"][:2] == ["`point_id`", "`coordinates`"]
+    assert len(rows) == len(Settings().graph.model_dump())

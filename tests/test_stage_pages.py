@@ -1,0 +1,75 @@
+"""The pages of the stages and the worked objects of docs/scores.md, against the code that they describe."""
+
+import re
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import pictures
+from fidpipe.pipeline.experiments import synth
+from fidpipe.pipeline.jobs import STAGES
+from object_pictures import WANTED, numbers_table
+from runs import STAGE_NAMES, run
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+SECTIONS = ["Definition", "Settings", "Tables", "What goes wrong"]
+
+
+def page(name):
+    return (DOCS / "stages" / f"{name}.md").read_text(encoding="utf-8")
+
+
+def test_every_stage_has_a_page_in_the_order_of_the_pipeline():
+    listed = re.search(r"```\{toctree\}\n:hidden:\n\n(.*?)```", page("index"), re.DOTALL)[1].split()
+    assert listed == STAGE_NAMES
+    assert {path.stem for path in (DOCS / "stages").glob("*.md")} == {"index", *STAGE_NAMES}
+
+
+@pytest.mark.parametrize("name", STAGE_NAMES)
+def test_a_page_has_equation_source_picture_and_its_sections(name):
+    text = page(name)
+    assert re.findall("^## (.*)$", text, re.MULTILINE) == SECTIONS
+    assert "$$" in text
+    assert "**Source**" in text
+    assert f"```{{tables}} {name}\n```" in text
+    assert f"](../pictures/{name}.png)" in text
+
+
+def test_every_setting_that_a_stage_reads_is_on_a_page():
+    shown = {
+        group for name in STAGE_NAMES for own in re.findall(r"\{settings\} (.*)", page(name)) for group in own.split()
+    }
+    assert shown >= {group for stage in STAGES for group in stage.settings}
+
+
+def test_every_stage_has_a_picture_and_all_that_is_shown_is_there():
+    assert list(pictures.STAGE_PICTURES) == list(pictures.STAGE_PANELS) == STAGE_NAMES
+    texts = [(DOCS / "scores.md").read_text(encoding="utf-8"), page("index"), *map(page, STAGE_NAMES)]
+    shown = {name for text in texts for name in re.findall(r"pictures/([\w.]+\.png)\)", text)}
+    assert shown == {path.name for path in (DOCS / "pictures").iterdir()}
+    assert shown == {f"{name}.png" for name in ("pipeline", *STAGE_NAMES, *(wanted.name for wanted in WANTED))}
+
+
+@pytest.mark.slow
+def test_the_worked_objects_are_those_of_the_page_and_the_pictures_can_be_drawn(tmp_path):
+    text = (DOCS / "scores.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(\d{4}) (\d+)`", text)
+    request = synth.SynthRequest(tmp_path / "streets", pictures.N_PAIRS)
+    synth.prepare(request)
+    for index in sorted({int(pair_id) for pair_id, _ in named}):
+        synth.make_files(request, index)
+    assert not run(request.out, tmp_path / "run").failures
+    chosen = pictures.draw_all(tmp_path / "run", tmp_path)
+    assert [(row.pair_id, str(row.real_id)) for row in chosen.values()] == named
+    assert numbers_table(chosen) in text
+    for path in tmp_path.glob("*.png"):
+        with Image.open(path) as picture:
+            assert picture.width > 600
+            assert len(picture.convert("RGB").getcolors(picture.width * picture.height)) > 20
+    assert {path.name for path in tmp_path.glob("*.png")} == {path.name for path in (DOCS / "pictures").iterdir()}
+
+
+def test_no_table_for_the_worked_objects_is_refused():
+    with pytest.raises(ValueError, match="0 tables"):
+        pictures.with_numbers("no table here", {})
