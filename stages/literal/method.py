@@ -19,7 +19,12 @@ from ..arrays import BoolArray, FloatArray
 
 _MAX_TILT_DEG = 10
 _NEAR_M, _WINDOW_M, _STEP_M, _DEPTH_M = 30, 0.1, 0.05, 1
-_IDENTICAL_CHANGE = 1e-5
+IDENTICAL_CHANGE = 1e-5
+#: The scores that `spectral` gives.
+SPECTRAL = (
+    *("r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change"),
+    *("eigenspectrum_distance", "gap_real", "gap_sim"),
+)
 
 
 def clean(
@@ -358,7 +363,7 @@ def spectral(L_real: FloatArray, L_sim: FloatArray) -> dict[str, float]:
     change = float(abs(np.linalg.eigvalsh(L_sim - L_real)).max())
     shift = float(max(abs(b - a)))
     gap_real, gap_sim = float(a[1] - a[0]), float(b[1] - b[0])
-    is_identical = change <= _IDENTICAL_CHANGE
+    is_identical = change <= IDENTICAL_CHANGE
     return {
         "r_lambda": 0.0 if is_identical else min(1.0, shift / change),
         "r_gap": 0.0 if is_identical else min(0.5, abs(gap_sim - gap_real) / (2 * change)),

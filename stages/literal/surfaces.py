@@ -131,7 +131,7 @@ def area_between(real: Sequence[float], sim: Sequence[float]) -> float:
     """Area between two empirical distribution functions, step by step."""
     a, b = np.array(real), np.array(sim)
     steps = sorted([*a.tolist(), *b.tolist()])
-    return sum(
+    return math.fsum(
         abs(float(np.mean(a <= low)) - float(np.mean(b <= low))) * (high - low)
         for low, high in itertools.pairwise(steps)
     )
