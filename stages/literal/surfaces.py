@@ -69,9 +69,10 @@ def local_plane(points: FloatArray, place: FloatArray) -> Plane:
     points, place : (n, 3), (3,) float64, metres, n at least 20
     """
     apart = distances(points, place)
-    by_distance = np.argsort(apart, kind="stable")
+    nearest = np.argpartition(apart, min(_NEIGHBOURS, len(apart) - 1))[: _NEIGHBOURS + 1]
+    by_distance = sorted(nearest.tolist(), key=lambda i: apart[i])
     near = points[by_distance[:_NEIGHBOURS]]
-    last = apart[by_distance[_NEIGHBOURS - 1 : _NEIGHBOURS + 1]]
+    last = apart[by_distance[_NEIGHBOURS - 1 :]]
     centred = near - near.mean(axis=0)
     _, sizes, axes = np.linalg.svd(centred)
     l1, l2, l3 = sizes**2

@@ -183,7 +183,8 @@ def check_baselines(pair: StoredPair, comparisons: Comparisons) -> None:
                 made["r_h"] = baselines.r_h(L_real, L_sim, pair.settings.selection.t, change)
         compare(match["real_id"], made, object_name(match))
     if pair.drawn.whole_sides:
-        compare(None, baselines.of_points(*(pair.sides[side].points for side in SIDES), settings), "")
+        real, sim = (pair.sides[side].points for side in SIDES)
+        compare(None, dict(baselines.of_points(real, sim, settings)), "")
 
 
 def check_seeds(pair: StoredPair, comparisons: Comparisons) -> None:

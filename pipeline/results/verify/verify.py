@@ -59,7 +59,7 @@ class Verification:
     """What was compared, and what does not agree.
 
     n_objects, n_drawn : matched, missing and hallucinated objects of all scored pairs, and how many were drawn
-    n_scored, n_pairs, n_scans : scored pairs, those of the drawn objects, and of how many of these the scans were read
+    n_scored, n_pairs, n_scans : scored pairs, those of the drawn objects, and of how many of these the scans are there
     tables : one for each table, in the order in which they were compared
     mismatches : of each table the first few
     not_compared : in words, what could not be
