@@ -1,4 +1,4 @@
-# make run    sets up, makes a small synthetic dataset, evaluates it, makes its report, says where all is
+# make run    sets up, makes a small synthetic dataset, evaluates it, verifies a sample, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
 # make docs   builds the documentation: build/docs/index.html
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
@@ -19,6 +19,7 @@ SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
 	$(BIN)/fidpipe run .cache/streets --out runs/streets
+	$(BIN)/fidpipe verify runs/streets
 	$(BIN)/fidpipe report runs/streets
 
 test: check

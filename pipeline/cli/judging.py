@@ -1,9 +1,10 @@
-"""The commands that judge finished runs: gate, compare."""
+"""The commands that judge finished runs: gate, compare, verify."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from time import monotonic
 from typing import Annotated
 
 import typer
@@ -184,6 +185,46 @@ def compare(
         content = dumps({"comparisons": [one.as_dict() for one in results]})
         _write_for_ci(json_file, folder / "compare.json", content, is_asked=bool(out))
         raise typer.Exit(EXIT_GATE_FAILED if any(one.failed for one in results) else 0)
+
+
+def verify(
+    run: RunFolder,
+    objects: Annotated[int, typer.Option("--objects", min=1, help="How many objects are drawn.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Another one draws others.")] = 0,
+    all_: Annotated[
+        bool, typer.Option("--all", help="Every object, every node's edges, both whole sides of every pair.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compute a sample of a finished run again, another way, and compare; exits with 4 if a number does not agree.
+
+    Every file is read and must be as it was written. Objects are drawn at random, and from the stored tables before it
+    each table's numbers of these are made again by loops, all distances and dense matrices, which share no code with
+    the stages. Nothing is written. Where the dataset is gone, all but the cleaning of the scans is compared.
+
+    Examples
+    --------
+    fidpipe verify runs/dataset
+
+    fidpipe verify runs/dataset --objects 200 --seed 7
+
+    fidpipe verify runs/dataset --all --json    every object; minutes a pair
+    """
+    from ..engine.progress import SECONDS_BETWEEN_LINES, Reporter
+    from ..report.terminal.verify import verify_view
+    from ..results.verify.verify import verify_run
+
+    reporter, last_line = Reporter(), monotonic()
+
+    def pair_done(n_done: int, n_pairs: int) -> None:
+        nonlocal last_line
+        if n_done < n_pairs and monotonic() - last_line >= SECONDS_BETWEEN_LINES:
+            reporter.say(f"{n_done} of {n_pairs} pairs verified")
+            last_line = monotonic()
+
+    result = verify_run(run, None if all_ else objects, seed, pair_done)
+    print_json(result.as_dict()) if as_json else print_view(verify_view(result))
+    raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 
 
 def _history(

@@ -16,7 +16,7 @@ import typer
 
 from .datasets import convert, pair, synth, twin
 from .experiments import ablate, perturb
-from .judging import compare, gate
+from .judging import compare, gate, verify
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .results import export, report, show
 from .running import check, floor, run, status
@@ -103,6 +103,7 @@ def _root(
 
 
 for _command in (
-    *(check, run, synth, report, status, perturb, ablate, show, gate, compare, export, floor, twin, pair, convert),
+    *(check, run, synth, report, status, perturb, ablate, show, gate, compare),
+    *(export, floor, twin, pair, convert, verify),
 ):
     app.command()(_command)

@@ -22,6 +22,8 @@ _DENSE_NODES = 400  # up to here the dense solver is the faster one
 _COARSER = 4
 _TIGHT_ARCS_PER_NODE = 16
 _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this to be added
+_MOST_GAP_M = 1e-9  # a whole assignment may cost this much a node above its proven least
+_ROUNDING = 1e-12  # and this share of its cost
 _OFFSET_STEP_M = 1024.0  # a power of two: the difference is exact, and nearer sets stay as they are
 _BLOCK_DISTANCES = 2**20
 
@@ -36,7 +38,8 @@ def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
 
     "Hungarian spatial alignment" of the paper (Kuhn 1955). Up to 400 nodes by shortest augmenting paths (Crouse,
     IEEE Trans. AES 2016), above by network simplex on candidate arcs (Bonneel et al., SIGGRAPH Asia 2011), whose
-    optimality for all arcs is checked by linear programming duality: u_i + v_j <= |r_i - s_j| everywhere.
+    optimality for all arcs is checked by linear programming duality: u_i + v_j <= |r_i - s_j| everywhere, and
+    sum u + sum v = sum_i |r_i - s_p(i)|, within 1e-9 m a node.
 
     Parameters
     ----------
@@ -63,7 +66,7 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
     Raises
     ------
     StageError
-        The network simplex ends without an assignment.
+        The network simplex ends without an assignment, or with one that its prices do not prove to be the best.
     """
     offset = np.round(b.mean(axis=0) / _OFFSET_STEP_M) * _OFFSET_STEP_M
     if offset.any():  # far from the origin (UTM) single precision would not tell the candidates apart
@@ -75,8 +78,10 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
     is_first = True
     while True:
         sim_of_real, prices = _solve(a, b, arcs)
-        better = np.setdiff1d(_promising_arcs(a, b, prices), arcs, assume_unique=True)
+        promising = _promising_arcs(a, b, prices)
+        better = np.setdiff1d(promising, arcs, assume_unique=True)
         if not len(better):
+            _check_certificate(a, b, sim_of_real, prices, promising)
             return sim_of_real
         if is_first:  # most arcs turned out too dear; what is left out wrongly is found again
             arcs = _tight_arcs(a, b, arcs, sim_of_real, prices)
@@ -182,6 +187,31 @@ def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
         slack -= price_b
         codes.append(rows[0] * n + np.flatnonzero(slack < (price_a[rows] - _SLACK_M)[:, None]))
     return np.concatenate(codes)
+
+
+def _check_certificate(
+    a: FloatArray, b: FloatArray, sim_of_real: IndexArray, prices: Prices, promising: IndexArray
+) -> None:
+    """Raises `StageError` unless the prices prove that no assignment is shorter.
+
+    With u_i + v_j <= c_ij + s everywhere, no assignment costs less than sum u + sum v - n s.
+
+    Parameters
+    ----------
+    promising : codes of all arcs that cost less than the prices of their ends, see `_promising_arcs`
+    """
+    n = len(a)
+    if not np.array_equal(np.sort(sim_of_real), np.arange(n)):
+        raise StageError(f"alignment of {n} nodes: the network simplex gave no one-to-one assignment")
+    i, j = np.divmod(promising, n)
+    excess_m = prices[0][i] + prices[1][j] - np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1))
+    cost_m = float(np.sqrt(((a - b[sim_of_real]) ** 2).sum(axis=1)).sum())
+    least_m = float(prices[0].sum() + prices[1].sum()) - n * float(excess_m.max(initial=_SLACK_M))
+    if not cost_m - least_m <= n * _MOST_GAP_M + _ROUNDING * cost_m:
+        raise StageError(
+            f"alignment of {n} nodes: costs {cost_m:.9g} m, its dual prices prove {least_m:.9g} m only; "
+            "the network simplex of POT ended too early, another version may do better"
+        )
 
 
 def _curve(points: FloatArray) -> IndexArray:

@@ -2,8 +2,8 @@ import numpy as np
 
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.literal import method
 from scenes import rigid
-from textbook import clean as textbook_clean
 
 
 def test_each_reason_is_counted_in_its_order():
@@ -63,7 +63,7 @@ def test_agrees_with_the_textbook_on_a_dirty_scan(rng):
     T = rigid(30, [1, 2, 0.5])
     box, keep = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0), (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
     result = clean_scan(scan, InputSettings(exclude_box=box, include_box=keep), flip_y=True, T_real_sim=T)
-    ids, points = textbook_clean(scan, 2.5, 100, box, T, True, keep)
+    ids, points = method.clean(scan, 2.5, 100, box, T, flip_y=True, include_box=keep)
     assert result.point_ids.tolist() == ids
     np.testing.assert_allclose(result.points, points, atol=1e-12)
     assert sum(result.dropped.values()) + len(ids) == 800

@@ -7,6 +7,7 @@ from fidpipe.schemas.settings import CommunitySettings, GraphSettings
 from fidpipe.stages.communities import find_communities, modularity
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Edges, adjacency
+from fidpipe.stages.literal import method
 from fidpipe.stages.objects import describe_objects, majority_labels
 from scenes import box
 
@@ -30,7 +31,7 @@ def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backe
         assert len(set(np.digitize(members, [60, 150]))) == 1
     sizes = np.bincount(labels)
     assert (np.diff(sizes) <= 0).all()
-    np.testing.assert_array_equal(labels, textbook.canonical(labels.tolist()))
+    np.testing.assert_array_equal(labels, method.canonical(labels.tolist()))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -38,7 +39,7 @@ def test_modularity_is_that_of_the_double_sum(three_boxes, backend):
     points, edges = three_boxes
     partition = find_communities(len(points), edges, CommunitySettings(backend=backend))
     A = adjacency(len(points), edges).toarray()
-    assert partition.modularity == pytest.approx(textbook.modularity(A, partition.labels), abs=1e-12)
+    assert partition.modularity == pytest.approx(method.modularity(A, partition.labels), abs=1e-12)
 
 
 def test_the_reference_backend_is_python_louvain_itself(three_boxes):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-import textbook
 from fidpipe.schemas.settings import GraphSettings
 from fidpipe.stages.graph import build_graph
+from fidpipe.stages.literal import method
 
 
 def as_dict(edges):
@@ -15,7 +15,7 @@ def as_dict(edges):
 def test_agrees_with_the_textbook(rng, rule, k):
     points = rng.normal(0, 1, (120, 3))
     edges = build_graph(points, GraphSettings(k=k, tau_m=0.4, edges=rule))
-    assert as_dict(edges) == textbook.graph(points, k, 0.4, rule)
+    assert as_dict(edges) == method.graph(points, k, 0.4, rule)
 
 
 @pytest.mark.parametrize("k", [3, 6, 13])
@@ -23,7 +23,7 @@ def test_ties_go_to_the_smaller_id(k):
     # On a grid most neighbours tie: 6 at one step, 12 at the next.
     grid = np.array([[x, y, z] for x in range(5) for y in range(5) for z in range(4)], dtype=float)
     edges = build_graph(grid, GraphSettings(k=k, tau_m=0))
-    assert as_dict(edges) == textbook.graph(grid, k, 0)
+    assert as_dict(edges) == method.graph(grid, k, 0)
 
 
 def test_tau_is_inclusive():

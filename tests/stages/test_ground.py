@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-import textbook
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import GroundSettings
 from fidpipe.stages.ground import remove_ground
+from fidpipe.stages.literal import method
 from scenes import box, road, street
 
 
@@ -43,12 +43,12 @@ def test_fewer_than_eight_points_are_refused():
 def test_agrees_with_the_textbook(seed, loss):
     scan = tilted(street(seed), seed)
     cut = remove_ground(scan, GroundSettings(loss=loss))
-    flags, peak, threshold, lost, iterations = textbook.ground(scan, loss=loss)
-    assert cut.peak_m == pytest.approx(peak, abs=1e-9)
-    assert cut.threshold_m == pytest.approx(threshold, abs=1e-9)
-    assert cut.loss == pytest.approx(lost, rel=1e-6)
-    assert cut.iterations == iterations
-    np.testing.assert_array_equal(cut.is_ground, flags)
+    wanted = method.ground(scan, loss=loss)
+    assert cut.peak_m == pytest.approx(wanted.peak_m, abs=1e-9)
+    assert cut.threshold_m == pytest.approx(wanted.threshold_m, abs=1e-9)
+    assert cut.loss == pytest.approx(wanted.loss, rel=1e-6)
+    assert cut.iterations == wanted.iterations
+    np.testing.assert_array_equal(cut.is_ground, wanted.is_ground)
 
 
 def test_the_threshold_is_lowered_until_the_loss_is_allowed_and_ends_at_the_peak():

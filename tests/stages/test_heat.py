@@ -3,11 +3,11 @@ import pytest
 import scipy.linalg
 from scipy import sparse
 
-import textbook
 from fidpipe.stages.baselines.netlsd import heat_trace_distance
 from fidpipe.stages.baselines.r_h import diffusion_change
 from fidpipe.stages.linalg.heat import heat_row_sums
 from fidpipe.stages.linalg.laplacian import normalised_laplacian
+from fidpipe.stages.literal import method
 
 TIMES = np.geomspace(0.01, 100, 50)
 
@@ -60,7 +60,7 @@ def test_the_diffusion_change_agrees_with_the_dense_exponential(rng, n, t):
 def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():
     # d exp(-tL) = -t dL + O(t^2)
     a = path(6)
-    b = normalised_laplacian(sparse.csr_matrix(textbook.adjacency(6, {(i, i + 1): 1 + 0.1 * i for i in range(5)})))
+    b = normalised_laplacian(sparse.csr_matrix(method.adjacency(6, {(i, i + 1): 1 + 0.1 * i for i in range(5)})))
     assert diffusion_change(a, b, 1e-4, 1e-5) == pytest.approx(1, abs=1e-3)
 
 

@@ -7,6 +7,7 @@ from fidpipe.schemas.settings import CommunitySettings, GraphSettings, load
 from fidpipe.stages.communities import find_communities
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, below_cut, cover, nearest_distances
 from fidpipe.stages.graph import build_graph
+from fidpipe.stages.literal import method, surfaces
 from fidpipe.stages.matching import match_reference
 from fidpipe.stages.method import compare, n_communities, partition
 from fidpipe.stages.reference import (
@@ -184,8 +185,8 @@ def test_coverage_is_what_the_loops_say(boxes, rng):
     found = cover(distance_m, labels, 5)
     assert found.n_points.tolist() == [80, 50, 0, 30, 0]
     for i in (0, 1, 3):
-        own = boxes[labels == i]
-        assert found.covered[i].tolist() == [textbook.covered(own, others, m) for m in COVERAGE_DISTANCES_M]
+        apart = method.nearest_distances(boxes[labels == i], others)
+        assert found.covered[i].tolist() == [surfaces.covered(apart, m) for m in COVERAGE_DISTANCES_M]
         assert found.median_distance_m[i] == np.median(distance_m[labels == i])
     assert np.isnan(found.covered[[2, 4]]).all()
     assert np.isnan(found.median_distance_m[[2, 4]]).all()

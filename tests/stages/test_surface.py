@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-import textbook
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
+from fidpipe.stages.literal import surfaces
 from fidpipe.stages.statistics.validation import double_validation_metric, paired_t
 from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
 from scenes import box, moved, rigid, street
@@ -74,12 +74,12 @@ def test_points_that_stay_are_drawn_again_when_others_are_lost(rng):
 def test_offset_and_roughness_agree_with_the_textbook(rng):
     real, sim = room(rng, 300, 0.02), room(rng, 300, 0.02) + [0.1, 0.05, -0.1]
     surface = describe_surface(real)
-    slow = [textbook.local_plane(real, p) for p in surface.points]
-    assert surface.roughness_m == pytest.approx(np.array([roughness for _, roughness, _ in slow]))
-    assert surface.is_plane.tolist() == [planarity >= 0.1 for _, _, planarity in slow]
-    cosine = [abs(normal @ own) for (normal, _, _), own in zip(slow, surface.normal, strict=True)]
+    slow = [surfaces.local_plane(real, p) for p in surface.points]
+    assert surface.roughness_m == pytest.approx(np.array([plane.roughness_m for plane in slow]))
+    assert surface.is_plane.tolist() == [plane.is_plane for plane in slow]
+    cosine = [abs(plane.normal @ own) for plane, own in zip(slow, surface.normal, strict=True)]
     assert cosine == pytest.approx(np.ones(len(real)))
-    assert offset(real, sim).shift_m[0] == pytest.approx(textbook.offset(real, sim), abs=1e-9)
+    assert offset(real, sim).shift_m[0] == pytest.approx(surfaces.offset(slow, sim).shift_m, abs=1e-9)
 
 
 def test_the_offset_turns_with_the_frame_and_roughness_stays(rng):

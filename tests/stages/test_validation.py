@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-import textbook
+from fidpipe.stages.literal import surfaces
 from fidpipe.stages.statistics.validation import (
     area_validation_metric,
     double_validation_metric,
@@ -23,8 +23,8 @@ def test_bias_and_area_by_hand():
 def test_areas_agree_with_the_textbook(rng):
     real, sim = rng.normal(0, 1, 23), rng.exponential(1, 41)
     found = double_validation_metric(real, sim)
-    assert area_validation_metric(real, sim) == pytest.approx(textbook.area_between(real, sim))
-    assert found.area == pytest.approx(textbook.area_between(real, sim - found.bias))
+    assert area_validation_metric(real, sim) == pytest.approx(surfaces.area_between(real, sim))
+    assert found.area == pytest.approx(surfaces.area_between(real, sim - found.bias))
 
 
 def test_the_bias_is_the_signed_area_and_the_area_that_of_the_shapes(rng):

@@ -1,0 +1,235 @@
+"""What the literal twin makes of a pair: its matches, their aligned nodes and scores, and its row of `pairs`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from ....schemas.columns import SIDES
+from ....schemas.metrics import OBJECT_METRICS
+from ....stages.arrays import FloatArray
+from ....stages.literal import baselines, method
+from .comparisons import INFLUENCE, LENGTH_M, SPECTRUM, Comparisons, Place, point_names
+from .stored import StoredPair, object_name
+
+#: Larger objects are left out where dense matrices of all their nodes would be needed.
+MOST_NODES = 3000
+_FEWEST_FOR_SPECTRA = 3
+_ALONE = {"real": "missing", "sim": "hallucinated"}
+
+
+def check_matching(pair: StoredPair, comparisons: Comparisons) -> None:
+    """Which objects match, of all of them."""
+    objects = {side: pair.columns("objects", side) for side in SIDES}
+    real, sim = (np.column_stack([objects[side][axis] for axis in ("cx", "cy", "cz")]) for side in SIDES)
+    place, settings, stored = pair.place("matching"), pair.settings.matching, pair.matching
+    matched = [(row["real_id"], row["sim_id"]) for row in stored if row["status"] == "matched"]
+    if pair.settings.communities.objects == "reference":
+        n_real, n_sim = (objects[side]["n_points"] for side in SIDES)
+        least = pair.settings.communities.min_points
+        wanted = [(i, i) for i in range(len(real)) if n_sim[i] >= min(least, n_real[i])]
+        hallucinated = list(range(len(real), len(sim)))
+    elif settings.method == "greedy":
+        wanted = [(i, j) for i, j, _ in method.match_greedy(real, sim, settings.delta_m)]
+        hallucinated = sorted(set(range(len(sim))) - {j for _, j in wanted})
+    else:
+        wanted = sorted(matched)
+        hallucinated = sorted(set(range(len(sim))) - {j for _, j in wanted})
+        _compare_optimum(real, sim, matched, settings.delta_m, place, comparisons)
+    missing = sorted(set(range(len(real))) - {i for i, _ in wanted})
+    of_real: list[tuple[int | None, int | None, str]] = [(i, j, "matched") for i, j in wanted]
+    of_real = sorted([*of_real, *((i, None, "missing") for i in missing)], key=lambda row: row[0] or 0)
+    made = [*of_real, *((None, j, "hallucinated") for j in hallucinated)]
+    for name, own in zip(("real_id", "sim_id", "status"), zip(*made, strict=True), strict=True):
+        comparisons.compare(place, name, [_or_blank(row[name]) for row in stored], [_or_blank(value) for value in own])
+    for row in stored:
+        both = row["status"] == "matched"
+        apart = math.dist(real[row["real_id"]], sim[row["sim_id"]]) if both else None
+        at = pair.place("matching", object_=object_name(row))
+        comparisons.compare(at, "centroid_distance_m", row["centroid_distance_m"], apart, tolerance=LENGTH_M)
+
+
+def _compare_optimum(
+    real: FloatArray,
+    sim: FloatArray,
+    matched: list[tuple[int, int]],
+    delta_m: float,
+    place: Place,
+    comparisons: Comparisons,
+) -> None:
+    """Whether no matching has more pairs nearer than delta, or a smaller total distance."""
+    n, least = max(len(real), len(sim)), min(len(real), len(sim))
+    apart, forbidden = cdist(real, sim), delta_m * (least + 1)
+    cost = np.zeros((n, n))
+    cost[: len(real), : len(sim)] = np.where(apart < delta_m, apart, forbidden)
+    total = math.fsum(apart[i, j] for i, j in matched) + (least - len(matched)) * forbidden
+    comparisons.compare(place, "total distance", total, method.least_total(cost), tolerance=LENGTH_M * n)
+    within = [float(apart[i, j] < delta_m) for i, j in matched]
+    comparisons.compare(place, "nearer than delta", within, [1.0] * len(matched))
+
+
+def check_selection(pair: StoredPair, comparisons: Comparisons) -> None:
+    """Which nodes of the drawn objects are kept, their influence, and that no alignment is shorter."""
+    stored = pair.columns("selection")
+    for match in pair.drawn_matches:
+        own = stored["real_id"] == match["real_id"]
+        at = pair.place("selection", object_=object_name(match))
+        members = pair.members(match)
+        n_keep = min(len(nodes) for nodes in members.values())
+        comparisons.compare(at, "sim_id", stored["sim_id"][own].astype(float), [match["sim_id"]] * n_keep)
+        comparisons.compare(at, "rank", stored["rank"][own], np.arange(n_keep))
+        if max(len(nodes) for nodes in members.values()) > MOST_NODES:
+            comparisons.leave_out(
+                f"influence and scores of an object of more than {MOST_NODES} points (dense matrices)"
+            )
+            continue
+        kept = {}
+        for side in SIDES:
+            scan, nodes = pair.sides[side], members[side]
+            kept[side] = chosen = scan.index(stored[f"{side}_point_id"][own])
+            values = stored[f"{side}_influence"][own]
+            made = method.influence(method.laplacian(scan.matrix(nodes)), pair.settings.selection.t)
+            of_point = dict(zip(nodes.tolist(), made.tolist(), strict=True))
+            names, wanted = point_names(scan.point_ids[chosen]), [of_point.get(i) for i in chosen.tolist()]
+            comparisons.compare(at, f"{side}_influence", values, wanted, tolerance=INFLUENCE, rows=names)
+            comparisons.compare(at, f"different {side} nodes", len(set(chosen.tolist())), n_keep)
+            left = [of_point[i] for i in set(nodes.tolist()) - set(chosen.tolist())]
+            is_most = not left or max(left) <= values.min(initial=np.inf) + INFLUENCE
+            comparisons.compare(at, f"no {side} node left out has more influence", float(is_most), 1.0)
+        real_influence, real_ids = stored["real_influence"][own], stored["real_point_id"][own]
+        ranked = sorted(range(len(real_ids)), key=lambda i: (-real_influence[i], real_ids[i]))
+        comparisons.compare(at, "order of rows", np.arange(len(ranked)), ranked)
+        a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
+        cost = cdist(a - a.mean(axis=0), b - b.mean(axis=0))
+        total = math.fsum(np.diag(cost))
+        comparisons.compare(at, "total distance", total, method.least_total(cost), tolerance=LENGTH_M * len(cost))
+
+
+def check_metrics(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The scores of the drawn objects, from the nodes that the selection kept."""
+    stored = {row["real_id"]: row for row in pair.rows("metrics")}
+    comparisons.compare(
+        pair.place("metrics"),
+        "real_id",
+        list(stored),
+        [row["real_id"] for row in pair.matching if row["status"] == "matched"],
+    )
+    for match in pair.drawn_matches:
+        row, at = stored[match["real_id"]], pair.place("metrics", object_=object_name(match))
+        real, sim = (pair.sides[side].points[pair.sides[side].members(match[f"{side}_id"])] for side in SIDES)
+        kept = pair.kept(match)
+        n_keep = len(kept["real"])
+        made: dict[str, Any] = {"sim_id": match["sim_id"], "n_real": len(real), "n_sim": len(sim)}
+        made |= {"n_keep": n_keep, "centroid_distance_m": match["centroid_distance_m"]}
+        for name, value in made.items():
+            comparisons.compare(at, name, row[name], value)
+        comparisons.compare(at, "cdc", row["cdc"], method.cdc(real, sim), tolerance=LENGTH_M)
+        rms = method.alignment_rms(*(pair.sides[side].points[kept[side]] for side in SIDES))
+        comparisons.compare(at, "alignment_rms_m", row["alignment_rms_m"], rms, tolerance=LENGTH_M)
+        if n_keep > MOST_NODES:
+            comparisons.leave_out(f"spectra of an object of more than {MOST_NODES} aligned nodes (dense matrices)")
+            continue
+        if n_keep < _FEWEST_FOR_SPECTRA:
+            scores: dict[str, Any] = dict.fromkeys(method.SPECTRAL)
+            status, reason = "too_small", f"{n_keep} aligned nodes, at least 3 are needed for a spectrum"
+        else:
+            L_real, L_sim = (method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
+            scores = method.spectral(L_real, L_sim)
+            is_identical = scores["laplacian_change"] <= method.IDENTICAL_CHANGE
+            status, reason = "identical" if is_identical else "scored", ""
+        for name, value in scores.items():
+            comparisons.compare(at, name, row[name], value, tolerance=SPECTRUM)
+        comparisons.compare(at, "status", row["status"], status)
+        comparisons.compare(at, "reason", row["reason"] or "", reason)
+
+
+def check_baselines(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The distances of others, of the drawn objects, and of the whole scans where these are compared."""
+    if not pair.settings.metrics.baselines:
+        return
+    stored = {(row["real_id"], row["baseline"]): row for row in pair.rows("baselines")}
+    settings = pair.settings.metrics.model_dump()
+    limits = {"netlsd": settings["heat_max_nodes"], "emd_mean_m": settings["emd_max_points"]}
+
+    def compare(real_id: int | None, made: dict[str, float | None], name: str) -> None:
+        for baseline, value in made.items():
+            if (real_id, baseline) in stored:
+                at = pair.place("baselines", object_=name)
+                comparisons.compare(at, baseline, stored[real_id, baseline]["value"], value, tolerance=SPECTRUM)
+        for own, baseline in stored:
+            if own == real_id and baseline not in made:
+                comparisons.leave_out(f"baseline {baseline}, where the twin has none")
+
+    for match in pair.drawn_matches:
+        members = pair.members(match)
+        real, sim = (pair.sides[side].points[members[side]] for side in SIDES)
+        n_most, kept = max(len(real), len(sim)), pair.kept(match)
+        a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
+        made: dict[str, float | None] = dict(baselines.of_points(real, sim, settings))
+        made["emd_centred_mean_m"] = float(np.linalg.norm((a - a.mean(axis=0)) - (b - b.mean(axis=0)), axis=1).mean())
+        if n_most <= MOST_NODES:
+            made["emd_kept_mean_m"] = baselines.assignment_mean(a, b)
+            if len(real) == len(sim) <= limits["emd_mean_m"]:
+                made["emd_mean_m"] = baselines.assignment_mean(real, sim)
+            A_real, A_sim = (pair.sides[side].matrix(members[side]) for side in SIDES)
+            made["netlsd"] = baselines.netlsd(A_real, A_sim, settings) if n_most <= limits["netlsd"] else None
+            made["r_h"] = None
+            if len(a) >= _FEWEST_FOR_SPECTRA:
+                L_real, L_sim = (method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
+                change = method.spectral(L_real, L_sim)["laplacian_change"]
+                made["r_h"] = baselines.r_h(L_real, L_sim, pair.settings.selection.t, change)
+        compare(match["real_id"], made, object_name(match))
+    if pair.drawn.whole_sides:
+        real, sim = (pair.sides[side].points for side in SIDES)
+        compare(None, dict(baselines.of_points(real, sim, settings)), "")
+
+
+def check_seeds(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The scores of the set seed are those of the pair; those of the others are not made again."""
+    if pair.settings.stability.seeds == 1:
+        return
+    rows = pair.rows("seeds")
+    first = pair.settings.communities.seed
+    wanted = range(first, first + pair.settings.stability.seeds)
+    comparisons.compare(pair.place("seeds"), "seed", [row["seed"] for row in rows], list(wanted))
+    for name, value in rows[0].items():
+        if name not in ("pair_id", "seed"):
+            comparisons.compare(pair.place("seeds"), name, value, pair.row[name])
+    comparisons.leave_out("scores under other seeds of the communities")
+
+
+def check_pairs(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The pair's row: counts, match rate, means, deviations and medians over its objects."""
+    place, row = pair.place("pairs"), pair.row
+    statuses = [own["status"] for own in pair.matching]
+    metrics = pair.rows("metrics")
+    n = {name: statuses.count(name) for name in ("matched", "missing", "hallucinated")}
+    made: dict[str, Any] = {f"n_{name}": count for name, count in n.items()}
+    kinds = [own["status"] for own in metrics]
+    made |= {f"n_{kind}": kinds.count(kind) for kind in ("scored", "identical", "too_small")}
+    made |= {f"n_communities_{side}": n["matched"] + n[alone] for side, alone in _ALONE.items()}
+    made["match_rate"] = n["matched"] / (n["matched"] + max(n["missing"], n["hallucinated"]))
+    ranges = {side: pair.columns("objects", side)["range_m"] for side in SIDES}
+    matched, alone = [], []
+    for own in pair.matching:
+        if own["status"] == "matched":
+            matched.append(float(ranges["real"][own["real_id"]]))
+        else:
+            side = "real" if own["status"] == "missing" else "sim"
+            alone.append(float(ranges[side][own[f"{side}_id"]]))
+    made["median_range_matched_m"] = float(np.median(matched)) if matched else None
+    made["median_range_unmatched_m"] = float(np.median(alone)) if alone else None
+    for metric in OBJECT_METRICS:
+        mean, std = method.mean_and_std([own[metric] for own in metrics])
+        made |= {f"{metric}_mean": mean, f"{metric}_std": std}
+    for name, value in made.items():
+        tolerance = 0.0 if name.startswith("n_") else LENGTH_M
+        comparisons.compare(place, name, row[name], value, tolerance=tolerance)
+
+
+def _or_blank(value: int | str | None) -> str:
+    """An id or a word as a word."""
+    return "" if value is None else str(value)

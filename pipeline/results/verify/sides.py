@@ -1,0 +1,314 @@
+"""What the literal twin makes of each side: kept points, cut, edges, objects, and what the other side has of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ....schemas.columns import SIDES, Row
+from ....schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS
+from ....stages.arrays import FloatArray, IndexArray
+from ....stages.literal import method, surfaces
+from ...datasets.readers import read_scan
+from .comparisons import LENGTH_M, Comparisons, point_names
+from .stored import StoredPair, StoredSide
+
+_NODES_PER_OBJECT = 3
+_SAMPLE_POINTS = 2000
+_FEWEST_FOR_PLANES = 20
+_REACHES_M = dict(zip(COVERAGE_REACHES, (0.1, 0.3, 1.0), strict=True))
+
+
+def check_scan(pair: StoredPair, comparisons: Comparisons) -> None:
+    """Cleaning, where the scans are still there."""
+    if pair.scans is None:
+        return
+    settings = pair.settings.input
+    for side in SIDES:
+        path = pair.scans.path(side)
+        if path is None:
+            continue
+        scan = read_scan(path, settings.columns_of(side), pair.label_names)
+        T = np.array(pair.scans.T_real_sim).reshape(3, 4) if side == "sim" and pair.scans.T_real_sim else None
+        rows, points = method.clean(
+            scan.points,
+            settings.min_range_m,
+            settings.max_range_m,
+            settings.exclude_box,
+            T,
+            flip_y=side == "sim" and settings.sim_flip_y,
+            include_box=settings.include_box,
+        )
+        place, ground = pair.place("scan", side), pair.columns("ground", side)
+        comparisons.compare(place, "n_raw", pair.row[f"n_{side}_raw"], len(scan.points))
+        comparisons.compare(place, "point_id", ground["point_id"], rows)
+        if len(rows) == len(ground["point_id"]):
+            for axis, values in zip("xyz", points.T, strict=True):
+                comparisons.compare(place, axis, ground[axis], values, tolerance=LENGTH_M, rows=point_names(rows))
+            for name, own in (("intensity", scan.intensity), ("instance", scan.instances), ("label", scan.labels)):
+                wanted = np.full(len(rows), None if name == "label" else np.nan) if own is None else own[rows]
+                comparisons.compare(place, name, ground[name], wanted, rows=point_names(rows))
+
+
+def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The ground cut: heights and flags of all clean points, and what is told of the cut."""
+    settings = pair.settings.ground
+    real_facts = pair.facts("ground", "real")
+    for side in SIDES:
+        own, stored = pair.sides[side], pair.columns("ground", side)
+        cut = method.ground(own.all_points, settings.prior_m, settings.max_variance_loss, settings.loss)
+        axis, tilt_deg, peak_m = cut.axis, cut.tilt_deg, cut.peak_m
+        threshold_m: float | None = cut.threshold_m
+        loss: float | None = cut.loss
+        iterations: int | None = cut.iterations
+        height_m = cut.height_m
+        if settings.shared and side == "sim":
+            axis, tilt_deg, peak_m = np.array(real_facts["axis"]), real_facts["tilt_deg"], real_facts["peak_m"]
+            threshold_m, iterations = real_facts["threshold_m"], real_facts["iterations"]
+            height_m = np.array([float(p @ axis) for p in own.all_points])
+            loss = method.variance_loss(own.all_points, height_m, threshold_m or 0.0, peak_m, settings.loss)
+        if settings.method != "pca":
+            threshold_m = loss = iterations = None
+        place, names = pair.place("ground", side), point_names(stored["point_id"])
+        comparisons.compare(place, "height_m", stored["height_m"], height_m - peak_m, tolerance=LENGTH_M, rows=names)
+        if settings.method == "patchwork":
+            comparisons.leave_out("flags of ground by patchwork++: there is no second implementation")
+        else:
+            flags = np.zeros(len(height_m), dtype=bool) if threshold_m is None else height_m < threshold_m
+            clear = np.ones(len(flags), dtype=bool) if threshold_m is None else abs(height_m - threshold_m) > LENGTH_M
+            kept = stored["is_ground"].astype(bool)
+            rows = [name for name, is_clear in zip(names, clear, strict=True) if is_clear]
+            comparisons.compare(place, "is_ground", kept[clear].astype(float), flags[clear].astype(float), rows=rows)
+        n_ground = int(stored["is_ground"].sum())
+        facts = pair.facts("ground", side)
+        for i, coordinate in enumerate("xyz"):
+            comparisons.compare(place, f"axis {coordinate}", facts["axis"][i], axis[i], tolerance=LENGTH_M)
+        told = {
+            "peak_m": peak_m,
+            "threshold_m": threshold_m,
+            "loss": loss,
+            "iterations": iterations,
+            "tilt_deg": tilt_deg,
+            "removed_share": n_ground / len(height_m),
+        }
+        counts = {"clean": len(height_m), "points": len(height_m) - n_ground}
+        for name, value in told.items():
+            # tilt: the arccosine is steep where the axis is upright
+            tolerance = 1e-6 if name == "tilt_deg" else LENGTH_M
+            comparisons.compare(
+                pair.place("pairs"),
+                f"ground_{side}_{name}",
+                pair.row[f"ground_{side}_{name}"],
+                value,
+                tolerance=tolerance,
+            )
+        for name, count in counts.items():
+            comparisons.compare(pair.place("pairs"), f"n_{side}_{name}", pair.row[f"n_{side}_{name}"], count)
+
+
+def check_graph(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The length of every edge, and of some nodes every edge: none too few, none too many."""
+    settings = pair.settings.graph
+    for side, own in pair.sides.items():
+        place, points, ids = pair.place("graph", side), own.points, own.point_ids
+        src, dst, length = own.edges
+        apart = np.sqrt(((points[src] - points[dst]) ** 2).sum(axis=1)).astype(np.float32)
+        exact = pair.columns("graph", side)["length_m"]
+        unequal = np.flatnonzero(exact != apart)
+        again = [
+            method.distances(points[j : j + 1], points[i])[0] for i, j in zip(src[unequal], dst[unequal], strict=True)
+        ]
+        apart[unequal] = again  # one operation after the other, where the last bit counts
+        comparisons.compare(place, "length_m", length, apart.astype(np.float64), rows=_EdgeNames(ids[src], ids[dst]))
+        comparisons.compare(place, "src below dst, ascending", _is_ascending(src, dst, len(points)), True)
+        nodes = np.arange(len(points)) if pair.drawn.all_nodes else _drawn_nodes(pair, side)
+        for i in nodes.tolist():
+            distance = method.distances(points, points[i])
+            within = set(np.flatnonzero(distance <= settings.tau_m).tolist()) - {i}
+            wanted = own.nearest(i) | within if settings.edges == "union" else own.nearest(i) & within
+            stored = own.neighbours(i)
+            surplus = {
+                j
+                for j in stored - wanted
+                if i not in own.nearest(j) or (settings.edges == "intersection" and j not in within)
+            }
+            both = sorted(stored | wanted)
+            names = [f"point {ids[i]} to {ids[j]}" for j in both]
+            is_stored = [float(j in stored) for j in both]
+            is_wanted = [float(j in wanted or (j in stored and j not in surplus)) for j in both]
+            comparisons.compare(place, "edge", is_stored, is_wanted, rows=names)
+
+
+def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
+    """Some nodes of the drawn objects of a side."""
+    nodes = []
+    for community in pair.drawn_ids(side):
+        members = pair.sides[side].members(community)
+        nodes += pair.drawn.rng.choice(members, min(_NODES_PER_OBJECT, len(members)), replace=False).tolist()
+    return np.array(nodes, dtype=np.intp)
+
+
+def check_communities(pair: StoredPair, comparisons: Comparisons) -> None:
+    """Every object point has an object; these are numbered as agreed; reference objects go to the nearest points."""
+    settings, real = pair.settings.communities, pair.sides["real"]
+    is_reference = settings.objects == "reference"
+    for side, own in pair.sides.items():
+        place, labels = pair.place("communities", side), own.labels
+        comparisons.compare(place, "point_id", pair.columns("communities", side)["point_id"], own.point_ids)
+        if not (is_reference and side == "sim"):
+            order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(len(labels)))
+            numbered = np.empty(len(labels), dtype=np.intp)
+            numbered[order] = method.canonical(labels[order].tolist())
+            comparisons.compare(place, "community_id", labels, numbered, rows=point_names(own.point_ids))
+            continue
+        n_real, sizes = int(real.labels.max()) + 1, np.bincount(labels)
+        for community in pair.drawn_ids(side):
+            found = [method.nearest_real(real.points, own.points[i]) for i in own.members(community)]
+            for i, (nearest, apart_m) in zip(own.members(community).tolist(), found, strict=True):
+                is_alone = (
+                    community >= n_real and apart_m > settings.reach_m and sizes[community] >= settings.min_points
+                )
+                name = f"community_id of point {own.point_ids[i]}"
+                comparisons.compare(place, name, community, community if is_alone else int(real.labels[nearest]))
+
+
+def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
+    """How many points every object has; where the drawn ones are, how large, of what shape."""
+    for side, own in pair.sides.items():
+        stored = pair.rows("objects", side)
+        sizes = np.bincount(own.labels, minlength=len(stored))
+        place = pair.place("objects", side)
+        comparisons.compare(
+            place,
+            "n_points",
+            [row["n_points"] for row in stored],
+            sizes,
+            rows=[f"{side} {i}" for i in range(len(sizes))],
+        )
+        words = pair.columns("ground", side)["label"][own.is_object]
+        for community in pair.drawn_ids(side):
+            members = own.members(community)
+            at, row = pair.place("objects", side, f"{side} {community}"), stored[community]
+            if not len(members):
+                comparisons.compare(at, "cx", row["cx"], None)
+                continue
+            about = method.describe(own.points[members])
+            made = dict(zip(("cx", "cy", "cz"), about.centroid, strict=True)) | {"range_m": about.range_m}
+            made |= dict(zip(("extent_x", "extent_y", "extent_z"), about.extent, strict=True))
+            made |= dict(zip(("linearity", "planarity", "scattering"), about.shape, strict=True))
+            for name, value in made.items():
+                comparisons.compare(at, name, row[name], value, tolerance=LENGTH_M)
+            named = [word for word in words[members] if word is not None]
+            label = min(set(named), key=lambda word: (-named.count(word), word)) if named else None
+            comparisons.compare(at, "label", row["label"] or "", label or "")
+
+
+def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
+    """What the other side has of each drawn object; of whole sides the mean of their objects."""
+    stored = {(row["side"], row["community_id"]): row for row in pair.rows("coverage")}
+    for side, other in (SIDES, SIDES[::-1]):
+        own, others = pair.sides[side], pair.sides[other].points
+        cut = pair.facts("ground", other)
+
+        def compare(
+            row: Row, members: IndexArray, name: str, own: StoredSide = own, others: FloatArray = others, cut: Any = cut
+        ) -> None:
+            at = pair.place("coverage", own.side, name)
+            comparisons.compare(at, "n_points", row["n_points"], len(members))
+            apart = method.nearest_distances(own.points[members], others).tolist()
+            for reach, reach_m in _REACHES_M.items():
+                share = surfaces.covered(apart, reach_m) if apart else None
+                comparisons.compare(at, f"covered_{reach}", row[f"covered_{reach}"], share, tolerance=LENGTH_M)
+            median = float(np.median(apart)) if apart else None
+            comparisons.compare(at, "median_distance_m", row["median_distance_m"], median, tolerance=LENGTH_M)
+            road = None
+            if apart and cut["threshold_m"] is not None:
+                heights = [float(p @ np.array(cut["axis"])) for p in own.points[members]]
+                road = sum(h < cut["threshold_m"] for h in heights) / len(heights)
+            comparisons.compare(at, "road_share", row["road_share"], road, tolerance=LENGTH_M)
+
+        for community in pair.drawn_ids(side):
+            compare(stored[side, community], own.members(community), f"{side} {community}")
+        whole = stored[side, None]
+        if pair.drawn.whole_sides:
+            compare(whole, np.arange(len(own.points)), "")
+        objects = [
+            row for (own_side, i), row in stored.items() if own_side == side and i is not None and row["n_points"]
+        ]
+        for name in (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "road_share"):
+            values = [(row["n_points"], row[name]) for row in objects]
+            known = (
+                None if values[0][1] is None else math.fsum(n * own for n, own in values) / sum(n for n, _ in values)
+            )
+            comparisons.compare(pair.place("coverage", side), name, whole[name], known, tolerance=LENGTH_M)
+        for reach in COVERAGE_REACHES:
+            name = f"covered_{side}_{reach}"
+            comparisons.compare(pair.place("pairs"), name, pair.row[name], whole[f"covered_{reach}"])
+
+
+def check_surface(pair: StoredPair, comparisons: Comparisons) -> None:
+    """How far the surfaces of the drawn real objects are displaced, and of whole sides also how rough they are."""
+    stored = {row["real_id"]: row for row in pair.rows("surface")}
+    points, labels = pair.sides["real"].points, pair.sides["real"].labels
+    sample = _sample(points)
+    sim = pair.sides["sim"].points
+
+    def compare(row: Row, planes: list[surfaces.Plane], name: str) -> None:
+        if any(plane.is_tied for plane in planes):
+            comparisons.leave_out("displacement of an object, some of whose points have equally near neighbours")
+            return
+        made, at = surfaces.offset(planes, sim), pair.place("surface", object_=name)
+        comparisons.compare(at, "n_points", row["n_points"], made.n_points)
+        comparisons.compare(at, "n_directions", row["n_directions"], made.n_directions)
+        for column, value in zip(SHIFT_COLUMNS, (*made.shift_m, made.distance_m), strict=True):
+            comparisons.compare(at, column, row[column], value, tolerance=LENGTH_M * 10)
+
+    for community in pair.drawn_ids("real"):
+        own = [i for i in sample if labels[i] == community]
+        compare(stored[community], [surfaces.local_plane(points, points[i]) for i in own], f"real {community}")
+    for column in SHIFT_COLUMNS:
+        comparisons.compare(pair.place("pairs"), column, pair.row[column], stored[None][column])
+    if not pair.drawn.whole_sides:
+        return
+    planes = [surfaces.local_plane(points, points[i]) for i in sample]
+    compare(stored[None], planes, "")
+    of_sim = [surfaces.local_plane(sim, sim[i]) for i in _sample(sim)]
+    if any(plane.is_tied for plane in (*planes, *of_sim)):
+        comparisons.leave_out("roughness of a pair, some of whose points have equally near neighbours")
+        return
+    roughness = [[plane.roughness_m for plane in own] for own in (planes, of_sim)]
+    made: dict[str, float | None] = dict.fromkeys(("real_m", "sim_m", "bias_m", "area_m"))
+    if all(roughness):
+        a, b = (np.array(own) for own in roughness)
+        bias = float(b.mean() - a.mean())
+        made = {"real_m": float(np.median(a)), "sim_m": float(np.median(b)), "bias_m": bias}
+        made["area_m"] = surfaces.area_between(a.tolist(), (b - bias).tolist())
+    for name, value in made.items():
+        column = f"roughness_{name}"
+        comparisons.compare(pair.place("pairs"), column, pair.row[column], value, tolerance=LENGTH_M)
+
+
+def _sample(points: FloatArray) -> list[int]:
+    """The points whose neighbourhoods are looked at."""
+    return surfaces.visiting_order(points)[:_SAMPLE_POINTS] if len(points) >= _FEWEST_FOR_PLANES else []
+
+
+def _is_ascending(src: IndexArray, dst: IndexArray, n: int) -> bool:
+    """Whether each edge stands once, its smaller end first, in ascending order."""
+    return bool((src < dst).all() and (np.diff(src * n + dst) > 0).all())
+
+
+class _EdgeNames(Sequence[str]):
+    """The names of edges, made when one is asked for: there are millions."""
+
+    def __init__(self, src: IndexArray, dst: IndexArray) -> None:
+        self._src, self._dst = src, dst
+
+    def __len__(self) -> int:
+        return len(self._src)
+
+    def __getitem__(self, i: Any) -> Any:
+        return f"point {self._src[i]} to {self._dst[i]}"

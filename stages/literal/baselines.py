@@ -1,0 +1,132 @@
+"""The distances of others once more: all distances, dense matrices, other libraries."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.linalg
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+from scipy.stats import wasserstein_distance
+
+from ..arrays import FloatArray
+from .method import distances, laplacian, nearest_distances
+
+
+def of_points(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> dict[str, float | None]:
+    """By name, the distances that need two point sets; ICP is left out: its end depends on the way.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    settings : of the group metrics
+    """
+    to_sim, to_real = nearest_distances(real, sim), nearest_distances(sim, real)
+    recall = sum(d < settings["f_score_distance_m"] for d in to_sim.tolist()) / len(real)
+    precision = sum(d < settings["f_score_distance_m"] for d in to_real.tolist()) / len(sim)
+    return {
+        "chamfer_mean_m": math.fsum(to_sim) / len(to_sim) + math.fsum(to_real) / len(to_real),
+        "chamfer_squared_m2": math.fsum(to_sim**2) / len(to_sim) + math.fsum(to_real**2) / len(to_real),
+        "chamfer_one_way_sum_m": math.fsum(to_sim),
+        "hausdorff_m": max(*to_sim.tolist(), *to_real.tolist()),
+        "f_score": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
+        "dcd": dcd(real, sim, settings["dcd_alpha"]),
+        "histogram": histogram(real, sim, settings),
+        "sliced_wasserstein_m": sliced_wasserstein(real, sim, int(settings["projections"])),
+    }
+
+
+def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
+    """The published density-aware Chamfer distance, on the scale of the real object; None where it has no extent.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+    size_m = math.hypot(*(real.max(axis=0) - real.min(axis=0)))
+    if size_m == 0:
+        return None
+
+    def one_way(xs: FloatArray, ys: FloatArray) -> float:
+        nearest = [int(distances(ys, x).argmin()) for x in xs]
+        terms = []
+        for x, j in zip(xs, nearest, strict=True):
+            weight = min(1.0, len(xs) / len(ys) / nearest.count(j))
+            terms.append(1 - weight * math.exp(-alpha * (math.dist(x, ys[j]) / size_m) ** 2))
+        return math.fsum(terms) / len(terms)
+
+    return (one_way(real, sim) + one_way(sim, real)) / 2
+
+
+def histogram(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> float | None:
+    """The Minkowski distance of two histograms of pairwise distances; None where a side has no two points apart.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+    shares = []
+    for points in (real, sim):
+        most = int(settings["histogram_points"])
+        rows = np.arange(len(points))
+        if len(points) > most:
+            rows = np.sort(np.random.default_rng(0).choice(len(points), most, replace=False))
+        some = points[rows]
+        apart = cdist(some, some)[np.triu_indices(len(some), 1)]
+        if not len(apart) or apart.max() == 0:
+            return None
+        bins = np.histogram(apart / apart.max(), int(settings["histogram_bins"]), (0, 1))[0]
+        shares.append(bins / len(apart))
+    order = settings["histogram_order"]
+    return float((abs(shares[0] - shares[1]) ** order).sum() ** (1 / order))
+
+
+def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) -> float:
+    """The mean over random directions of the earth mover's distance along each.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+    directions = np.random.default_rng(0).standard_normal((n_projections, 3))
+    along = [(real @ u / math.hypot(*u), sim @ u / math.hypot(*u)) for u in directions]
+    return math.fsum(wasserstein_distance(a, b) for a, b in along) / n_projections
+
+
+def assignment_mean(a: FloatArray, b: FloatArray) -> float:
+    """The mean distance under the best one-to-one assignment, metres: the earth mover's distance of equal numbers.
+
+    Parameters
+    ----------
+    a, b : (n, 3) float64, metres
+    """
+    cost = cdist(a, b)
+    return float(cost[linear_sum_assignment(cost)].mean())
+
+
+def netlsd(A_real: FloatArray, A_sim: FloatArray, settings: dict[str, float]) -> float:
+    """The distance of the mean heat traces of two whole objects.
+
+    Parameters
+    ----------
+    A_real, A_sim : (n, n), (m, m) float64, edge lengths
+    """
+    spectra = [np.linalg.eigvalsh(laplacian(A)) for A in (A_real, A_sim)]
+    low, high, n = settings["heat_time_min"], settings["heat_time_max"], int(settings["heat_times"])
+    times = [low * (high / low) ** (i / (n - 1)) for i in range(n)]
+    return math.sqrt(sum(float(np.exp(-t * spectra[0]).mean() - np.exp(-t * spectra[1]).mean()) ** 2 for t in times))
+
+
+def r_h(L_real: FloatArray, L_sim: FloatArray, t: float, change: float) -> float:
+    """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|); 0 where |dL| is that of identical objects.
+
+    Parameters
+    ----------
+    L_real, L_sim : (n, n) float64, nodes aligned
+    change : |L_sim - L_real|, largest absolute eigenvalue
+    """
+    if change <= 1e-5:
+        return 0.0
+    heat = scipy.linalg.expm(-t * L_sim) - scipy.linalg.expm(-t * L_real)
+    return min(1.0, float(abs(np.linalg.eigvalsh((heat + heat.T) / 2)).max()) / (t * change))

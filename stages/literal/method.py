@@ -1,0 +1,384 @@
+"""The method once more, slow and obvious: loops, all distances, dense matrices, no other thought.
+
+`fidpipe verify` compares finished runs with it, and the tests the stages. What both say alike follows from the
+definition, not from the way that either takes: nothing here is imported from a stage.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from scipy.optimize import linear_sum_assignment
+
+from ..arrays import BoolArray, FloatArray
+
+_MAX_TILT_DEG = 10
+_NEAR_M, _WINDOW_M, _STEP_M, _DEPTH_M = 30, 0.1, 0.05, 1
+IDENTICAL_CHANGE = 1e-5
+#: The scores that `spectral` gives.
+SPECTRAL = (
+    *("r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change"),
+    *("eigenspectrum_distance", "gap_real", "gap_sim"),
+)
+
+
+def clean(
+    points: FloatArray,
+    min_range_m: float,
+    max_range_m: float,
+    exclude_box: Sequence[float] | None = None,
+    T: FloatArray | None = None,
+    *,
+    flip_y: bool = False,
+    include_box: Sequence[float] | None = None,
+) -> tuple[list[int], FloatArray]:
+    """Row numbers and coordinates, (m, 3), of the points that are measurements, in the real sensor's frame.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, the scan's own frame
+    T : (3, 4) float64, maps that frame into the real sensor's, after y is negated if `flip_y`
+    """
+    seen, rows, kept = set(), [], []
+    for i, p in enumerate(points.tolist()):
+        if not all(map(math.isfinite, p)) or p == [0, 0, 0] or tuple(p) in seen:
+            continue
+        seen.add(tuple(p))
+        if not min_range_m <= math.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2) <= max_range_m:
+            continue
+        if exclude_box and all(exclude_box[a] <= p[a] <= exclude_box[a + 3] for a in range(3)):
+            continue
+        q = [p[0], -p[1], p[2]] if flip_y else p
+        if T is not None:
+            q = [sum(T[r, c] * q[c] for c in range(3)) + T[r, 3] for r in range(3)]
+        if include_box and not all(include_box[a] <= q[a] <= include_box[a + 3] for a in range(3)):
+            continue
+        rows.append(i)
+        kept.append(q)
+    return rows, np.array(kept).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A ground cut: axis (3,), its tilt, heights of the points along it (n,), where the road is and where the cut."""
+
+    axis: FloatArray
+    tilt_deg: float
+    height_m: FloatArray
+    peak_m: float
+    threshold_m: float
+    loss: float
+    iterations: int
+
+    @property
+    def is_ground(self) -> BoolArray:
+        """Which points are below the cut, (n,)."""
+        return self.height_m < self.threshold_m
+
+
+def ground(points: FloatArray, prior_m: float = 0.30, max_loss: float = 0.01, loss: str = "removed") -> Cut:
+    """The PCA Z-cut of a scan.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, cleaned
+    prior_m, max_loss, loss : as in the settings of ground
+    """
+    _, vectors = np.linalg.eigh(np.cov(points.T))
+    axis = max(vectors.T, key=lambda v: abs(v[2]))
+    axis = axis if axis[2] > 0 else -axis
+    tilt_deg = math.degrees(math.acos(min(1.0, axis[2])))
+    if tilt_deg > _MAX_TILT_DEG:
+        axis = np.array([0.0, 0.0, 1.0])
+    height = np.array([float(p @ axis) for p in points])
+    near = sorted(h for h, p in zip(height.tolist(), points.tolist(), strict=True) if math.hypot(*p) <= _NEAR_M)
+    near = near or sorted(height.tolist())
+    windows = [bisect_right(near, h + _WINDOW_M) - i for i, h in enumerate(near)]
+    start = windows.index(max(windows))
+    peak = float(np.median(near[start : start + windows[start]]))
+    z, iterations = peak + prior_m, 0
+    while variance_loss(points, height, z, peak, loss) > max_loss and z > peak + 1e-9:
+        z, iterations = max(z - _STEP_M, peak), iterations + 1
+    return Cut(axis, tilt_deg, height, peak, z, variance_loss(points, height, z, peak, loss), iterations)
+
+
+def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, peak_m: float, loss: str) -> float:
+    """The share of the variance that goes with the points below a threshold, in the reading that `loss` names.
+
+    Parameters
+    ----------
+    points, height : (n, 3) and (n,) float64, metres
+    """
+    removed = height < threshold_m
+    if loss == "total":
+        whole = float(np.trace(np.cov(points.T, bias=True)))
+        kept = float(np.trace(np.cov(points[~removed].T, bias=True))) if not removed.all() else 0.0
+        return abs(kept - whole) / whole if whole > 0 else 0.0
+    counted = [h for h in height[removed].tolist() if h > peak_m - _DEPTH_M]
+    whole = float(np.var(height) * len(height))
+    if whole <= len(height) * 1e-18:
+        return 0.0  # a perfect plane
+    return float(np.var(counted) * len(counted)) / whole if counted else 0.0
+
+
+def distances(points: FloatArray, place: FloatArray) -> FloatArray:
+    """The distance of each point from one place, (n,) metres: sqrt(dx^2 + dy^2 + dz^2).
+
+    Parameters
+    ----------
+    points, place : (n, 3), (3,) float64, metres
+    """
+    dx, dy, dz = (points - place).T
+    apart: FloatArray = np.sqrt(dx * dx + dy * dy + dz * dz)
+    return apart
+
+
+def nearest(points: FloatArray, i: int, k: int, ties: str = "point_id") -> list[int]:
+    """The k nearest neighbours of point i, nearest first; of equally near ones the first by index or by x, y, z.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    ties : "point_id" or "coordinates", as in the settings of the graph
+    """
+    apart = distances(points, points[i])
+    apart[i] = np.inf
+    k = min(k, len(points) - 1)
+    if k < 1:
+        return []
+    candidates = np.flatnonzero(apart <= np.partition(apart, k - 1)[k - 1]).tolist()
+    tie = points.tolist() if ties == "coordinates" else None
+    candidates.sort(key=lambda j: (apart[j], tie[j] if tie else j))
+    return candidates[:k]
+
+
+def graph(
+    points: FloatArray, k: int, tau_m: float, rule: str = "union", ties: str = "point_id"
+) -> dict[tuple[int, int], np.float32]:
+    """The length of each edge (i, j), i < j, rounded to float32.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    k, tau_m, rule, ties : as in the settings of the graph
+    """
+    knn, near = set(), set()
+    for i in range(len(points)):
+        knn |= {(min(i, j), max(i, j)) for j in nearest(points, i, k, ties)}
+        within = np.flatnonzero(distances(points, points[i]) <= tau_m)
+        near |= {(min(i, j), max(i, j)) for j in within.tolist() if j != i}
+    edges = knn | near if rule == "union" else knn & near
+    return {(i, j): np.float32(distances(points[j : j + 1], points[i])[0]) for i, j in sorted(edges)}
+
+
+def adjacency(n: int, edges: Mapping[tuple[int, int], float]) -> FloatArray:
+    """The matrix of edge lengths, (n, n)."""
+    A = np.zeros((n, n))
+    for (i, j), length in edges.items():
+        A[i, j] = A[j, i] = length
+    return A
+
+
+def modularity(A: FloatArray, labels: FloatArray) -> float:
+    """Q by its double sum.
+
+    Parameters
+    ----------
+    A, labels : (n, n) edge lengths, (n,) community of each node
+    """
+    k, two_m = A.sum(axis=1), A.sum()
+    same = np.equal.outer(labels, labels)
+    return float(((A - np.outer(k, k) / two_m) * same).sum() / two_m)
+
+
+def canonical(labels: Sequence[int]) -> list[int]:
+    """The communities numbered by size, largest first, then by smallest node."""
+    members: dict[int, list[int]] = {}
+    for node, label in enumerate(labels):
+        members.setdefault(label, []).append(node)
+    order = sorted(members.values(), key=lambda nodes: (-len(nodes), nodes[0]))
+    new = {node: i for i, nodes in enumerate(order) for node in nodes}
+    return [new[node] for node in range(len(labels))]
+
+
+def nearest_real(real: FloatArray, place: FloatArray) -> tuple[int, float]:
+    """The real point that is nearest to a place, of equally near ones the first by x, y, z, and its distance.
+
+    Parameters
+    ----------
+    real, place : (n, 3), (3,) float64, metres
+    """
+    apart = distances(real, place)
+    closest = np.flatnonzero(apart == apart.min()).tolist()
+    first = min(closest, key=lambda j: real[j].tolist())
+    return first, float(apart[first])
+
+
+@dataclass(frozen=True)
+class Description:
+    """What some points look like: number, centroid (3,), range, extent (3,), linearity, planarity, scattering."""
+
+    n_points: int
+    centroid: FloatArray
+    range_m: float
+    extent: FloatArray
+    shape: tuple[float, float, float]
+
+
+def describe(points: FloatArray) -> Description:
+    """Size, place and shape of the points of one community.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, at least one
+    """
+    centroid = points.sum(axis=0) / len(points)
+    l1, l2, l3 = [*np.linalg.svd(points - centroid, compute_uv=False) ** 2, 0.0, 0.0][:3]
+    shape = ((l1 - l2) / l1, (l2 - l3) / l1, l3 / l1) if l1 > 0 else (0.0, 0.0, 0.0)
+    extent = points.max(axis=0) - points.min(axis=0)
+    return Description(len(points), centroid, math.hypot(*centroid), extent, shape)
+
+
+Matches = list[tuple[int, int, float]]  #: real id, simulated id, distance of their centroids
+
+
+def match_greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> Matches:
+    """Algorithm 1: each real object takes the nearest centroid that is free, if it is nearer than delta.
+
+    Parameters
+    ----------
+    real, sim : (a, 3), (b, 3) float64, metres, centroids by id
+    """
+    used, pairs = set(), []
+    for i, p in enumerate(real):
+        free = [(math.dist(p, q), j) for j, q in enumerate(sim) if j not in used]
+        if free and min(free)[0] < delta_m:
+            d, j = min(free)
+            used.add(j)
+            pairs.append((i, j, d))
+    return pairs
+
+
+def laplacian(A: FloatArray) -> FloatArray:
+    """I - D^-1/2 A D^-1/2, (n, n); zero rows for isolated nodes.
+
+    Parameters
+    ----------
+    A : (n, n) float64, edge lengths
+    """
+    degree = A.sum(axis=1)
+    joined = degree > 0
+    scale = np.sqrt(np.outer(degree, degree))
+    return np.diag(joined.astype(float)) - np.divide(A, scale, out=np.zeros_like(A), where=scale > 0)
+
+
+def influence(L: FloatArray, t: float) -> FloatArray:
+    """Row sums of the dense heat kernel, (n,), not rounded.
+
+    Parameters
+    ----------
+    L : (n, n) float64, normalised Laplacian
+    """
+    sums: FloatArray = scipy.linalg.expm(-t * L).sum(axis=1)
+    return sums
+
+
+def most_influential(scores: Sequence[float], n_keep: int) -> list[int]:
+    """The nodes of largest influence, ties by node."""
+    return sorted(range(len(scores)), key=lambda i: (-scores[i], i))[:n_keep]
+
+
+def least_total(cost: FloatArray) -> float:
+    """A lower bound of the total cost of any one-to-one assignment; equal to the least total up to rounding.
+
+    For any v, sum_i min_j (c_ij - v_j) + sum_j v_j is at most any total (linear programming duality). The best v are
+    the lengths of shortest ways of exchange (Bellman-Ford) from an assignment that scipy finds. Were that not the
+    best, the bound would still be a bound, and lie below what the best one costs.
+
+    Parameters
+    ----------
+    cost : (n, n) float64
+    """
+    n = len(cost)
+    chosen = linear_sum_assignment(cost)[1]
+    moved = cost[:, chosen]
+    step = moved - moved[np.arange(n), np.arange(n)][:, None]
+    price = np.zeros(n)
+    for _ in range(n):
+        shorter = np.minimum(price, (price[:, None] + step).min(axis=0))
+        if np.array_equal(shorter, price):
+            break
+        price = shorter
+    return float((moved - price).min(axis=1).sum() + price.sum())
+
+
+def nearest_distances(xs: FloatArray, ys: FloatArray) -> FloatArray:
+    """The distance of each x to the nearest y, (n,) metres, from all distances.
+
+    Parameters
+    ----------
+    xs, ys : (n, 3), (m, 3) float64, metres
+    """
+    return np.array([distances(ys, x).min() for x in xs])
+
+
+def cdc(real: FloatArray, sim: FloatArray) -> float:
+    """The paper's equation.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+
+    def one_way(xs: FloatArray, ys: FloatArray) -> float:
+        return math.fsum(1 - math.exp(-(d**2)) for d in nearest_distances(xs, ys).tolist()) / len(xs)
+
+    return one_way(real, sim) + one_way(sim, real)
+
+
+def alignment_rms(real: FloatArray, sim: FloatArray) -> float:
+    """Root mean square distance of aligned nodes, both sides centred, metres.
+
+    Parameters
+    ----------
+    real, sim : (n, 3) float64, metres, row by row aligned
+    """
+    apart = (real - real.mean(axis=0)) - (sim - sim.mean(axis=0))
+    return math.sqrt(sum(x * x for row in apart.tolist() for x in row) / len(apart))
+
+
+def spectral(L_real: FloatArray, L_sim: FloatArray) -> dict[str, float]:
+    """r_lambda, r_gap and what they are made of, from LAPACK's dense eigenvalues.
+
+    Parameters
+    ----------
+    L_real, L_sim : (n, n) float64, normalised Laplacians, nodes aligned, n at least 3
+    """
+    a, b = np.linalg.eigvalsh(L_real), np.linalg.eigvalsh(L_sim)
+    change = float(abs(np.linalg.eigvalsh(L_sim - L_real)).max())
+    shift = float(max(abs(b - a)))
+    gap_real, gap_sim = float(a[1] - a[0]), float(b[1] - b[0])
+    is_identical = change <= IDENTICAL_CHANGE
+    return {
+        "r_lambda": 0.0 if is_identical else min(1.0, shift / change),
+        "r_gap": 0.0 if is_identical else min(0.5, abs(gap_sim - gap_real) / (2 * change)),
+        "max_eigenvalue_shift": shift,
+        "laplacian_change": change,
+        "eigenspectrum_distance": math.sqrt(sum((b - a) ** 2)),
+        "gap_real": gap_real,
+        "gap_sim": gap_sim,
+    }
+
+
+def mean_and_std(values: Sequence[float | None]) -> tuple[float | None, float | None]:
+    """Mean and standard deviation (n - 1) of what is not None; None where there are too few."""
+    known = [value for value in values if value is not None]
+    mean = math.fsum(known) / len(known) if known else None
+    if mean is None or len(known) < 2:
+        return mean, None
+    return mean, math.sqrt(math.fsum((value - mean) ** 2 for value in known) / (len(known) - 1))

@@ -1,0 +1,237 @@
+"""A sample of a finished run is computed again, and what does not agree is named."""
+
+import json
+import shutil
+
+import numpy as np
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fidpipe.pipeline.results.verify.comparisons import Comparisons, Place
+from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.pipeline.storage.folder import RunFolder
+from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.settings import load
+from fidpipe.schemas.tables import TABLES
+from runs import command, contents, run
+from scenes import write_dataset
+
+WITH_EXTRAS = ["metrics.baselines=all", "stability.seeds=2"]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run of one small pair with all baselines and another seed; not to be written to."""
+    folder = tmp_path_factory.mktemp("verify")
+    run(write_dataset(folder / "streets", 1), folder / "run", load(None, WITH_EXTRAS))
+    return folder / "run"
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    return shutil.copytree(whole, tmp_path / "run")
+
+
+def forge(folder, name, column, change):
+    """Changes a value of a table so that file, footer and ledger agree; `change` gives the new one for (row, value)."""
+    store, table = RunFolder(folder), name.partition("/")[0].removesuffix(".parquet")
+    with store.locked():
+        record = store.ledger.job_of_file(name)
+        rows = pq.read_table(folder / name, partitioning=None)
+        footer = pq.read_metadata(folder / name).metadata
+        values = rows.column(column).to_pylist()
+        row, value = change(values)
+        values[row] = value
+        i = rows.schema.get_field_index(column)
+        rows = rows.set_column(i, rows.schema.field(i), pa.array(values, rows.schema.field(i).type))
+        rows = rows.cast(TABLES[table].schema)
+        record.files[name] = store.write_at(folder / name, table, rows, record.key, footer[b"fidpipe.job"].decode())
+        store.ledger.put_job(record)
+
+
+def another(values):
+    """A row with a value, and one that is a little different from it."""
+    row = next(i for i, value in enumerate(values) if value is not None)
+    value = values[row]
+    if isinstance(value, bool):
+        return row, not value
+    if isinstance(value, str):
+        return row, f"{value}x"
+    return row, value + 1 if isinstance(value, int) else float(np.float32(value * 1.001 + 0.001))
+
+
+def numbers(table):
+    """The columns of a table that are results: neither names nor what stands there for people."""
+    return [field.name for field in TABLES[table].schema if field.name not in ("pair_id", "side")]
+
+
+def test_all_numbers_of_a_run_agree(whole):
+    result = verify_run(whole, None)
+    assert result.passed, result.mismatches
+    assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
+    assert {table.table for table in result.tables} == {
+        *("files", "scan", "ground", "graph", "communities", "objects", "matching", "coverage", "surface"),
+        *("selection", "metrics", "baselines", "seeds", "pairs", "run.json"),
+    }
+    assert all(table.n_numbers > 0 for table in result.tables)
+    assert result.tables[-1].largest < 1e-12
+
+
+FILES = {
+    "ground": "ground/000.sim.parquet",
+    "graph": "graph/000.real.parquet",
+    "communities": "communities/000.sim.parquet",
+    "objects": "objects/000.real.parquet",
+    **{name: f"{name}/000.parquet" for name in ("matching", "coverage", "surface", "selection", "metrics")},
+    **{name: f"{name}/000.parquet" for name in ("baselines", "seeds")},
+    "pairs": "pairs.parquet",
+}
+#: What nothing else follows from: a reason is free text, and other words for people likewise.
+FREE = {("baselines", "reason"), ("baselines", "unit")}
+CHANGES = [
+    (table, column)
+    for table in FILES
+    for column in numbers(table)
+    if (table, column) not in FREE and not column.startswith(("reason", "instance", "label", "intensity"))
+]
+#: One column a table, for a fast test.
+ONE_EACH = {
+    "ground": "x",
+    "graph": "length_m",
+    "communities": "community_id",
+    "objects": "cx",
+    "matching": "sim_id",
+    "coverage": "covered_0p3m",
+    "surface": "shift_m",
+    "selection": "sim_point_id",
+    "metrics": "r_lambda",
+    "baselines": "value",
+    "seeds": "cdc_mean",
+    "pairs": "r_gap_mean",
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [
+        pytest.param(*change, marks=[] if ONE_EACH[change[0]] == change[1] else pytest.mark.slow, id=".".join(change))
+        for change in CHANGES
+    ],
+)
+def test_an_edited_number_is_found_though_the_ledger_agrees(copy, table, column):
+    if all(value is None for value in pq.read_table(copy / FILES[table], partitioning=None).column(column).to_pylist()):
+        pytest.skip("nothing to edit: the column is null in this run")
+    forge(copy, FILES[table], column, another)
+    try:
+        result = verify_run(copy, None)
+    except RunError as error:
+        assert table == "pairs", error  # names and states of pairs: nothing can be looked up
+        return
+    wrong = {mismatch.table for mismatch in result.mismatches}
+    assert not result.passed
+    assert "files" not in wrong, "the edit was to be found by its number"
+    assert wrong & {table, "pairs", "scan", "metrics"}, wrong
+
+
+def test_a_mismatch_names_table_pair_object_column_and_both_values(copy):
+    forge(copy, FILES["metrics"], "cdc", lambda values: (2, values[2] + 1e-6))
+    stored = pq.read_table(copy / FILES["metrics"], partitioning=None).to_pylist()[2]
+    (mismatch, *_) = verify_run(copy, None).mismatches
+    assert (mismatch.table, mismatch.pair_id, mismatch.column) == ("metrics", "000", "cdc")
+    assert mismatch.object == f"real {stored['real_id']}, sim {stored['sim_id']}"
+    assert float(mismatch.stored) == stored["cdc"]
+    assert float(mismatch.recomputed) == pytest.approx(stored["cdc"] - 1e-6, abs=1e-9)
+    found = command("verify", copy, "--all")
+    assert found.returncode == 4
+    line = next(line for line in found.stdout.splitlines() if line.startswith("wrong: metrics"))
+    assert line == (
+        f"wrong: metrics, pair 000, object {mismatch.object}, cdc: "
+        f"stored {mismatch.stored}, recomputed {mismatch.recomputed}"
+    )
+
+
+@pytest.mark.parametrize("name", sorted(set(FILES.values())))
+def test_a_flipped_bit_is_found_in_any_file(copy, name):
+    content = bytearray((copy / name).read_bytes())
+    content[len(content) // 3] ^= 4
+    (copy / name).write_bytes(content)
+    try:
+        result = verify_run(copy, 1)
+    except RunError as error:
+        assert name in str(error)
+        assert name == "pairs.parquet", "the others are told beside what else is wrong"
+        return
+    assert any(mismatch.table == "files" and mismatch.column.endswith(name) for mismatch in result.mismatches)
+
+
+def test_a_file_that_is_gone_is_found(copy):
+    (copy / FILES["selection"]).unlink()
+    result = verify_run(copy, 3)
+    assert any(mismatch.column.endswith(FILES["selection"]) for mismatch in result.mismatches)
+
+
+@pytest.mark.parametrize("name", ["cdc_mean", "cdc_unmatched_worst_mean", "match_rate", "covered_real_1m"])
+def test_an_edited_mean_of_the_record_is_found(copy, name):
+    record = orjson.loads((copy / "run.json").read_bytes())
+    record["summary"][name]["mean"] *= 1.0001
+    (copy / "run.json").write_bytes(orjson.dumps(record))
+    (mismatch,) = verify_run(copy, 1).mismatches
+    assert (mismatch.table, mismatch.column) == ("run.json", f"summary.{name}.mean")
+
+
+def test_other_scans_are_not_taken_for_those_of_the_run(tmp_path):
+    dataset = write_dataset(tmp_path / "streets", 2, n=40)
+    run(dataset, tmp_path / "run")
+    scan = dataset / "sim" / "001.bin"
+    scan.write_bytes(scan.read_bytes()[16:])
+    result = verify_run(tmp_path / "run")
+    assert result.passed
+    assert (result.n_pairs, result.n_scans) == (2, 1)
+    assert any("pair 001" in what and "other scans" in what for what in result.not_compared)
+
+
+def test_where_the_dataset_is_gone_all_else_is_compared(tmp_path):
+    dataset = write_dataset(tmp_path / "streets", 1, n=40)
+    run(dataset, tmp_path / "run")
+    shutil.rmtree(dataset)
+    result = verify_run(tmp_path / "run")
+    assert result.passed
+    assert result.n_scans == 0
+    assert "scan" not in {table.table for table in result.tables}
+    assert any("no such folder" in what for what in result.not_compared)
+
+
+def test_nothing_is_written_and_a_seed_draws_the_same_objects(whole):
+    before = contents(whole)
+    first, again, other = (verify_run(whole, 2, seed) for seed in (0, 0, 1))
+    assert first == again
+    assert other.tables != first.tables
+    assert first.n_drawn == 2
+    assert contents(whole) == before
+
+
+def test_the_json_has_what_the_terminal_says(whole):
+    found = command("verify", whole, "--objects", 2, "--json")
+    assert found.returncode == 0, found.stderr
+    result = json.loads(found.stdout)
+    assert result["passed"] is True
+    assert result["n_wrong"] == 0
+    assert result["n_numbers"] == sum(table["n_numbers"] for table in result["tables"])
+    assert command("verify", whole.parent, "--objects", 2).returncode == 1
+
+
+def test_a_comparison_tells_null_from_a_number_and_words_from_each_other():
+    place, comparisons = Place("metrics", "000"), Comparisons()
+    comparisons.compare(place, "r_gap", [None, 1.0, None], [None, None, 2.0])
+    comparisons.compare(place, "status", ["scored", "scored"], ["scored", "identical"])
+    comparisons.compare(place, "cdc", 1.0 + 1e-10, 1.0, tolerance=1e-9)
+    comparisons.compare(place, "n_real", [1, 2, 3], [1, 2])
+    assert [(own.column, own.stored, own.recomputed) for own in comparisons.mismatches] == [
+        ("r_gap", "1.0", "null"),
+        ("r_gap", "null", "2.0"),
+        ("status", "scored", "identical"),
+        ("number of rows of n_real", "3", "2"),
+    ]
+    assert comparisons.tables[0].largest == pytest.approx(1e-10, rel=1e-3)
