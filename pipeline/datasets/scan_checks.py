@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
-from ...stages.clean import clean_scan
+from ...stages.clean import as_ros, clean_scan
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.sensing.frames import FRAMES_VERSION, can_move, check_frames
 from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
@@ -172,10 +172,10 @@ def inspect_scan(
         sha256, label_sha256 = hash_scan(path)
     except (FidpipeError, OSError) as error:
         return ScanFacts(marks, key, fault=str(error)), np.empty((0, 3))
-    is_sim = side == "sim"
-    T = np.array(T_real_sim).reshape(3, 4) if is_sim and T_real_sim else None
-    clean = clean_scan(scan.points, settings, flip_y=is_sim and settings.sim_flip_y, T_real_sim=T)
-    own = scan.points[np.isfinite(scan.points).all(axis=1) & scan.points.any(axis=1)]
+    frame = settings.frame_of(side)
+    T = np.array(T_real_sim).reshape(3, 4) if side == "sim" and T_real_sim else None
+    clean = clean_scan(scan.points, settings, frame=frame, T_real_sim=T)
+    own = as_ros(scan.points[np.isfinite(scan.points).all(axis=1) & scan.points.any(axis=1)], frame)
     facts = ScanFacts(
         marks=marks,
         settings_key=key,
@@ -187,7 +187,7 @@ def inspect_scan(
         low=clean.points.min(axis=0).tolist() if len(clean.points) else [],
         high=clean.points.max(axis=0).tolist() if len(clean.points) else [],
         azimuth_gap_deg=widest_azimuth_gap_deg(own),
-        warnings=[f"{path}: {text}" for text in (*implausible(own), *_not_finite(scan.points))],
+        warnings=[f"{path}: {text}" for text in (*implausible(own, side), *_not_finite(scan.points))],
         fault=None if len(clean.points) >= MIN_OBJECT_POINTS else _too_few_left(path, len(clean.points), clean.dropped),
     )
     return facts, scan.points
