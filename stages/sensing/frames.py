@@ -133,8 +133,8 @@ def check_frames(
     The simulated scan is read as it lies; mirrored, turned by quarter turns, upside down; either scan in any of the
     frames that settings have; in centimetres and millimetres where it lies far beyond the real one; each of these also
     shifted by the difference of the ground heights; and as small_gicp moves it, where that extra is installed. A
-    reading is suspect if it covers at least `LEAST_COVERAGE`, that is `LEAST_GAIN` more than the scan as it lies, and leaves at most `MOST_LEFT_OPEN` of what
-    that leaves uncovered.
+    reading is suspect if it covers at least `LEAST_COVERAGE`, that is `LEAST_GAIN` more than the scan as it lies, and
+    leaves at most `MOST_LEFT_OPEN` of what that leaves uncovered.
 
     Parameters
     ----------
