@@ -14,6 +14,7 @@ from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
 from ...stages.sensing.sequence_checks import (
+    MOST_FRAMES_LATE,
     EgoHits,
     Places,
     find_ego_hits,
@@ -115,7 +116,8 @@ class SideSamples:
         word = "late" if found.frames > 0 else "early"
         times = [pair.timestamp_s for pair in stretches[0] if pair.timestamp_s is not None]
         seconds = f" ({abs(found.frames) * float(np.median(np.diff(times))):.2g} s)" if len(times) > 1 else ""
-        frames = "a frame" if abs(found.frames) == 1 else f"{abs(found.frames)} frames"
+        n = abs(found.frames)
+        frames = "a frame" if n == 1 else f"{n} frames{' or more' * (n == MOST_FRAMES_LATE)}"
         return [
             f"simulated scans seem {frames} {word}{seconds}: real ones are {found.misfit_m:.2f} m from those of pair "
             f"{found.frames:+d}, {found.as_paired_m:.2f} m from their own (better in {found.n_better} of {found.n}); "

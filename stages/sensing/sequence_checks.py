@@ -22,7 +22,7 @@ _ASKED = 800
 _FEWEST_ASKED = 50
 _FARTHEST_M = 1.0
 
-_STILL_M = 0.15  # misfit of scans of one place, noise of 10 cm included
+_STILL_M = 0.15  # misfit of scans of one place; a dense one with noise of 10 cm included
 _MOVING_M = 0.25
 
 MOST_FRAMES_LATE = 3
