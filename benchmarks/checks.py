@@ -98,8 +98,8 @@ def sequences(data):
         "kitti_twin": tuple(points_of(sorted((data / "kitti_twin" / side).iterdir())) for side in ("real", "sim")),
         "VLP-32C, parked": with_copies(points_of(frames_of(data / "velodyne_vlp32c/sweeps.pcap")[:4])),
         "carla, 2 frames": with_copies(points_of(data / "carla" / f"0000{i}.bin" for i in (30, 31))),
-        "synth --seed 0": streets(0, 6, "vlp32c"),
-        "held out: synth --seed 31 --sensor os1-64": streets(31, 6, "os1-64"),
+        "synth --seed 0": streets(0, 8, "vlp32c"),
+        "held out: synth --seed 31 --sensor os1-64": streets(31, 8, "os1-64"),
         "held out: registration": with_copies(
             points_of(data / "registration" / f"{i}.ply" for i in ("source", "target"))
         ),
@@ -151,6 +151,12 @@ def turned(points):
     return (0.5 - np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)) * 0.1
 
 
+def by_beam(points):
+    """The points row by row, as organised clouds have them."""
+    slope = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    return points[np.lexsort((turned(points), np.round(slope, 2)))]
+
+
 STAMP_FAULTS = {
     "none": (lambda times, rng: times, ""),
     "half are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.5, np.nan, times), "no time of their own"),
@@ -174,9 +180,6 @@ def stamps(data):
         for path in frames_of(data / "velodyne_vlp32c" / name)
     ]
     os1 = points_of([data / "rellis/000104.bin"])
-    by_beam = lambda points: points[
-        np.lexsort((turned(points), np.round(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])), 2)))
-    ]  # noqa: E731
     named = {
         "VLP-32C, bag and capture": [(scan.points, scan.times_s) for scan in recorded],
         "kitti_sequence, times made": [
@@ -216,8 +219,8 @@ def frames(data):
     named = {
         "kitti_twin": twin,
         "carla, nuscenes, measured again": [(points, again(points, 0)) for points in carla + nuscenes],
-        "synth --seed 0": list(zip(*streets(0, 6, "vlp32c"), strict=True)),
-        "held out: synth --seed 31 --sensor os1-64": list(zip(*streets(31, 6, "os1-64"), strict=True)),
+        "synth --seed 0": list(zip(*streets(0, 8, "vlp32c"), strict=True)),
+        "held out: synth --seed 31 --sensor os1-64": list(zip(*streets(31, 8, "os1-64"), strict=True)),
         "held out: registration, measured again": [(points, again(points, 0)) for points in held],
     }
     print("\n| real | simulated | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 2) + "|")
