@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
 from fidpipe.stages.sensing.scans import make_pair
 from fidpipe.stages.sensing.sensor import beams_text, describe_sensor
 from fidpipe.stages.sensing.sensor_models import SENSORS
@@ -32,6 +32,10 @@ RECORDINGS = {
     "rellis/000104.bin": "Ouster OS1-64 (gen 1)",
     "nuscenes/*.pcd.bin": "Velodyne HDL-32E",
     "velodyne_vlp32c/one_sweep.pcd": "Velodyne VLP-32C",
+    "velodyne_vlp32c/rosbag1.bag": "Velodyne VLP-32C",
+    "velodyne_vlp32c/rosbag2_mcap": "Velodyne VLP-32C",
+    "velodyne_vlp32c/rosbag2_sqlite3": "Velodyne VLP-32C",
+    "velodyne_vlp32c/sweeps.pcap": "Velodyne VLP-32C",
     "registration/source.ply": "Velodyne HDL-32E",
     "registration/target.ply": "Velodyne HDL-32E",
     "kitti_sequence/*.bin": "Velodyne HDL-64E",
@@ -73,6 +77,16 @@ def street(sensor, seed, index):
 
 def turned(degrees, axis):
     return lambda points, rng: points @ Rotation.from_euler(axis, degrees, degrees=True).as_matrix().T
+
+
+def crossing(focal_m):
+    """Beams that cross so far before the axis, as those of drivers that leave the focal distance in."""
+
+    def change(points, rng):
+        level = np.hypot(points[:, 0], points[:, 1])
+        return points * np.column_stack([1 + focal_m / level, 1 + focal_m / level, np.ones(len(level))])
+
+    return change
 
 
 def lost(share):
@@ -124,12 +138,17 @@ def show(title, counts):
         print(f"| {key} | {total} | {row['hit']} | {row['miss']} | {row['false name']} | {row['told']} |")
 
 
+def scans(data, pattern):
+    for path in sorted(data.glob(pattern)):
+        yield from frames_of(path) if holds_frames(path) else [path]
+
+
 def recordings(data):
     print("| recording | points | beams | step (deg) | quantum (mm) | noise (mm) | lost (%) by range | seconds |")
     print("|---|---|---|---|---|---|---|---|")
     counts = defaultdict(lambda: defaultdict(int))
     for pattern, truth in RECORDINGS.items():
-        for path in sorted(data.glob(pattern)):
+        for path in scans(data, pattern):
             scan = read_scan(path)
             start = time.perf_counter()
             facts = describe_sensor(scan.points, scan.rings, scan.times_s is not None)
@@ -161,6 +180,10 @@ def main(data, seed):
                 if change == "as it is":
                     told(points, by_sensor, model.title, model.title)
                     measured[model.title].append(facts)
+            if model.focal_m:
+                told(crossing(model.focal_m)(points, rng), harmless, "beams cross before the axis", model.title)
+            else:
+                told(crossing(0.0424)(points, rng), out_of_frame, "beams cross 42.4 mm before the axis", model.title)
             for change, function in OUT_OF_FRAME.items():
                 told(function(points, rng), out_of_frame, change, model.title)
     for name, elevation in UNKNOWN.items():
@@ -169,6 +192,7 @@ def main(data, seed):
         )
         for index in range(3):
             told(street(sensor, seed, index), unknown, name, None)
+            told(crossing(0.0424)(street(sensor, seed, index), rng), unknown, "the same, 42.4 mm before the axis", None)
     cloud = rng.uniform((-40, -40, -2), (40, 40, 8), (60_000, 3))
     told(cloud, unknown, "points anywhere in a box", None)
     told(

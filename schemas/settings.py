@@ -11,12 +11,30 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from .errors import SettingsError
 from .metrics import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
+
+#: Frames that scans are recorded in, metres and degrees: x, y and z of each. Coordinates of `carla` are left-handed.
+FrameName = Literal["ros", "carla", "nuscenes", "kitti-cam"]
+FRAME_AXES: dict[FrameName, str] = {
+    "ros": "x forward, y left, z up",
+    "carla": "x forward, y right, z up",
+    "nuscenes": "x right, y forward, z up",
+    "kitti-cam": "x right, y down, z forward",
+}
 
 
 class _Group(BaseModel):
@@ -41,13 +59,30 @@ class InputSettings(_Group):
     include_box: Box | None = Field(
         None, description="xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped"
     )
-    sim_flip_y: bool = Field(False, description="negate y of the simulated side (left-handed simulators such as CARLA)")
+    sim_flip_y: bool = Field(
+        False, description='negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"'
+    )
+    real_frame: FrameName = Field(
+        "ros",
+        description="axes of the real scans, metres: "
+        + "; ".join(f"{name} {axes}" for name, axes in FRAME_AXES.items())
+        + ". They are turned to ros before T_real_sim, which is in metres too",
+    )
+    sim_frame: FrameName = Field("ros", description="the same of the simulated scans")
 
     @field_validator("columns", "real_columns", "sim_columns", "exclude_box", "include_box", mode="before")
     @classmethod
     def _split_words(cls, value: Any) -> Any:
         """`x,y,z,intensity` and `x y z intensity` are read as lists."""
         return value.replace(",", " ").split() if isinstance(value, str) else value
+
+    @field_validator("real_frame", "sim_frame", mode="before")
+    @classmethod
+    def _frame_is_known(cls, value: Any) -> Any:
+        if value not in FRAME_AXES:
+            known = ", ".join(f"{name} ({axes})" for name, axes in FRAME_AXES.items())
+            raise ValueError(f"one of {known} is wanted, metres; of another frame give T_real_sim in pairs.csv")
+        return value
 
     @field_validator("columns", "real_columns", "sim_columns")
     @classmethod
@@ -79,6 +114,27 @@ class InputSettings(_Group):
         if self.min_range_m >= self.max_range_m:
             raise ValueError(f"min_range_m {self.min_range_m} must be below max_range_m {self.max_range_m}")
         return self
+
+    @model_validator(mode="after")
+    def _one_word_for_a_mirror(self) -> InputSettings:
+        if self.sim_flip_y and self.sim_frame != "ros":
+            raise ValueError(
+                f'sim_flip_y = true found with sim_frame = "{self.sim_frame}" ({FRAME_AXES[self.sim_frame]}); the '
+                'frame says how axes lie, and sim_flip_y = true is sim_frame = "carla": leave sim_flip_y out'
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _leave_usual_frames_out(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Frames came after the first runs: at their default they stand in no record and no key, which so stay."""
+        values: dict[str, Any] = plain(self)
+        return {name: value for name, value in values.items() if not name.endswith("_frame") or value != "ros"}
+
+    def frame_of(self, side: str) -> FrameName:
+        """The frame that the scans of a side ("real" or "sim") are recorded in."""
+        if side == "real":
+            return self.real_frame
+        return "carla" if self.sim_flip_y else self.sim_frame
 
     def columns_of(self, side: str) -> tuple[str, ...] | None:
         """The columns of a raw file of a side ("real" or "sim"), if they are not the usual ones."""
@@ -355,11 +411,17 @@ def parse(values: Mapping[str, Any]) -> Settings:
         raise SettingsError(_first_fault(error)) from error
 
 
+_UNITS = (
+    "# Lengths are in metres, angles in degrees, times in seconds; scans have x forward, y left, z up (ros) unless\n"
+)
+_UNITS += "# input.real_frame or input.sim_frame says otherwise.\n"
+
+
 def to_toml(settings: Settings) -> str:
     """The settings as TOML; those that are unset (None) are left out, so that `load` reads it back."""
     import tomli_w
 
-    return tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True))
+    return _UNITS + tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True))
 
 
 def to_markdown() -> str:

@@ -6,8 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..schemas.settings import Box, InputSettings
+from ..schemas.settings import Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IntArray
+
+#: For x forward, y left and z up, which column of a frame each is, and its sign.
+_AXES: dict[FrameName, tuple[tuple[int, int, int], tuple[float, float, float]]] = {
+    "ros": ((0, 1, 2), (1.0, 1.0, 1.0)),
+    "carla": ((0, 1, 2), (1.0, -1.0, 1.0)),
+    "nuscenes": ((1, 0, 2), (1.0, -1.0, 1.0)),
+    "kitti-cam": ((2, 0, 1), (1.0, -1.0, -1.0)),
+}
 
 
 @dataclass(frozen=True)
@@ -15,7 +23,7 @@ class CleanResult:
     """What is left of a scan.
 
     point_ids : (m,) int32, rows of the input, ascending
-    points : (m, 3) float64, metres, real sensor's frame
+    points : (m, 3) float64, metres, real sensor's frame, x forward, y left, z up
     dropped : number of points dropped, by reason, in the order in which the reasons are tried
     """
 
@@ -28,22 +36,22 @@ def clean_scan(
     points: FloatArray,
     settings: InputSettings,
     *,
-    flip_y: bool = False,
+    frame: FrameName = "ros",
     T_real_sim: FloatArray | None = None,
 ) -> CleanResult:
     """Points that are measurements, in the real sensor's frame.
 
     In this order are dropped: points that are not finite; exact (0, 0, 0); exact duplicates of an earlier row;
     points whose range |p| is outside [min_range_m, max_range_m]; points inside `exclude_box`. All these are judged
-    in the scan's own frame. Then y is negated if `flip_y`, p becomes R p + t if `T_real_sim` = [R | t] is given,
-    and points outside `include_box` are dropped.
+    in the scan's own frame. Then the axes are turned to x forward, y left, z up, p becomes R p + t if `T_real_sim` =
+    [R | t] is given, and points outside `include_box` are dropped.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, the scan's own frame; may hold NaN and infinities
     settings : ranges and boxes
-    flip_y : mirror a left-handed scan
-    T_real_sim : (3, 4) float64, maps the scan's frame into the real sensor's
+    frame : whose axes the scan has; see `as_ros`
+    T_real_sim : (3, 4) float64, maps the simulated sensor's frame into the real one's, both x forward, y left, z up
 
     Examples
     --------
@@ -70,12 +78,32 @@ def clean_scan(
     drop("too_near", near)
     drop("too_far", range_m[~near] > settings.max_range_m)
     drop("in_exclude_box", _inside(points, settings.exclude_box, default=False))
-    if flip_y:
-        points = points * np.array([1.0, -1.0, 1.0])
+    points = as_ros(points, frame)
     if T_real_sim is not None:
         points = points @ T_real_sim[:, :3].T + T_real_sim[:, 3]
     drop("outside_include_box", ~_inside(points, settings.include_box, default=True))
     return CleanResult(ids, np.ascontiguousarray(points), dropped)
+
+
+def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
+    """The points with x forward, y left and z up (REP 103), (n, 3) float64; the same array where they have these axes.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    frame : that they are recorded in: "ros"; "carla", left-handed; "nuscenes", that of its LIDAR_TOP; "kitti-cam"
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> as_ros(np.array([[1.0, 2.0, 3.0]]), "kitti-cam").tolist()
+    [[3.0, -1.0, -2.0]]
+    """
+    if frame == "ros":
+        return points
+    columns, signs = _AXES[frame]
+    turned: FloatArray = points[:, columns] * np.array(signs)
+    return turned
 
 
 def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:

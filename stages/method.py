@@ -58,11 +58,11 @@ def evaluate(
     StageError
         A side has fewer than 8 points after cleaning or after ground removal.
     """
-    flip_y, shares_cut = settings.input.sim_flip_y, settings.ground.shared
+    own, shares_cut = settings.input, settings.ground.shared
 
     # Measurements only, both sides in the real sensor's frame
-    clean_real = clean_scan(real, settings.input)
-    clean_sim = clean_scan(sim, settings.input, flip_y=flip_y, T_real_sim=T_real_sim)
+    clean_real = clean_scan(real, own, frame=own.frame_of("real"))
+    clean_sim = clean_scan(sim, own, frame=own.frame_of("sim"), T_real_sim=T_real_sim)
 
     # "Data Collection and Graph Build-up": the PCA Z-cut takes the road away
     cut_real = remove_ground(clean_real.points, settings.ground)

@@ -283,7 +283,9 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
         )
     if np.linalg.det(rotation) < 0:
         hint = (
-            "set input.sim_flip_y = true for a left-handed simulator" if name == "T_real_sim" else "det R = 1 is wanted"
+            'set input.sim_frame = "carla" for a left-handed simulator'
+            if name == "T_real_sim"
+            else "det R = 1 is wanted"
         )
         raise DatasetError(f"{where}: {name} is a mirror image; {hint}")
     return motion

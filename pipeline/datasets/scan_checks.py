@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
-from ...stages.clean import clean_scan
+from ...stages.clean import as_ros, clean_scan
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.sensing.frames import FRAMES_VERSION, can_move, check_frames
 from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
@@ -27,8 +27,9 @@ from .frame_checks import FrameFacts, frame_warning, recall_frames, shared_files
 from .pairs import ScanPair, read_dataset
 from .readers import files_of, formats, holds_frames, read_scan, stem_of, suffix_of
 from .readers.frames import address_of
-from .readers.scan import label_path_of
+from .readers.scan import Scan, label_path_of
 from .sensor_checks import SensorCheck, describe_sides
+from .side_checks import SideSamples
 
 _MOST_NOT_FINITE = 0.25
 
@@ -105,12 +106,14 @@ class DatasetCheck:
 
     pairs : each with the facts of its sides; a missing file has none
     sensors : of the two sides
+    notes : of each side as a whole, one line each, that is nothing wrong
     faults, warnings : one line each, with the name of the pair
     """
 
     folder: Path
     pairs: list[tuple[ScanPair, dict[str, ScanFacts]]]
     sensors: SensorCheck
+    notes: list[str]
     faults: list[str]
     warnings: list[str]
 
@@ -124,7 +127,11 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         The dataset as a whole cannot be used.
     """
     dataset = read_dataset(folder)
-    facts = inspect_pairs(dataset.pairs, settings.input, dataset.label_names)
+    facts, samples = [], SideSamples(dataset.pairs, settings.input)
+    for pair in dataset.pairs:
+        own, scans = _inspect_pair(pair, settings.input, dataset.label_names)
+        facts.append(own)
+        samples.add(pair, scans)
     pairs = [(pair, own.sides) for pair, own in zip(dataset.pairs, facts, strict=True)]
     faults, warnings = [], [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
     warnings += shared_files(
@@ -134,32 +141,37 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         own_faults = [pair.fault, *(scan.fault for scan in sides.values())]
         faults += [f"pair {pair.pair_id}: {fault}" for fault in own_faults if fault]
         warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides, own.frames)]
+    counts = {side: [own.sides[side].n_clean for own in facts if side in own.sides] for side in SIDES}
+    warnings += samples.warnings(counts)
     sensors = describe_sides(dataset.pairs, settings.input)
-    return DatasetCheck(folder, pairs, sensors, faults, warnings)
+    return DatasetCheck(folder, pairs, sensors, samples.notes(), faults, warnings)
 
 
 def inspect_pairs(pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]) -> list[PairFacts]:
     """What the files of each pair hold, by side; a side whose file is missing is left out."""
-    return [_inspect_pair(pair, settings, label_names) for pair in pairs]
+    return [_inspect_pair(pair, settings, label_names)[0] for pair in pairs]
 
 
-def _inspect_pair(pair: ScanPair, settings: InputSettings, label_names: dict[int, str]) -> PairFacts:
-    sides, points = {}, {}
+def _inspect_pair(
+    pair: ScanPair, settings: InputSettings, label_names: dict[int, str]
+) -> tuple[PairFacts, dict[str, Scan]]:
+    """What the files of a pair hold, and their scans."""
+    sides, scans = {}, {}
     for side in SIDES:
         path = pair.path(side)
         if path is not None:
-            sides[side], points[side] = inspect_scan(path, side, pair.T_real_sim, settings, label_names)
+            sides[side], scans[side] = inspect_scan(path, side, pair.T_real_sim, settings, label_names)
     if len(sides) < len(SIDES):
-        return PairFacts(sides, None)
+        return PairFacts(sides, None), scans
     T = np.array(pair.T_real_sim).reshape(3, 4) if pair.T_real_sim else None
-    check = check_frames(points["real"], points["sim"], settings, T)
-    return PairFacts(sides, FrameFacts(*_marks_and_keys(sides), check))
+    check = check_frames(scans["real"].points, scans["sim"].points, settings, T)
+    return PairFacts(sides, FrameFacts(*_marks_and_keys(sides), check)), scans
 
 
 def inspect_scan(
     path: Path, side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings, label_names: dict[int, str]
-) -> tuple[ScanFacts, FloatArray]:
-    """What one scan file holds, and its points; a fault of the file is a fact, not an error, and leaves no points.
+) -> tuple[ScanFacts, Scan]:
+    """What one scan file holds, and the scan; a fault of the file is a fact, not an error, and leaves no points.
 
     Parameters
     ----------
@@ -171,11 +183,11 @@ def inspect_scan(
         scan = read_scan(path, settings.columns_of(side), label_names)
         sha256, label_sha256 = hash_scan(path)
     except (FidpipeError, OSError) as error:
-        return ScanFacts(marks, key, fault=str(error)), np.empty((0, 3))
-    is_sim = side == "sim"
-    T = np.array(T_real_sim).reshape(3, 4) if is_sim and T_real_sim else None
-    clean = clean_scan(scan.points, settings, flip_y=is_sim and settings.sim_flip_y, T_real_sim=T)
-    own = scan.points[np.isfinite(scan.points).all(axis=1) & scan.points.any(axis=1)]
+        return ScanFacts(marks, key, fault=str(error)), Scan(np.empty((0, 3)))
+    frame = settings.frame_of(side)
+    T = np.array(T_real_sim).reshape(3, 4) if side == "sim" and T_real_sim else None
+    clean = clean_scan(scan.points, settings, frame=frame, T_real_sim=T)
+    own = as_ros(scan.points[np.isfinite(scan.points).all(axis=1) & scan.points.any(axis=1)], frame)
     facts = ScanFacts(
         marks=marks,
         settings_key=key,
@@ -187,10 +199,12 @@ def inspect_scan(
         low=clean.points.min(axis=0).tolist() if len(clean.points) else [],
         high=clean.points.max(axis=0).tolist() if len(clean.points) else [],
         azimuth_gap_deg=widest_azimuth_gap_deg(own),
-        warnings=[f"{path}: {text}" for text in (*implausible(own), *_not_finite(scan.points))],
+        warnings=[
+            f"{path}: {text}" for text in (*implausible(own, side, settings.min_range_m), *_not_finite(scan.points))
+        ],
         fault=None if len(clean.points) >= MIN_OBJECT_POINTS else _too_few_left(path, len(clean.points), clean.dropped),
     )
-    return facts, scan.points
+    return facts, scan
 
 
 def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts], frames: FrameFacts | None) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings
+from ...stages.clean import as_ros
 from ...stages.sensing.sensor import SensorFacts, describe_sensor, differences
 from .pairs import ScanPair
 from .readers import read_scan
@@ -32,8 +33,8 @@ class SensorCheck:
 def describe_sides(pairs: Sequence[ScanPair], settings: InputSettings) -> SensorCheck:
     """What sensors the sides are from, by the scans of the first two pairs as they lie in their files.
 
-    Nothing is cleaned, mirrored or moved: beams are those of a sensor only in its own frame. Of the two scans of a side
-    the one tells whose model is known, or else whose beams are.
+    Nothing is cleaned or moved, axes alone are turned: beams are those of a sensor only in its own frame. Of the two
+    scans of a side the one tells whose model is known, or else whose beams are.
     """
     looked_at = pairs[:_PAIRS]
     sides = {}
@@ -53,4 +54,4 @@ def _describe(pair: ScanPair, side: str, settings: InputSettings) -> SensorFacts
         scan = read_scan(path, settings.columns_of(side))
     except (FidpipeError, OSError):
         return None  # a fault, which the check of the files names
-    return describe_sensor(scan.points, scan.rings, scan.times_s is not None)
+    return describe_sensor(as_ros(scan.points, settings.frame_of(side)), scan.rings, scan.times_s is not None)

@@ -20,7 +20,9 @@ _UNIFORM = ("channels", "upper_deg", "lower_deg")
 #: What a table need not say.
 _USUAL = replace(SENSORS["hdl64"], name="table", title="", source="", azimuth_step_deg=0.2, range_quantum_m=0.0)
 _NUMBERS = tuple(
-    field.name for field in fields(SensorModel) if field.name not in ("name", "title", "source", "unit_deg", *_ANGLES)
+    field.name
+    for field in fields(SensorModel)
+    if field.name not in ("name", "title", "source", "unit_deg", "focal_m", *_ANGLES)
 )
 
 

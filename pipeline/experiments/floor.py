@@ -109,7 +109,9 @@ def run_floor(request: FloorRequest, reporter: Reporter) -> RunOutcome:
     folder = RunFolder(request.out)
     with folder.locked():
         _write_dataset(request, dataset, partners, selected, folder.ledger, reporter)
-    own = request.settings.input.model_copy(update={"sim_flip_y": False, "sim_columns": None})
+    own = request.settings.input.model_copy(
+        update={"sim_flip_y": False, "sim_frame": request.settings.input.real_frame, "sim_columns": None}
+    )
     return run_dataset(
         RunRequest(
             dataset=request.out / FLOOR_DATASET,

@@ -21,7 +21,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError
-from ...schemas.settings import InputSettings, Settings
+from ...schemas.settings import FRAME_AXES, InputSettings, Settings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
 from ...stages.sensing.flaws import FLAWS, ChosenFlaw, lose_foliage
@@ -109,6 +109,7 @@ def make_twins(request: TwinRequest, reporter: Reporter) -> TwinOutcome:
     """
     try:
         need_ray_caster()
+        _check_frame(request.settings)
         _check_foliage(request)
         frames = _selected(request)
         _prepare(request, frames)
@@ -122,6 +123,15 @@ def make_twins(request: TwinRequest, reporter: Reporter) -> TwinOutcome:
     except OSError as error:
         raise FidpipeError(f"dataset {request.out}: cannot be written ({error.strerror or error})") from error
     return TwinOutcome(len(made), failures)
+
+
+def _check_frame(settings: InputSettings) -> None:
+    """Refuses frames in which poses and beams are not."""
+    if settings.real_frame != "ros":
+        raise FidpipeError(
+            f'input.real_frame is "{settings.real_frame}", "ros" is wanted: poses and beams of a recording are '
+            f"those of a sensor with {FRAME_AXES['ros']}; turn its scans and poses first"
+        )
 
 
 def _check_foliage(request: TwinRequest) -> None:

@@ -17,12 +17,10 @@ def make_ground(context: Context) -> Made:
     """Cleans a scan, cuts the road away, and tells how many points were dropped and where the cut lies."""
     with context.step("read"):
         scan = context.scan()
-    is_sim = context.side == "sim"
-    T = np.array(context.T_real_sim).reshape(3, 4) if is_sim and context.T_real_sim else None
+    side, own = str(context.side), context.settings.input
+    T = np.array(context.T_real_sim).reshape(3, 4) if side == "sim" and context.T_real_sim else None
     with context.step("clean"):
-        clean = clean_scan(
-            scan.points, context.settings.input, flip_y=is_sim and context.settings.input.sim_flip_y, T_real_sim=T
-        )
+        clean = clean_scan(scan.points, own, frame=own.frame_of(side), T_real_sim=T)
     shared = _cut(context.facts("ground", "real")) if context.needs_real else None
     with context.step("ground"):
         cut = remove_ground(clean.points, context.settings.ground, shared)

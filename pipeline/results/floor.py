@@ -29,7 +29,7 @@ FLOOR_RECIPE = "floor.toml"
 #: What has a floor: columns of `pairs`.
 SCORES = ("match_rate", "n_missing", "n_hallucinated", *(name for name in RUN_SCORES if name != "match_rate"))
 #: Of the simulated side alone, which in a floor is the real one.
-_OF_SIM_ALONE = ("input.sim_columns", "input.sim_flip_y")
+_OF_SIM_ALONE = ("input.sim_columns", "input.sim_flip_y", "input.sim_frame")
 
 
 @dataclass(frozen=True)

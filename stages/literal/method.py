@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,12 @@ from ..arrays import BoolArray, FloatArray
 _MAX_TILT_DEG = 10
 _NEAR_M, _WINDOW_M, _STEP_M, _DEPTH_M = 30, 0.1, 0.05, 1
 IDENTICAL_CHANGE = 1e-5
+_ROS_AXES: dict[str, Callable[[float, float, float], list[float]]] = {
+    "ros": lambda forward, left, up: [forward, left, up],
+    "carla": lambda forward, right, up: [forward, -right, up],
+    "nuscenes": lambda right, forward, up: [forward, -right, up],
+    "kitti-cam": lambda right, down, forward: [forward, -right, -down],
+}
 #: The scores that `spectral` gives.
 SPECTRAL = (
     *("r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change"),
@@ -34,7 +40,7 @@ def clean(
     exclude_box: Sequence[float] | None = None,
     T: FloatArray | None = None,
     *,
-    flip_y: bool = False,
+    frame: str = "ros",
     include_box: Sequence[float] | None = None,
 ) -> tuple[list[int], FloatArray]:
     """Row numbers and coordinates, (m, 3), of the points that are measurements, in the real sensor's frame.
@@ -42,7 +48,8 @@ def clean(
     Parameters
     ----------
     points : (n, 3) float64, metres, the scan's own frame
-    T : (3, 4) float64, maps that frame into the real sensor's, after y is negated if `flip_y`
+    T : (3, 4) float64, maps that frame into the real sensor's, after its axes are turned to x forward, y left, z up
+    frame : whose axes the scan has: "ros", "carla", "nuscenes" or "kitti-cam"
     """
     seen, rows, kept = set(), [], []
     for i, p in enumerate(points.tolist()):
@@ -53,7 +60,7 @@ def clean(
             continue
         if exclude_box and all(exclude_box[a] <= p[a] <= exclude_box[a + 3] for a in range(3)):
             continue
-        q = [p[0], -p[1], p[2]] if flip_y else p
+        q = _ROS_AXES[frame](*p)
         if T is not None:
             q = [sum(T[r, c] * q[c] for c in range(3)) + T[r, 3] for r in range(3)]
         if include_box and not all(include_box[a] <= q[a] <= include_box[a + 3] for a in range(3)):

@@ -25,6 +25,7 @@ _SECTOR_DEG = 60.0
 _FEWEST_BEAMS = 8
 _FEWEST_RETURNS = 8
 _EXACT_DEG = 0.06
+_AS_MANY = 3  # beams more or less
 _FIT = 0.25  # of the distance of neighbouring beams
 
 
@@ -39,6 +40,7 @@ class BeamPattern:
     block_deg : elevation between the blocks
     explained : share of the returns that lie in beams, beyond what would do so anyhow: 0 for none, 1 for all
     is_sharp : whether they stand out in the whole scan; else they are those of a sector, and their number is about so
+    focal_m : how far before the axis they cross
     """
 
     elevation_deg: FloatArray
@@ -48,10 +50,11 @@ class BeamPattern:
     block_deg: float
     explained: float
     is_sharp: bool = True
+    focal_m: float = 0.0
 
     def beam_of(self, points: FloatArray) -> IndexArray:
         """(n,) intp, the beam that each point lies in, -1 for none."""
-        level = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
+        level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.focal_m, 1e-9)
         elevation = _elevation(points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg)
         middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
         beam = np.searchsorted(middle, elevation)
@@ -68,14 +71,30 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     upper block (HDL-64E), if that gains enough. Elevations: peaks of the density, under the kernel width of three that
     explains most. A scan in which they are not sharp (compensated for motion, say) is looked at in sectors of 60
     degrees as well: beams that fit a known sensor are told, others are not, as a scan out of its sensor's frame has
-    some too. With rings, the elevation of a beam is the median over its ring.
+    some too. With rings, the elevation of a beam is the median over its ring. Beams that are no known sensor's are
+    looked for once more from where those of each sensor with as many cross (r less its focal distance), and told if
+    they then are that sensor's.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, the sensor's frame; finite, none at the origin
     ring : (n,) int32, number of each point's beam, -1 where it has none
     """
-    level = np.hypot(points[:, 0], points[:, 1])
+    pattern = _find_from(0.0, points, ring)
+    if not isinstance(pattern, str) and recognise(pattern)[0]:
+        return pattern
+    n_told = None if isinstance(pattern, str) else len(pattern.elevation_deg)
+    sensors = [known for known in SENSORS.values() if n_told is None or abs(known.n_beams - n_told) <= _AS_MANY]
+    for focal_m in sorted({sensor.focal_m for sensor in sensors} - {0.0}):
+        other = _find_from(focal_m, points, ring)
+        if not isinstance(other, str) and recognise(other)[0]:
+            return other
+    return pattern
+
+
+def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> BeamPattern | str:
+    """The beams as seen from so far before the axis; sectors are looked at from the axis alone."""
+    level = np.hypot(points[:, 0], points[:, 1]) - focal_m
     is_used = level > _NEAREST_M
     level, z = level[is_used], points[is_used, 2]
     if len(level) < 100:
@@ -83,9 +102,11 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     tangent, nearness = z / level, 1.0 / level
     whole = _read(tangent, nearness)
     if ring is not None and (by_ring := _by_ring(tangent, nearness, ring[is_used], whole)):
-        return by_ring
+        return replace(by_ring, focal_m=focal_m)
     if whole and whole.explained >= _SHARP:
-        return whole
+        return replace(whole, focal_m=focal_m)
+    if focal_m:
+        return "returns do not lie on rings from there"
     azimuth = np.degrees(np.arctan2(points[is_used, 1], points[is_used, 0]))
     found = [whole]
     for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
@@ -106,13 +127,16 @@ def recognise(pattern: BeamPattern) -> tuple[str | None, str]:
     distance to its neighbour, of a beam of the table, 90 % of the table's beams within their limits are seen, and
     70 % of all. One whose units differ (HDL-64E, Ouster) may be shifted and stretched, each half of the table by
     itself, by its `unit_deg` and 5 %; then 85 % must fit. Evenly spaced beams are never stretched: no unit has them.
-    Every second beam of a table is tried too. If two sensors fit equally well, none is named.
+    Every second beam of a table is tried too. Beams that cross before the axis are those of sensors whose beams do so
+    there. If two sensors fit equally well, none is named.
     """
     observed = pattern.elevation_deg
     if len(observed) < _FEWEST_BEAMS:
         return None, f"{len(observed)} beams, at least {_FEWEST_BEAMS} are needed to know a sensor by them"
     scores: dict[str, float] = {}
-    for title, table, unit_deg in _tables():
+    for title, table, unit_deg, focal_m in _tables():
+        if pattern.focal_m not in (0.0, focal_m):
+            continue
         if score := _fit(observed, table, unit_deg, pattern):
             scores[title] = max(score, scores.get(title, 0.0))
     fits = sorted(((score, title) for title, score in scores.items()), reverse=True)
@@ -125,14 +149,14 @@ def recognise(pattern: BeamPattern) -> tuple[str | None, str]:
     return None, "no sensor of the table has such beams"
 
 
-def _tables() -> Iterator[tuple[str, FloatArray, float]]:
-    """Title, ascending elevations and freedom of each known sensor, and of each second beam of those with many."""
+def _tables() -> Iterator[tuple[str, FloatArray, float, float]]:
+    """Title, ascending elevations, freedom, focal distance of each known sensor, and each second beam of large ones."""
     for sensor in SENSORS.values():
         table = np.sort(np.array(sensor.elevation_deg))
-        yield sensor.title, table, sensor.unit_deg
+        yield sensor.title, table, sensor.unit_deg, sensor.focal_m
         if _is_worth_halving(sensor):
             for first in (0, 1):
-                yield f"every second beam of {sensor.title}", table[first::2], sensor.unit_deg
+                yield f"every second beam of {sensor.title}", table[first::2], sensor.unit_deg, sensor.focal_m
 
 
 def _is_worth_halving(sensor: SensorModel) -> bool:
@@ -233,11 +257,12 @@ def _by_ring(
     tangent: FloatArray, nearness: FloatArray, ring: IntArray, whole: BeamPattern | None
 ) -> BeamPattern | None:
     """The beams by rings; None where there are too few, or where they are not rings of one elevation each."""
-    is_far = nearness < 1.0 / _FARTHER_M
-    tangent, nearness, ring = tangent[is_far], nearness[is_far], ring[is_far]
     heights, block_deg = (whole.origin_height_m, whole.block_deg) if whole else ((), -90.0)
-    elevation = _elevation(tangent, nearness, heights, block_deg)
-    parts = [elevation[ring == number] for number in np.unique(ring[ring >= 0])]
+    elevation, is_far = _elevation(tangent, nearness, heights, block_deg), nearness < 1.0 / _FARTHER_M
+    rings = [ring == number for number in np.unique(ring[ring >= 0])]
+    parts = [elevation[own & is_far] for own in rings]
+    if not heights:  # a beam that meets the car's own body alone
+        parts = [far if len(far) >= _FEWEST_RETURNS else elevation[own] for own, far in zip(rings, parts, strict=True)]
     quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts if len(part) >= _FEWEST_RETURNS])
     if len(quartiles) < 4:
         return None

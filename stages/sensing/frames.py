@@ -13,12 +13,12 @@ from importlib.util import find_spec
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...schemas.settings import Box, InputSettings
+from ...schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..clean import clean_scan
+from ..clean import as_ros, clean_scan
 from .surfels import voxel_ids
 
-FRAMES_VERSION = 1  # raised where a result can change
+FRAMES_VERSION = 2  # raised where a result can change
 AS_IT_LIES = "as it lies"
 VOXEL_M = 0.5
 REACH_M = 40.0
@@ -51,11 +51,23 @@ _QUARTER_TURNS = {
     "with x and y exchanged": ((0, 1, 0), (1, 0, 0), (0, 0, 1)),
     "with x and y exchanged and negated": ((0, -1, 0), (-1, 0, 0), (0, 0, 1)),
 }
-_TURNS: dict[str, FloatArray] = {
-    **{name: np.diag(np.array(signs, dtype=np.float64)) for name, signs in _NAMED.items()},
-    **{name: np.array(rows, dtype=np.float64) for name, rows in _QUARTER_TURNS.items()},
-}
-_MIRROR_Y: FloatArray = _TURNS["mirrored in y"]
+_FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}  # p_ros = F p
+
+
+def _turns() -> dict[str, FloatArray]:
+    """Turns and mirrors by name: usual mistakes, and those that come of either scan being in one of the frames."""
+    turns = {name: np.diag(np.array(signs, dtype=np.float64)) for name, signs in _NAMED.items()}
+    turns |= {name: np.array(rows, dtype=np.float64) for name, rows in _QUARTER_TURNS.items()}
+    for real, F_real in _FRAMES.items():
+        for sim, F_sim in _FRAMES.items():
+            turn = F_real.T @ F_sim
+            if not any(np.array_equal(turn, known) for known in turns.values()):
+                words = [f"read as {sim}"] * (sim != "ros") + [f"with the real one read as {real}"] * (real != "ros")
+                turns[" and ".join(words)] = turn
+    return turns
+
+
+_TURNS = _turns()
 
 
 @dataclass(frozen=True)
@@ -78,8 +90,10 @@ class FrameCheck:
 
 @dataclass(frozen=True)
 class _Placement:
-    """How the simulated scan is placed at present: y negated or not, moved by (3, 4) [R | t], cut by a box."""
+    """How scans are placed at present: turned from their frames, the simulated one moved by [R | t], cut by a box."""
 
+    real_frame: FrameName
+    sim_frame: FrameName
     flip_y: bool
     motion: FloatArray
     include_box: Box | None
@@ -116,16 +130,16 @@ def check_frames(
 
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
-    The simulated scan is read as it lies; mirrored, turned by quarter turns, upside down; in centimetres and
-    millimetres where it lies far beyond the real one; each of these also shifted by the difference of the ground
-    heights; and as small_gicp moves it, where that extra is installed. A reading is suspect if it covers at least
-    `LEAST_COVERAGE`, that is `LEAST_GAIN` more than the scan as it lies, and leaves at most `MOST_LEFT_OPEN` of what
-    that leaves uncovered.
+    The simulated scan is read as it lies; mirrored, turned by quarter turns, upside down; either scan in any of the
+    frames that settings have; in centimetres and millimetres where it lies far beyond the real one; each of these also
+    shifted by the difference of the ground heights; and as small_gicp moves it, where that extra is installed. A
+    reading is suspect if it covers at least `LEAST_COVERAGE`, that is `LEAST_GAIN` more than the scan as it lies, and
+    leaves at most `MOST_LEFT_OPEN` of what that leaves uncovered.
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, each in its own sensor's frame, as read; NaN are dropped
-    settings : how scans are cleaned, and whether the simulated one is mirrored at present
+    settings : how scans are cleaned, and in which frames they are at present
     T_real_sim : (3, 4) float64, where the simulated scan is moved at present
 
     Examples
@@ -134,20 +148,20 @@ def check_frames(
     >>> wall = np.random.default_rng(0).uniform([5, 3, -1], [25, 9, 4], (3000, 3))
     >>> check = check_frames(wall, wall * [1, -1, 1], InputSettings())
     >>> check.reading, check.setting, check.is_suspect
-    ('mirrored in y', 'input.sim_flip_y=true', True)
+    ('mirrored in y', 'input.sim_frame=carla', True)
     """
-    placement = _Placement(
-        settings.sim_flip_y, np.eye(3, 4) if T_real_sim is None else T_real_sim, settings.include_box
-    )
+    motion = np.eye(3, 4) if T_real_sim is None else T_real_sim
+    frames = settings.frame_of("real"), settings.frame_of("sim")
+    placement = _Placement(*frames, settings.sim_flip_y, motion, settings.include_box)
     real, sim = (points[np.isfinite(points).all(axis=1)] for points in (real, sim))
-    target_points = _thinned(real, settings)
+    target_points = _thinned(real, settings, "real")
     target_points = target_points[_is_inside(target_points, placement.include_box)]
     if len(target_points) < FEWEST_POINTS:
         return None
     target, as_it_lies = _Side(target_points), 0.0
     best: tuple[float, _Reading] | None = None
     for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
-        own = _thinned(sim * scale, settings)
+        own = _thinned(sim * scale, settings, "sim")
         if len(own) < FEWEST_POINTS:
             continue
         source = _Side(own)
@@ -201,10 +215,9 @@ def ground_height(points: FloatArray) -> float:
 def _readings(target: _Side, source: _Side, placement: _Placement, unit: str) -> Iterator[_Reading]:
     """Every reading but that of small_gicp; as it lies comes first, so that of equal ones it is taken."""
     motion = placement.motion
-    flip = _MIRROR_Y if placement.flip_y else np.eye(3)
     beside = f", in {unit}" if unit else ""
     for name, turn in _TURNS.items():
-        M = np.column_stack([motion[:, :3] @ turn @ flip, motion[:, 3]])
+        M = np.column_stack([motion[:, :3] @ turn, motion[:, 3]])
         words = f"in {unit}" if unit and name == AS_IT_LIES else name + beside
         yield _Reading(words, M, unit)
         shift_m = target.ground_m - ground_height(_placed(source.points, M))
@@ -257,22 +270,42 @@ def _shares(tree: cKDTree, points: FloatArray, is_ground: BoolArray) -> Iterator
 def _setting(reading: _Reading, placement: _Placement) -> str:
     """What makes a reading the one that is evaluated, in words."""
     parts = [f"simulated points in metres (they are in {reading.unit})"] if reading.unit else []
-    is_flipped = bool(np.linalg.det(reading.M[:, :3]) < 0)
-    if is_flipped != placement.flip_y:
-        parts.append(f"input.sim_flip_y={str(is_flipped).lower()}")
-    R = reading.M[:, :3] @ _MIRROR_Y if is_flipped else reading.M[:, :3]
-    motion = np.column_stack([R, reading.M[:, 3]])
+    real_frame, sim_frame, motion = _frames_and_motion(reading.M, placement)
+    if real_frame != placement.real_frame:
+        parts.append(f"input.real_frame={real_frame}")
+    if sim_frame != placement.sim_frame:
+        parts += ["input.sim_flip_y=false"] if placement.flip_y else []
+        parts += [f"input.sim_frame={sim_frame}"] if sim_frame != "ros" or not placement.flip_y else []
     if not np.allclose(motion, placement.motion, atol=1e-9):
         numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(motion, 5).ravel())
         parts.append(f'T_real_sim "{numbers}" in the manifest')
     return " and ".join(parts)
 
 
-def _thinned(points: FloatArray, settings: InputSettings) -> FloatArray:
+def _frames_and_motion(M: FloatArray, placement: _Placement) -> tuple[FrameName, FrameName, FloatArray]:
+    """Frames of both sides and T_real_sim that place the simulated scan as M does; frames alone where they can.
+
+    With p_ros = F p of each side, M F_sim q lies on F_real p. Other frames F' do the same with [R | t'] if
+    F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; fewer frames are changed before more.
+    """
+    R, real, sim = placement.motion[:, :3], placement.real_frame, placement.sim_frame
+    candidates = [(real, sim), *((real, name) for name in _FRAMES), *((name, sim) for name in _FRAMES)]
+    for own_real, own_sim in [*candidates, *((a, b) for a in _FRAMES for b in _FRAMES)]:
+        change = _FRAMES[own_real] @ _FRAMES[real].T
+        if np.allclose(change @ M[:, :3] @ _FRAMES[sim], R @ _FRAMES[own_sim], atol=1e-9):
+            return own_real, own_sim, np.column_stack([R, change @ M[:, 3]])
+    if np.linalg.det(M[:, :3]) > 0:
+        return real, sim, M
+    usual: FrameName = "ros" if sim == "carla" else "carla"
+    return real, usual, np.column_stack([M[:, :3] @ _FRAMES[sim] @ _FRAMES[usual].T, M[:, 3]])
+
+
+def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArray:
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
     near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
     _, first = np.unique(voxel_ids(near, VOXEL_M), return_index=True)
-    return clean_scan(near[np.sort(first)], settings.model_copy(update={"include_box": None})).points
+    own = settings.model_copy(update={"include_box": None})
+    return clean_scan(near[np.sort(first)], own, frame=settings.frame_of(side)).points
 
 
 def _some(n: int) -> IndexArray:

@@ -16,12 +16,14 @@ MOST_RANGE_M = 150.0
 _UNITS = (("centimetres", 100), ("millimetres", 1000))
 
 
-def implausible(points: FloatArray) -> list[str]:
+def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     """What is odd about the values of a scan, one sentence each; nothing where there is no point.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, the scan's own frame, finite and not zero
+    side : "real" or "sim", for the setting that is named
+    min_range_m : nearer points are dropped at present
     """
     if not len(points):
         return []
@@ -41,13 +43,20 @@ def implausible(points: FloatArray) -> list[str]:
     elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
         odd.append(
             f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
-            "are the columns right (input.columns)?"
+            + (
+                f"is it in camera axes? set input.{side}_frame=kitti-cam"
+                if spread[1] < STEEP_SPREAD * spread[[0, 2]].min()
+                else "are the columns right (input.columns)?"
+            )
         )
-    near = float(np.mean(np.linalg.norm(points, axis=1) < EGO_RANGE_M))
+    range_m = np.linalg.norm(points, axis=1)
+    near = float(np.mean(range_m < EGO_RANGE_M))
     if near > 0.5:
+        left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
         odd.append(
             f"{near:.0%} of the points lie within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
-            "input.min_range_m and input.exclude_box drop them"
+            f"input.min_range_m={min_range_m:g} leaves {left:.1%} of the points there"
+            + (f"; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them" if left else "")
         )
     return odd
 

@@ -35,6 +35,7 @@ class SensorFacts:
     is_sharp : whether the beams stand out in the whole scan; else, as after compensation for motion, they were read in
         a sector, and their number is about so
     origin_height_m : heights above the origin at which the beams start: of all, or of a lower and an upper block
+    focal_m : how far before the axis they cross
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
     azimuth_step_deg : between two firings of a beam
     range_quantum_m : that ranges are multiples of
@@ -50,6 +51,7 @@ class SensorFacts:
     is_even: bool | None = None
     is_sharp: bool | None = None
     origin_height_m: tuple[float, ...] = ()
+    focal_m: float = 0.0
     field_of_view_deg: tuple[float, ...] = ()
     azimuth_step_deg: float | None = None
     range_quantum_m: float | None = None
@@ -103,6 +105,7 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
         is_even=pattern.is_even,
         is_sharp=pattern.is_sharp,
         origin_height_m=pattern.origin_height_m,
+        focal_m=pattern.focal_m,
         azimuth_step_deg=step,
         range_quantum_m=quantum,
         range_noise_m=noise,
@@ -127,6 +130,11 @@ def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
         if np.abs(np.subtract(_heights(real), _heights(sim))).max() > 0.03:
             found.append(
                 f"beams start {_heights_text(real)} in the real scan, {_heights_text(sim)} in the simulated one"
+            )
+        if real.focal_m != sim.focal_m:
+            found.append(
+                f"beams cross {1e3 * real.focal_m:.1f} mm before the axis in the real scan, "
+                f"{1e3 * sim.focal_m:.1f} mm in the simulated one"
             )
     elif real.elevation_deg or sim.elevation_deg:
         found.append(f"real: {beams_text(real)}; simulated: {beams_text(sim)}")
@@ -167,6 +175,7 @@ def sensor_lines(facts: SensorFacts) -> list[str]:
     rows = [
         ("beams", beams_text(facts)),
         ("beams start", _heights_text(facts)) if facts.origin_height_m else ("", ""),
+        ("beams cross", f"{1e3 * facts.focal_m:.1f} mm before the axis") if facts.focal_m else ("", ""),
         ("field of view", f"{view[0]:+.4g} to {view[1]:+.4g} degrees, {view[2]:.0f} degrees around")
         if view
         else ("", ""),
@@ -225,7 +234,7 @@ class _Sweep:
     """Returns that lie in a beam, sorted by beam and in it by azimuth.
 
     beam : (m,) intp, row of the pattern's elevations
-    azimuth_deg, range_m : (m,) float64
+    azimuth_deg, range_m : (m,) float64; the range from where beams cross
     """
 
     beam: IndexArray
@@ -242,7 +251,8 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     beam = pattern.beam_of(points)
     points, beam = points[beam >= 0], beam[beam >= 0]
     azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-    range_m = np.sqrt((points**2).sum(axis=1))
+    level = np.hypot(points[:, 0], points[:, 1]) - pattern.focal_m
+    range_m = np.sqrt(level**2 + points[:, 2] ** 2)
     order = np.lexsort((range_m, azimuth_deg, beam))
     return _Sweep(beam[order], azimuth_deg[order], range_m[order])
 

@@ -22,6 +22,7 @@ class SensorModel:
     source : where the elevations are published
     unit_deg : how far the elevations of one unit, which its own calibration has, lie from the table as a whole;
         0 where drivers use the table for every unit
+    focal_m : how far before the axis its beams cross, which drivers take off, or leave in; 0 where it is not known
     """
 
     name: str
@@ -37,6 +38,7 @@ class SensorModel:
     title: str = ""
     source: str = ""
     unit_deg: float = 0.0
+    focal_m: float = 0.0
 
     @property
     def n_beams(self) -> int:
@@ -87,7 +89,8 @@ _DEG_PER_S = 600 / 60 * 360.0
 #: Sensors by name. Firing cycle at 600 rpm: 55.296 us (VLP-16, VLP-32C), 46.08 us (HDL-32E), 48 us (HDL-64E).
 #: HDL-64E: nominal angles, as each unit has its own calibration. Ouster: 2048 columns. CARLA: its ray_cast sensor with
 #: default field of view, channels and drop-off; the usual 100 m and 0.2 degrees for 10 m and 2. Range, noise and
-#: quantum are those of the data sheets; signal_range_m of what was not measured here is that of the HDL-64E.
+#: quantum are those of the data sheets; signal_range_m of what was not measured here is that of the HDL-64E. Focal
+#: distances: velodyne_decoder, calib_db.cpp.
 SENSORS = {
     "vlp32c": SensorModel(
         name="vlp32c",
@@ -102,6 +105,7 @@ SENSORS = {
         signal_range_m=65.0,
         title="Velodyne VLP-32C",
         source="VLP-32C user manual 63-9325; velodyne_decoder, calibrations/VLP-32C.yml; nebula",
+        focal_m=0.0424,
     ),
     "hdl64": SensorModel(
         name="hdl64",
@@ -160,6 +164,7 @@ SENSORS = {
         signal_range_m=60.0,
         title="Velodyne VLP-16",
         source="velodyne_decoder, calibrations/VLP-16.yml; nebula, calibration/velodyne/VLP16.yaml",
+        focal_m=0.04191,
     ),
     "vlp16-hires": SensorModel(
         name="vlp16-hires",
@@ -174,6 +179,7 @@ SENSORS = {
         signal_range_m=60.0,
         title="Velodyne Puck Hi-Res",
         source="velodyne_decoder, calibrations/Puck Hi-Res.yml",
+        focal_m=0.04191,
     ),
     "hdl32": SensorModel(
         name="hdl32",
@@ -188,6 +194,7 @@ SENSORS = {
         signal_range_m=60.0,
         title="Velodyne HDL-32E",
         source="ros-drivers/velodyne, velodyne_pointcloud/params/32db.yaml",
+        focal_m=0.02883,
     ),
     "os1-128": SensorModel(
         name="os1-128",

@@ -90,7 +90,7 @@ def test_a_manifest_file_that_is_not_there_is_a_fault_of_its_pair(tmp_path):
         ("p,real/a.bin,sim/a.bin,,2 0 0 0 0 1 0 0 0 0 1 0", "line 3: T_real_sim is no rigid motion"),
         (
             "p,real/a.bin,sim/a.bin,,1 0 0 0 0 -1 0 0 0 0 1 0",
-            "line 3: T_real_sim is a mirror image; set input.sim_flip_y",
+            "line 3: T_real_sim is a mirror image; set input.sim_frame",
         ),
         ("p,real/a.bin,sim/a.bin,,1 0 0 x 0 1 0 0 0 0 1 0", "line 3: T_real_sim is 'x', a number is wanted"),
         (" ,real/a.bin,sim/a.bin,,", "line 3: pair_id is empty"),

@@ -285,3 +285,16 @@ def test_what_limits_trust_names_the_floor_only_where_none_is_at_hand(folder):
     assert wanted in shown("show", folder / "run")
     assert wanted not in shown("show", folder / "run", "--floor", folder / "floor")
     assert "fidpipe floor" not in shown("show", folder / "floor")
+
+
+def test_a_floor_of_scans_in_another_frame_is_that_of_the_turned_ones(tmp_path):
+    scan = street()
+    for name, points in (("ros", scan), ("nuscenes", scan[:, [1, 0, 2]] * [-1, 1, 1])):
+        for side in ("real", "sim"):
+            write_bin(tmp_path / name / side / "a.bin", points)
+    usual = floor(tmp_path / "ros", tmp_path / "usual", settings=REFERENCE)
+    own = load(preset="reference", assignments=["input.real_frame=nuscenes"])
+    turned = floor(tmp_path / "nuscenes", tmp_path / "turned", settings=own)
+    assert turned.rows[0]["match_rate"] == 1
+    assert turned.record.frames == {}
+    assert turned.rows[0]["n_matched"] == usual.rows[0]["n_matched"]

@@ -24,7 +24,7 @@ from fidpipe.stages.sensing.frames import check_frames
 from runs import command, run
 from scenes import box, drifted, road, street, write_bin
 
-MENDED = "input.sim_flip_y=true"
+MENDED = "input.sim_frame=carla"
 
 
 def scan(seed):
@@ -54,10 +54,10 @@ def frame_warnings(dataset, *words):
 def test_check_names_the_mirrored_pair_with_both_figures_and_the_setting(mirrored):
     (warning,) = frame_warnings(mirrored)
     assert warning.startswith("pair 0: the simulated scan covers 0.")
-    assert "mirrored in y; is it in another frame? set input.sim_flip_y=true" in warning
+    assert f"mirrored in y; is it in another frame? set {MENDED}" in warning
     (other,) = frame_warnings(mirrored, MENDED)
     assert other.startswith("pair 1: ")
-    assert other.endswith("set input.sim_flip_y=false")
+    assert other.endswith("set input.sim_frame=ros")
 
 
 def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
@@ -65,7 +65,7 @@ def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
     assert done.returncode == 0
     last = done.stdout.rstrip().splitlines()[-1]
     assert last.startswith("warning: in 1 of 2 pairs the simulated scan seems to lie in another frame")
-    assert "set input.sim_flip_y=true and run again" in last
+    assert f"set {MENDED} and run again" in last
     frames = json.loads((out / "run.json").read_text())["frames"]
     assert frames.keys() == {"0"}
     assert (frames["0"]["reading"], frames["0"]["setting"]) == ("mirrored in y", MENDED)
@@ -85,12 +85,12 @@ def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_sett
     real, sim = scan(0), drifted(scan(0))
     settings = {"graph": {"k": 10}}
     with pytest.warns(
-        UserWarning, match=r"covers 0\.\d\d of .* and 0\.\d\d mirrored in y; .* set input.sim_flip_y=true"
+        UserWarning, match=r"covers 0\.\d\d of .* and 0\.\d\d mirrored in y; .* set input.sim_frame=carla"
     ):
         wrong = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings)
-    mended = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings | {"input": {"sim_flip_y": True}})  # warns: error
+    mended = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings | {"input": {"sim_frame": "carla"}})  # warns: error
     assert mended.summary["match_rate"] > wrong.summary["match_rate"]
-    turned = sim @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    turned = sim * [-1, -1, 1]
     with pytest.warns(UserWarning, match="turned by") as told:
         fidpipe.evaluate_pair(real, turned, settings)
     T = np.array(re.search('T_real_sim "(.*?)"', str(told[0].message))[1].split(), dtype=float).reshape(3, 4)

@@ -260,6 +260,8 @@ def test_a_folder_with_other_things_and_the_recording_itself_are_left_alone(driv
     assert content(tmp_path) == {"thesis.tex": b"years of work"}
     with pytest.raises(FidpipeError, match="is the recording; give the name of a new or empty folder"):
         make(drive, drive)
+    with pytest.raises(FidpipeError, match='input.real_frame is "nuscenes", "ros" is wanted'):
+        make(tmp_path / "turned", drive, settings=InputSettings(real_frame="nuscenes"))
     with pytest.raises(DatasetError, match="matches none of the 4 frames"):
         make(tmp_path / "out", drive, pattern="x*")
 

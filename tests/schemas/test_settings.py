@@ -24,7 +24,9 @@ def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
 
 
 def test_what_is_written_is_read_back(tmp_path):
-    settings = load(None, ["graph.k=33", "input.columns=x,y,z,intensity,ring", "ground.shared=true"])
+    settings = load(
+        None, ["graph.k=33", "input.columns=x,y,z,intensity,ring", "ground.shared=true", "input.sim_frame=carla"]
+    )
     file = tmp_path / "s.toml"
     file.write_text(to_toml(settings))
     assert load(file) == settings
@@ -74,7 +76,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
     lines = to_markdown().splitlines()[2:]
-    assert len(lines) == sum(len(values) for values in Settings().model_dump().values())
+    assert len(lines) == sum(len(type(values).model_fields) for _, values in Settings())
     by_name = {line.split("`")[1]: line for line in lines}
     assert "| `90` | 1 to 2000 | nearest neighbours" in by_name["graph.k"]
     assert "| `5` | above 0 |" in by_name["matching.delta_m"]
@@ -89,3 +91,29 @@ def test_the_table_of_a_group_has_the_values_of_both_presets():
     assert rows["`graph.k`"] == ["`90`", "`90`", "1 to 2000"]
     assert rows["`graph.ties`"][:2] == ["`point_id`", "`coordinates`"]
     assert len(rows) == len(Settings().graph.model_dump())
+
+
+def test_frames_at_their_default_are_in_no_key_and_no_record_of_a_run():
+    assert not [name for name in Settings().input.model_dump(mode="json") if name.endswith("_frame")]
+    settings = load(None, ["input.sim_frame=kitti-cam"])
+    assert settings.input.model_dump(mode="json")["sim_frame"] == "kitti-cam"
+    assert load(None, ["input.sim_frame=ros"]) == Settings()
+
+
+def test_the_mirror_is_the_frame_of_carla():
+    flipped, named = load(None, ["input.sim_flip_y=true"]).input, load(None, ["input.sim_frame=carla"]).input
+    assert flipped.frame_of("sim") == named.frame_of("sim") == "carla"
+    assert flipped.frame_of("real") == "ros"
+
+
+@pytest.mark.parametrize("frame", ["carla", "nuscenes", "kitti-cam"])
+def test_a_mirror_beside_a_frame_is_refused(frame):
+    with pytest.raises(
+        SettingsError, match=f'sim_flip_y = true found with sim_frame = "{frame}".*leave sim_flip_y out'
+    ):
+        load(None, ["input.sim_flip_y=true", f"input.sim_frame={frame}"])
+
+
+def test_an_unknown_frame_is_answered_with_the_axes_of_those_that_are_known():
+    with pytest.raises(SettingsError, match=r"'enu' found; one of ros \(x forward, y left, z up\), carla .* metres"):
+        load(None, ["input.real_frame=enu"])

@@ -1,7 +1,8 @@
 import numpy as np
+import pytest
 
 from fidpipe.schemas.settings import InputSettings
-from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.clean import as_ros, clean_scan
 from fidpipe.stages.literal import method
 from scenes import rigid
 
@@ -46,24 +47,45 @@ def test_range_is_judged_before_the_transform_and_the_box_after():
 
 
 def test_the_mirror_comes_before_the_transform():
-    result = clean_scan(np.array([[10.0, 3, 0]]), InputSettings(), flip_y=True, T_real_sim=rigid(90, [0, 0, 0]))
+    result = clean_scan(np.array([[10.0, 3, 0]]), InputSettings(), frame="carla", T_real_sim=rigid(90, [0, 0, 0]))
     np.testing.assert_allclose(result.points, [[3, 10, 0]], atol=1e-12)
 
 
 def test_the_scan_given_is_not_changed():
     scan = np.array([[10.0, 3, 0], [np.nan, 0, 0]])
     before = scan.copy()
-    clean_scan(scan, InputSettings(), flip_y=True)
+    clean_scan(scan, InputSettings(), frame="carla")
     np.testing.assert_array_equal(scan, before)
 
 
-def test_agrees_with_the_textbook_on_a_dirty_scan(rng):
+@pytest.mark.parametrize("frame", ["ros", "carla", "nuscenes", "kitti-cam"])
+def test_agrees_with_the_textbook_on_a_dirty_scan(rng, frame):
     scan = np.round(rng.normal(0, 4, (800, 3)), 0)  # coarse, so that many points are equal or zero
     scan[rng.random(800) < 0.05, 1] = np.inf
     T = rigid(30, [1, 2, 0.5])
     box, keep = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0), (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
-    result = clean_scan(scan, InputSettings(exclude_box=box, include_box=keep), flip_y=True, T_real_sim=T)
-    ids, points = method.clean(scan, 2.5, 100, box, T, flip_y=True, include_box=keep)
+    result = clean_scan(scan, InputSettings(exclude_box=box, include_box=keep), frame=frame, T_real_sim=T)
+    ids, points = method.clean(scan, 2.5, 100, box, T, frame=frame, include_box=keep)
     assert result.point_ids.tolist() == ids
     np.testing.assert_allclose(result.points, points, atol=1e-12)
     assert sum(result.dropped.values()) + len(ids) == 800
+
+
+@pytest.mark.parametrize(
+    ("frame", "ahead_left_up"),
+    [
+        ("ros", [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        ("carla", [[1, 0, 0], [0, -1, 0], [0, 0, 1]]),
+        ("nuscenes", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+        ("kitti-cam", [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+    ],
+)
+def test_each_frame_has_forward_left_and_up_where_its_axes_say(frame, ahead_left_up):
+    np.testing.assert_array_equal(as_ros(np.array(ahead_left_up, dtype=float), frame), np.eye(3))
+
+
+def test_boxes_of_the_ego_vehicle_are_in_the_own_frame_and_kept_ones_are_not():
+    settings = InputSettings(exclude_box=(9, -1, -1, 11, 1, 1), include_box=(-1, -99, -1, 99, 99, 1), min_range_m=0)
+    scan = np.array([[10.0, 0, 0], [0, 10, 0], [0, -10, 0]])  # right, ahead, behind
+    result = clean_scan(scan, settings, frame="nuscenes")
+    np.testing.assert_array_equal(result.points, [[10, 0, 0]])

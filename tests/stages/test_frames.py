@@ -1,9 +1,13 @@
 """Frames by hand: each fault is found in a street without symmetry, and no alarm raised where there is none."""
 
+import re
+from itertools import product
+
 import numpy as np
 import pytest
 
-from fidpipe.schemas.settings import InputSettings
+from fidpipe.schemas.settings import FRAME_AXES, InputSettings
+from fidpipe.stages.clean import as_ros
 from fidpipe.stages.sensing.frames import check_frames, ground_height
 from fidpipe.stages.sensing.perturbations import add_noise, drop_points
 from scenes import box, moved, rigid, road, street
@@ -19,13 +23,24 @@ def again(points, seed=3):
     return add_noise(drop_points(points, 0.3, rng), 0.03, rng)
 
 
-def check(real, sim, T_real_sim=None, **settings):
-    return check_frames(real, sim, InputSettings(**settings), T_real_sim)
+def check(real, sim, T_real_sim=None, settings=(), **others):
+    return check_frames(real, sim, InputSettings(**dict(settings), **others), T_real_sim)
+
+
+def recorded(points, frame):
+    """What a recording in this frame has."""
+    return points @ as_ros(np.eye(3), frame).T
 
 
 def numbers(setting):
     """The motion that a setting names."""
     return np.array(setting.split('"')[1].split(), dtype=float).reshape(3, 4)
+
+
+def placed_by(setting):
+    """T_real_sim and the frames that a setting names."""
+    T = numbers(setting) if "T_real_sim" in setting else None
+    return T, dict(re.findall(r"input\.(\w+)=([\w-]+)", setting))
 
 
 @pytest.mark.parametrize(
@@ -54,10 +69,30 @@ def test_each_fault_is_seen_and_its_setting_mends_it(matrix, reading):
     if reading.startswith("in "):
         assert found.setting == f"simulated points in metres (they are {reading})"
         return
-    T = numbers(found.setting) if "T_real_sim" in found.setting else None
-    mended = check(real, wrong, T, sim_flip_y="input.sim_flip_y=true" in found.setting)
+    mended = check(real, wrong, *placed_by(found.setting))
     assert not mended.is_suspect
     assert mended.as_it_lies == pytest.approx(found.coverage, abs=1e-3)
+
+
+@pytest.mark.parametrize(("real_frame", "sim_frame"), [*product(FRAME_AXES, FRAME_AXES)])
+def test_scans_in_any_two_frames_fit_with_both_named_and_the_setting_that_is_named_mends_the_rest(
+    real_frame, sim_frame
+):
+    real, sim = recorded(scene(), real_frame), recorded(again(scene()), sim_frame)
+    assert check(real, sim, real_frame=real_frame, sim_frame=sim_frame).as_it_lies > 0.9
+    found = check(real, sim)
+    assert found.is_suspect is (real_frame != sim_frame)
+    if found.is_suspect:
+        T, frames = placed_by(found.setting)
+        assert T is None and frames
+        assert check(real, sim, T, frames).as_it_lies > 0.9
+
+
+@pytest.mark.parametrize("sim_frame", ["carla", "nuscenes", "kitti-cam"])
+def test_the_frame_of_one_side_is_named(sim_frame):
+    assert check(scene(), recorded(again(scene()), sim_frame)).setting == f"input.sim_frame={sim_frame}"
+    if sim_frame != "carla":  # its own inverse, and simulators are left-handed
+        assert check(recorded(again(scene()), sim_frame), scene()).setting == f"input.real_frame={sim_frame}"
 
 
 @pytest.mark.parametrize("shift_m", [1.8, -1.8])
@@ -70,7 +105,7 @@ def test_another_height_of_the_sensor_is_seen_by_the_ground(shift_m):
 def test_a_shifted_and_mirrored_scan_is_named_as_both():
     found = check(scene(), again(scene()) * [1, -1, 1] + [0, 0, 1.8])
     assert found.reading.startswith("mirrored in y and shifted by -")
-    assert "input.sim_flip_y=true and T_real_sim" in found.setting
+    assert "input.sim_frame=carla and T_real_sim" in found.setting
 
 
 def test_a_shift_that_no_other_reading_mends_is_found_by_small_gicp():
@@ -90,7 +125,7 @@ def test_a_motion_that_is_set_is_kept_in_the_setting_that_mends():
     own = moved(again(scene()) - T[:, 3], np.column_stack([T[:, :3].T, np.zeros(3)]))
     assert not check(scene(), own, T).is_suspect
     found = check(scene(), own * [1, -1, 1], T)
-    assert (found.is_suspect, found.setting) == (True, "input.sim_flip_y=true")
+    assert (found.is_suspect, found.setting) == (True, "input.sim_frame=carla")
 
 
 def test_the_same_scene_measured_again_raises_no_alarm():

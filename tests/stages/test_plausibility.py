@@ -6,7 +6,7 @@ from scenes import road, street
 
 
 def test_plausible_scans_raise_no_warning():
-    assert implausible(np.vstack([street(), road(3000, 40)])) == []
+    assert implausible(np.vstack([street(), road(3000, 40)]), "real", 2.5) == []
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ def test_plausible_scans_raise_no_warning():
     ],
 )
 def test_an_implausible_scan_is_warned_of(change, warning):
-    assert any(warning in text for text in implausible(change(street())))
+    assert any(warning in text for text in implausible(change(street()), "sim", 2.5))
 
 
 def test_the_widest_gap_is_found_across_the_seam():

@@ -189,3 +189,25 @@ def test_every_fact_has_a_line():
         "not told (returns do not lie" in line or "beams not told" in line
         for line in sensor_lines(describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3))))
     )
+
+
+@pytest.mark.parametrize("with_rings", [False, True])
+@pytest.mark.parametrize("name", ["vlp32c", "vlp16"])
+def test_beams_that_cross_before_the_axis_are_those_of_a_sensor_whose_beams_do_so_there(name, with_rings):
+    sensor = SENSORS[name]
+    points = room(sensor, lost_share=0.0)
+    level = np.hypot(points[:, 0], points[:, 1])
+    points[:, :2] *= ((0.4 * level + sensor.focal_m) / level)[:, None]  # in a room so small that it matters
+    points[:, 2] *= 0.4
+    ring = np.tile(np.arange(sensor.n_beams), int(360 / STEP_DEG)) if with_rings else None
+    facts = describe_sensor(points, ring)
+    assert (facts.model, facts.focal_m) == (sensor.title, sensor.focal_m)
+    np.testing.assert_allclose(facts.elevation_deg, np.sort(sensor.elevation_deg), atol=0.02)
+    assert f"beams cross: {1e3 * sensor.focal_m:.1f} mm before the axis" in sensor_lines(facts)
+    assert any("42" in text or "41.9" in text for text in differences(facts, describe_sensor(room(sensor))))
+
+
+def test_a_focal_distance_of_another_sensor_names_none():
+    crossing = replace(pattern(" ".join(map(str, SENSORS["pandar40p"].elevation_deg))), focal_m=0.0424)
+    assert recognise(crossing)[0] is None
+    assert recognise(replace(crossing, focal_m=0.0))[0] == "Hesai Pandar40P"

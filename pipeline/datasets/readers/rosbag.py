@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,8 @@ def read(address: Address) -> Scan:
 
             packets = [(p.stamp.sec + p.stamp.nanosec * 1e-9, p.data.tobytes()) for p in message.packets]
             columns = decoded(address.file, packets)
-    return scan_from_columns(address.file, columns)
+    stamp = message.header.stamp
+    return replace(scan_from_columns(address.file, columns), stamp_s=stamp.sec + stamp.nanosec * 1e-9)
 
 
 def frames(address: Address) -> list[Path]:

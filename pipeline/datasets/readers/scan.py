@@ -50,6 +50,7 @@ class Scan:
     rings : (n,) int32, number of the beam, or None; -1 where it is NaN
     times_s : (n,) float64, seconds, from where the file counts them; or None
     label_names : what the format calls the labels that are numbers; {} where it names none
+    stamp_s : the time of the scan as a whole, seconds, where its message has one; no content, and in no hash
     """
 
     points: FloatArray
@@ -60,6 +61,7 @@ class Scan:
     rings: IntArray | None = None
     times_s: FloatArray | None = None
     label_names: Mapping[int, str] = field(default_factory=dict)
+    stamp_s: float | None = None
 
     def content_hash(self) -> str:
         """SHA-256 of all that was read, as hexadecimal digits."""

@@ -35,6 +35,7 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
     return {
         "dataset": str(dataset.folder),
         "pairs": pairs,
+        "notes": [*dataset.notes],
         "warnings": [*dataset.warnings],
         "faults": [*dataset.faults],
         "sensors": asdict(dataset.sensors),
@@ -60,6 +61,7 @@ def check_view(dataset: DatasetCheck) -> RenderableType:
     return Group(
         plain_table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *_sensor_lines(dataset.sensors),
+        *map(Text, dataset.notes),
         *(Text(f"warning: {text}", style="yellow") for text in dataset.warnings),
         *(Text(f"fault: {text}", style="red") for text in dataset.faults),
         _space_needed(_disk_bytes(dataset)),

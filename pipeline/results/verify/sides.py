@@ -39,7 +39,7 @@ def check_scan(pair: StoredPair, comparisons: Comparisons) -> None:
             settings.max_range_m,
             settings.exclude_box,
             T,
-            flip_y=side == "sim" and settings.sim_flip_y,
+            frame=settings.frame_of(side),
             include_box=settings.include_box,
         )
         place, ground = pair.place("scan", side), pair.columns("ground", side)

@@ -1,0 +1,256 @@
+"""Which faults of a side as a whole does check see, and how often does it see one where there is none?
+
+    python benchmarks/checks.py ../shared/data     # the tables of docs/checks.md
+
+Hits: each fault made on purpose. False alarms: the same recordings as they are, the simulated side measured again (3 cm
+noise, 30 % lost) where there is none. The limits were chosen on the recordings that are not called held out.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import re
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from fidpipe.pipeline.datasets.pairs import ScanPair
+from fidpipe.pipeline.datasets.readers import frames_of, read_scan
+from fidpipe.pipeline.datasets.readers.scan import Scan
+from fidpipe.pipeline.datasets.side_checks import SideSamples
+from fidpipe.schemas.settings import FRAME_AXES, InputSettings
+from fidpipe.stages.clean import as_ros, clean_scan
+from fidpipe.stages.sensing.frames import check_frames
+from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.sensor_models import SENSORS
+from fidpipe.stages.sensing.stamps import describe_stamps
+
+SETTINGS = InputSettings()
+SEEN = {  # which fault a warning is of
+    "late": r"frames? late",
+    "early": r"frames? early|or more early",
+    "static real": "all real scans are alike",
+    "static sim": "all simulated scans are alike",
+    "empty": "nearly empty",
+    "ego real": r"^real scans: .* own vehicle",
+    "ego sim": r"^simulated scans: .* own vehicle",
+}
+
+
+def again(points, seed):
+    rng = np.random.default_rng(seed)
+    kept = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+    kept = kept[rng.random(len(kept)) < 0.7]
+    return kept + rng.normal(0, 0.03, kept.shape)
+
+
+def bonnet(n, seed=0):
+    """Returns of a bonnet, 2.6 to 3.8 m ahead and 0.8 m below the sensor."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform([2.6, -0.8, -0.85], [3.8, 0.8, -0.75], (n, 3))
+
+
+def with_bonnet(scans, n):
+    return [np.vstack([points, bonnet(n, i)]) for i, points in enumerate(scans)]
+
+
+def still(scans):
+    return [again(scans[0], 100 + i) for i in range(len(scans))]
+
+
+#: Fault: what becomes of both sides, and what is to be seen.
+FAULTS = {
+    "none": (lambda real, sim: (real, sim), None),
+    "simulated 1 frame late": (lambda real, sim: (real[1:], sim[:-1]), "late"),
+    "simulated 2 frames late": (lambda real, sim: (real[2:], sim[:-2]), "late"),
+    "simulated 1 frame early": (lambda real, sim: (real[:-1], sim[1:]), "early"),
+    "simulated side static": (lambda real, sim: (real, still(sim)), "static sim"),
+    "real side static": (lambda real, sim: (still(real), sim), "static real"),
+    "simulated side nearly empty (1 point in 40)": (lambda real, sim: (real, [each[::40] for each in sim]), "empty"),
+    "300 hits on the bonnet, real": (lambda real, sim: (with_bonnet(real, 300), sim), "ego real"),
+    "3000 hits on the bonnet, simulated": (lambda real, sim: (real, with_bonnet(sim, 3000)), "ego sim"),
+}
+
+
+def points_of(paths):
+    return [read_scan(path).points for path in paths]
+
+
+def streets(seed, n, sensor):
+    pairs = [make_pair(seed, i, SENSORS[sensor]) for i in range(n)]
+    return tuple(
+        [pair_side.rows[:, :3].astype(float) for pair_side in side]
+        for side in ([pair.real for pair in pairs], [pair.sim for pair in pairs])
+    )
+
+
+def with_copies(scans):
+    return scans, [again(points, i) for i, points in enumerate(scans)]
+
+
+def sequences(data):
+    """Real and simulated scans in order of time, by what they are."""
+    return {
+        "kitti_sequence": with_copies(points_of(sorted((data / "kitti_sequence").glob("*.bin")))),
+        "kitti_twin": tuple(points_of(sorted((data / "kitti_twin" / side).iterdir())) for side in ("real", "sim")),
+        "VLP-32C, parked": with_copies(points_of(frames_of(data / "velodyne_vlp32c/sweeps.pcap")[:4])),
+        "carla, 2 frames": with_copies(points_of(data / "carla" / f"0000{i}.bin" for i in (30, 31))),
+        "synth --seed 0": streets(0, 8, "vlp32c"),
+        "held out: synth --seed 31 --sensor os1-64": streets(31, 8, "os1-64"),
+        "held out: registration": with_copies(
+            points_of(data / "registration" / f"{i}.ply" for i in ("source", "target"))
+        ),
+    }
+
+
+def seen(real, sim):
+    """The faults that are named of two sides, and the seconds that this took."""
+    pairs = [ScanPair(f"{i:03}", Path("real"), Path("sim"), 0.1 * i) for i in range(len(real))]
+    start = time.process_time()
+    samples = SideSamples(pairs, SETTINGS)
+    for pair, *scans in zip(pairs, real, sim, strict=True):
+        samples.add(pair, {side: Scan(points) for side, points in zip(("real", "sim"), scans, strict=True)})
+    counts = {
+        side: [len(clean_scan(points, SETTINGS).points) for points in scans]
+        for side, scans in zip(("real", "sim"), (real, sim), strict=True)
+    }
+    lines = samples.warnings(counts)
+    seconds = time.process_time() - start
+    return {name for name, pattern in SEEN.items() for line in lines if re.search(pattern, line)}, lines, seconds
+
+
+def sides(data):
+    found, seconds, odd = sequences(data), [], []
+    print("| fault | " + " | ".join(found) + " |\n" + "|---" * (len(found) + 1) + "|")
+    for fault, (change, wanted) in FAULTS.items():
+        cells = []
+        for name, (real, sim) in found.items():
+            own_real, own_sim = change(real, sim)
+            if not own_real:
+                cells.append("")
+                continue
+            names, lines, own_s = seen(own_real, own_sim)
+            seconds.append(own_s / len(own_real))
+            cells.append(
+                ("seen" if wanted in names else "not seen" if wanted else "nothing")
+                + (f", and {', '.join(sorted(names - {wanted}))}" if names - {wanted} else "")
+            )
+            odd += [(fault, name, line) for line in lines] if names != {wanted} - {None} else []
+        print(f"| {fault} | " + " | ".join(cells) + " |", flush=True)
+    print("\nNot as wanted:")
+    for fault, name, line in odd:
+        print(f"- {fault}; {name}: {line}")
+    print(f"\n{np.median(seconds):.2f} s of one core a pair that is looked at, cleaning and benchmark included")
+
+
+def turned(points):
+    """Times of a scan whose sensor turns clockwise in 0.1 s, by azimuth."""
+    return (0.5 - np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)) * 0.1
+
+
+def by_beam(points):
+    """The points row by row, as organised clouds have them."""
+    slope = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    return points[np.lexsort((turned(points), np.round(slope, 2)))]
+
+
+STAMP_FAULTS = {
+    "none": (lambda times, rng: times, ""),
+    "half are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.5, np.nan, times), "no time of their own"),
+    "every other is 0": (lambda times, rng: np.where(np.arange(len(times)) % 2, times, 0.0), "no time of their own"),
+    "half as many": (lambda times, rng: times[::2], "one each is wanted"),
+    "one for all": (lambda times, rng: np.full(len(times), 5.0), "all points have one time"),
+    "milliseconds": (lambda times, rng: 1e3 * times, "milliseconds"),
+    "nanoseconds": (lambda times, rng: 1e9 * times, "nanoseconds"),
+    "of other points": (lambda times, rng: rng.permutation(times), "go round"),
+    "by row, not by turn": (lambda times, rng: np.linspace(0, 0.1, len(times)), "go round"),
+    "5 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.05, np.nan, times), "no time of their own"),
+    "1 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.01, np.nan, times), "no time of their own"),
+    "backwards": (lambda times, rng: times.max() - times, "go round"),
+}
+
+
+def stamps(data):
+    recorded = [
+        read_scan(path)
+        for name in ("rosbag1.bag", "sweeps.pcap")
+        for path in frames_of(data / "velodyne_vlp32c" / name)
+    ]
+    os1 = points_of([data / "rellis/000104.bin"])
+    named = {
+        "VLP-32C, bag and capture": [(scan.points, scan.times_s) for scan in recorded],
+        "kitti_sequence, times made": [
+            (points, turned(points))
+            for points in map(by_beam, points_of(sorted((data / "kitti_sequence").glob("*.bin"))))
+        ],
+        "held out: rellis OS1-64, times made": [(points, turned(points)) for points in os1],
+        "held out: nuscenes, times made": [
+            (points, turned(points)) for points in map(by_beam, points_of((data / "nuscenes").glob("*.bin")))
+        ],
+    }
+    print("\n| times | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 1) + "|")
+    for fault, (change, words) in STAMP_FAULTS.items():
+        cells = []
+        for own in named.values():
+            rng = np.random.default_rng(0)
+            told = [describe_stamps(change(times, rng), points).faults for points, times in own]
+            hits = sum(any(words in text for text in each) if words else bool(each) for each in told)
+            cells.append(f"{hits} of {len(own)}")
+        print(f"| {fault} | " + " | ".join(cells) + " |", flush=True)
+    places = {}
+    for scan in recorded:
+        for at in (0.0, 0.5, 1.0):
+            relative = scan.times_s - scan.times_s.min() - at * np.ptp(scan.times_s)
+            place = describe_stamps(relative, scan.points, 0.0).place
+            places[at, place] = places.get((at, place), 0) + 1
+    print(f"\nTime of the scan moved to its first (0), middle (0.5), last (1) point, and what is told: {places}")
+
+
+def frames(data):
+    twin = list(
+        zip(*(points_of(sorted((data / "kitti_twin" / side).iterdir())) for side in ("real", "sim")), strict=True)
+    )
+    carla = points_of([data / "carla/000030.bin"])
+    nuscenes = points_of((data / "nuscenes").glob("*.bin"))
+    held = points_of([data / "registration/source.ply"])
+    named = {
+        "kitti_twin": twin,
+        "carla, nuscenes, measured again": [(points, again(points, 0)) for points in carla + nuscenes],
+        "synth --seed 0": list(zip(*streets(0, 8, "vlp32c"), strict=True)),
+        "held out: synth --seed 31 --sensor os1-64": list(zip(*streets(31, 8, "os1-64"), strict=True)),
+        "held out: registration, measured again": [(points, again(points, 0)) for points in held],
+    }
+    print("\n| real | simulated | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 2) + "|")
+    for real_frame in FRAME_AXES:
+        for sim_frame in FRAME_AXES:
+            cells = []
+            for pairs in named.values():
+                n_seen = n_mended = 0
+                for real, sim in pairs:
+                    own = [
+                        points[np.isfinite(points).all(axis=1)] @ as_ros(np.eye(3), frame).T
+                        for points, frame in zip((real, sim), (real_frame, sim_frame), strict=True)
+                    ]
+                    check = check_frames(*own, SETTINGS)
+                    if check is None or not check.is_suspect:
+                        continue
+                    n_seen += 1
+                    words = dict(re.findall(r"input\.(\w+)=([\w-]+)", check.setting))
+                    if "T_real_sim" not in check.setting:
+                        mended = check_frames(*own, InputSettings(**words))
+                        n_mended += mended is not None and not mended.is_suspect
+                cells.append(f"{n_seen} of {len(pairs)}" + (f", mended {n_mended}" if n_seen else ""))
+            print(f"| {real_frame} | {sim_frame} | " + " | ".join(cells) + " |", flush=True)
+
+
+def main(data):
+    sides(data)
+    stamps(data)
+    frames(data)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

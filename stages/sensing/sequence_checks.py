@@ -1,0 +1,244 @@
+"""What is wrong with the scans of a side as a sequence: it stands still, is late, is empty, or sees its own vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from .frames import ground_height
+from .surfels import voxel_ids
+
+_COMPARED_M = (3.0, 40.0)
+_VOXEL_M = 0.5
+_ABOVE_GROUND_M = 0.5
+_ASKED = 800
+_FEWEST_ASKED = 50
+_FARTHEST_M = 1.0
+
+_STILL_M = 0.15  # misfit of scans of one place; a dense one with noise of 10 cm included
+_MOVING_M = 0.25
+
+MOST_FRAMES_LATE = 3
+_LEAST_GAIN_M, _LEAST_GAIN = 0.05, 0.15
+_FEWEST_COMPARISONS, _AGREEING = 3, 0.8
+
+_EMPTY = 0.05
+
+_EGO_M, _AROUND_M = 5.0, 6.5
+_EGO_GROUND_M = 0.35
+_SAME_PLACE_M = 0.1
+_LINK_M = 0.5
+_FEWEST_SCANS = 3  # of two, half a metre apart in a narrow yard, surfaces that the motion slides along seem to stay
+_LEAST_SHARE = 0.002
+_FEWEST_NEAR = 20
+
+
+class Places:
+    """What is compared of a scan: all its points within 40 m, and some of those above the ground.
+
+    points : (n, 3) float64, metres, the real sensor's frame, z up, finite; those nearer than 3 m are left out
+    """
+
+    def __init__(self, points: FloatArray) -> None:
+        level = np.hypot(points[:, 0], points[:, 1])
+        points = points[(level > _COMPARED_M[0]) & (level < _COMPARED_M[1])]
+        thinned = (
+            points[np.sort(np.unique(voxel_ids(points, _VOXEL_M), return_index=True)[1])] if len(points) else points
+        )
+        self.ground_m = ground_height(thinned)
+        above = thinned[thinned[:, 2] > self.ground_m + _ABOVE_GROUND_M]
+        self.asked: FloatArray = above[np.random.default_rng(0).permutation(len(above))[:_ASKED]]
+        self.tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+    def misfit_m(self, other: Places) -> float:
+        """Mean distance of either's points above the ground to the other scan, of 1 m at most; NaN of too few points.
+
+        0 of the same scan; on recordings about 0.03 of a sensor that stands still, 0.4 of one 0.8 m ahead.
+        """
+        distances = [_apart(own, scan.tree) for own, scan in ((self.asked, other), (other.asked, self))]
+        return float(np.mean([apart.mean() for apart in distances if len(apart) >= _FEWEST_ASKED] or [np.nan]))
+
+
+@dataclass(frozen=True)
+class TimeOffset:
+    """A side that is late.
+
+    frames : by so many the simulated side is late; negative where it is early
+    misfit_m, as_paired_m : mean misfit of the scans that fit, and of the same real scans with those of their pairs
+    n_better, n : of so many comparisons so many are better
+    """
+
+    frames: int
+    misfit_m: float
+    as_paired_m: float
+    n_better: int
+    n: int
+
+
+@dataclass(frozen=True)
+class EgoHits:
+    """Returns of the sensor's own vehicle.
+
+    share : of the points, mean over the scans
+    farthest_m : range within which they lie
+    low, high : corners of their box, metres, the scan's own frame but z up
+    others_in_range, others_in_box : shares of the points that are as near, or in the box, and no such returns
+    """
+
+    share: float
+    farthest_m: float
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    others_in_range: float
+    others_in_box: float
+
+
+def find_time_offset(sequences: Sequence[tuple[Sequence[Places], Sequence[Places]]]) -> TimeOffset | None:
+    """By how many frames the simulated side is late, if scans of other pairs fit clearly better; else None.
+
+    The misfit m(i, j) of real scan i and simulated scan j is compared with m(i, i), for j = i + k and |k| <= 3. The k
+    of the largest mean gain m(i, i) - m(i, i + k) is late by k if that is at least 0.05 m and 15 % of m(i, i), and
+    positive in 80 % of at least three comparisons. A simulated sensor that is mounted ahead by what the vehicle drives
+    in a frame gives the same; sensors that stand still give nothing.
+
+    Parameters
+    ----------
+    sequences : of each stretch of neighbouring frames, the real and the simulated scans in order of time
+    """
+    gains: dict[int, list[tuple[float, float]]] = {}
+    for real, sim in sequences:
+        paired = [a.misfit_m(b) for a, b in zip(real, sim, strict=True)]
+        for late in range(-MOST_FRAMES_LATE, MOST_FRAMES_LATE + 1):
+            for i in range(max(0, -late), min(len(real), len(real) - late)) if late else ():
+                gains.setdefault(late, []).append((paired[i], real[i].misfit_m(sim[i + late])))
+    best: TimeOffset | None = None
+    for late, values in gains.items():
+        both = np.array(values)
+        both = both[np.isfinite(both).all(axis=1)]
+        if len(both) < _FEWEST_COMPARISONS:
+            continue
+        as_paired, other = both.mean(axis=0).tolist()
+        n_better = int((both[:, 1] < both[:, 0]).sum())
+        is_clear = as_paired - other > max(_LEAST_GAIN_M, _LEAST_GAIN * as_paired) and n_better >= _AGREEING * len(both)
+        if is_clear and (best is None or other - as_paired < best.misfit_m - best.as_paired_m):
+            best = TimeOffset(late, other, as_paired, n_better, len(both))
+    return best
+
+
+def moved_m(sequences: Sequence[Sequence[Places]]) -> float:
+    """Median misfit of neighbouring scans of a side: how much it changes from frame to frame; NaN where none compare.
+
+    Parameters
+    ----------
+    sequences : the scans of each stretch of neighbouring frames, in order of time
+    """
+    misfits = [a.misfit_m(b) for scans in sequences for a, b in pairwise(scans)]
+    finite = [misfit for misfit in misfits if np.isfinite(misfit)]
+    return float(np.median(finite)) if finite else float("nan")
+
+
+def is_moving(side_moved_m: float) -> bool:
+    """Whether a side's scans differ so much from frame to frame (`moved_m`) that its sensor moves."""
+    return side_moved_m > _MOVING_M
+
+
+def find_static_side(real_moved_m: float, sim_moved_m: float) -> str | None:
+    """The side ("real" or "sim") whose scans are one scan, but for noise, while the other's are not; else None.
+
+    Parameters
+    ----------
+    real_moved_m, sim_moved_m : see `moved_m`
+    """
+    for side, own, other in (("real", real_moved_m, sim_moved_m), ("sim", sim_moved_m, real_moved_m)):
+        if own < _STILL_M and is_moving(other) and other > 2.5 * own:
+            return side
+    return None
+
+
+def find_empty_side(n_real: IndexArray, n_sim: IndexArray) -> str | None:
+    """The side ("real" or "sim") whose scans have less than a twentieth of the other's points; else None.
+
+    Parameters
+    ----------
+    n_real, n_sim : (n,), (m,) intp, points of each scan after cleaning; the median of each counts
+    """
+    for side, own, other in (("real", n_real, n_sim), ("sim", n_sim, n_real)):
+        if len(own) and len(other) and np.median(own) < _EMPTY * np.median(other):
+            return side
+    return None
+
+
+def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | None:
+    """Returns near the sensor that stay where they are while it moves, and so are of its own vehicle; else None.
+
+    They lie within 5 m, 0.35 m above or below the ground, have a return within 0.1 m in 80 % of the other scans, and
+    are linked (0.5 m) to nothing that stays and reaches farther, as a wall along the road does. They are told if they
+    are 0.2 % of the points. One or two scans tell nothing.
+
+    Parameters
+    ----------
+    scans : (n, 3) float64 each, metres, their own frame, z up, finite; of a sensor that moves, see `is_moving`
+    ground_m : z of the ground
+    """
+    if len(scans) < _FEWEST_SCANS:
+        return None
+    near = [_near(points, ground_m) for points in scans]
+    trees = [cKDTree(own) for own in near]
+    hits = [_staying(own, [*trees[:i], *trees[i + 1 :]]) for i, own in enumerate(near)]
+    share = float(np.mean([len(own) / max(len(points), 1) for own, points in zip(hits, scans, strict=True)]))
+    every = np.concatenate(hits)
+    if share < _LEAST_SHARE or len(every) < _FEWEST_NEAR:
+        return None
+    low, high = np.floor(10 * every.min(axis=0)) / 10, np.ceil(10 * every.max(axis=0)) / 10
+    farthest_m = float(np.ceil(10 * np.sqrt((every**2).sum(axis=1)).max()) / 10)
+
+    def others(is_in: Callable[[FloatArray], BoolArray]) -> float:
+        n_in = [int(is_in(points).sum()) - len(own) for points, own in zip(scans, hits, strict=True)]
+        return max(0.0, float(np.mean([n / max(len(points), 1) for n, points in zip(n_in, scans, strict=True)])))
+
+    return EgoHits(
+        share=share,
+        farthest_m=farthest_m,
+        low=tuple(low.tolist()),
+        high=tuple(high.tolist()),
+        others_in_range=others(lambda points: (points**2).sum(axis=1) < farthest_m**2),
+        others_in_box=others(lambda points: ((points >= low) & (points <= high)).all(axis=1)),
+    )
+
+
+def _apart(points: FloatArray, tree: cKDTree) -> FloatArray:
+    distance, _ = tree.query(points, distance_upper_bound=_FARTHEST_M) if len(points) else (np.empty(0), None)
+    cut: FloatArray = np.minimum(distance, _FARTHEST_M)
+    return cut
+
+
+def _near(points: FloatArray, ground_m: float) -> FloatArray:
+    is_near = np.hypot(points[:, 0], points[:, 1]) < _AROUND_M
+    return points[is_near & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)]
+
+
+def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
+    """Near points of a scan that are in most others too, and belong to no piece that reaches beyond 5 m."""
+    if not len(own):
+        return own
+    n_seen = np.zeros(len(own))
+    for other in others:
+        n_seen += np.isfinite(other.query(own, distance_upper_bound=_SAME_PLACE_M)[0]) if other.n else 0
+    own = own[n_seen >= _AGREEING * len(others)]
+    if not len(own):
+        return own
+    _, first, cell = np.unique(voxel_ids(own, _LINK_M / 2), return_index=True, return_inverse=True)
+    joined = cKDTree(own[first]).query_pairs(_LINK_M, output_type="ndarray")
+    links = coo_matrix((np.ones(len(joined), dtype=np.int8), joined.T), shape=(len(first), len(first)))
+    piece = connected_components(links, directed=False)[1][cell]
+    reach = np.zeros(piece.max() + 1)
+    np.maximum.at(reach, piece, np.hypot(own[:, 0], own[:, 1]))
+    staying: FloatArray = own[reach[piece] < _EGO_M]
+    return staying
