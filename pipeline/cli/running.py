@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from . import completion
 from .options import (
     EXIT_WRONG_INPUT,
     AsJson,
@@ -95,7 +96,13 @@ def run(
     scheduler: Scheduler = None,
     pair_timeout: PairTimeout = None,
     from_stage: Annotated[
-        str | None, typer.Option("--from", metavar="STAGE", help="Make this stage and those after it again.")
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="STAGE",
+            help="Make this stage and those after it again.",
+            autocompletion=completion.stages,
+        ),
     ] = None,
     pairs: Annotated[
         str | None,
