@@ -9,10 +9,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache__/*' | sort)
 FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-	--config-settings editable_mode=strict
+LOCK := requirements.lock
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: run test check fast bench clean setup browser javascript
+.PHONY: run test check fast bench clean setup browser javascript lock
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -64,11 +64,18 @@ browser:
 setup: $(VENV)/installed-$(FILE_LIST)
 
 # A strict editable install links file by file: a new file or new metadata means installing again.
-$(VENV)/installed-$(FILE_LIST): pyproject.toml constraints.txt
+# All that is fetched is in the lock with its hash, setuptools too, which builds the package.
+$(VENV)/installed-$(FILE_LIST): pyproject.toml $(LOCK)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(INSTALL) --editable '.[all,dev]'
+	$(PIP) --require-hashes --requirement $(LOCK)
+	$(PIP) --no-deps --no-build-isolation --config-settings editable_mode=strict --editable .
 	rm -f $(VENV)/installed-*
 	touch $@
+
+# After a change of dependencies; versions that still fit stay. UPGRADE=--upgrade takes the newest of all.
+lock: setup
+	$(BIN)/uv pip compile pyproject.toml --all-extras --universal --generate-hashes --no-annotate --quiet $(UPGRADE) \
+		--custom-compile-command "make lock" --output-file $(LOCK)
 
 clean:
 	rm -rf $(VENV) build .cache *.egg-info

@@ -7,6 +7,7 @@ from pathlib import Path
 import pexpect
 import pytest
 
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.settings import Settings
 from runs import FIDPIPE, STAGE_NAMES, command
@@ -28,7 +29,7 @@ def offered(place, line):
     asked = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1), "_FIDPIPE_COMPLETE": "complete_bash"}
     answer = command(cwd=place, env=os.environ | asked)
     assert (answer.returncode, answer.stderr) == (0, "")
-    return answer.stdout.splitlines()
+    return answer.stdout.split()
 
 
 @pytest.mark.parametrize(
@@ -64,10 +65,10 @@ def test_what_cannot_be_read_offers_nothing_and_says_nothing(tmp_path):
 def test_every_measure_that_is_offered_can_be_measured(place):
     names = offered(place, "fidpipe gate runs/streets --max ")
     assert "r_lambda.mean=" in names
-    measures = Measures(place / "runs" / "streets")
+    measures = Measures(FinishedRun(place / "runs" / "streets"))
     for name in names:
         if not name.startswith("excess."):
-            measures.measure(name.removesuffix("="))
+            measures.named(name.removesuffix("="))
 
 
 def test_every_setting_is_offered(place):
@@ -81,13 +82,17 @@ def test_a_shell_completes_after_install_completion(shell, place, tmp_path):
     path = f"{Path(FIDPIPE).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {"HOME": str(tmp_path), "PATH": path, "TERM": "dumb", "LANG": "C.UTF-8"}
     options = {"cwd": str(place), "env": environment, "encoding": "utf-8", "timeout": 60, "dimensions": (40, 200)}
-    installed, code = pexpect.run(f"{FIDPIPE} --install-completion {shell}", withexitstatus=True, **options)
-    assert code == 0, installed
+    installed = pexpect.run(f"{shell} -c 'fidpipe --install-completion; echo code $?'", **options)
+    assert "code 0" in installed
     assert f"{shell} completion installed" in installed
     terminal = pexpect.spawn(shell, ["-i"], **options)
     try:
         terminal.sendline("echo lo''aded")
         terminal.expect_exact("\nloaded")
+        if shell == "zsh":  # typer's file of functions answers only from the second Tab of a session on
+            terminal.send("fidpipe sett\t")
+            terminal.expect_exact("\a")
+            terminal.sendcontrol("c")
         for line, rest in [
             ("fidpipe sett", "ings"),
             ("fidpipe show ru", "ns/streets"),
