@@ -12,7 +12,7 @@ FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: run test check fast bench clean setup browser javascript lock
+.PHONY: run test check fast bench clean setup browser javascript lock release-check
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -73,9 +73,17 @@ $(VENV)/installed-$(FILE_LIST): pyproject.toml $(LOCK)
 	touch $@
 
 # After a change of dependencies; versions that still fit stay. UPGRADE=--upgrade takes the newest of all.
+# requirements-run.lock is the part of it that a run needs: for images and clusters.
+LOCKED = $(BIN)/uv pip compile pyproject.toml --universal --generate-hashes --no-annotate --quiet \
+	--custom-compile-command "make lock"
+
 lock: setup
-	$(BIN)/uv pip compile pyproject.toml --all-extras --universal --generate-hashes --no-annotate --quiet $(UPGRADE) \
-		--custom-compile-command "make lock" --output-file $(LOCK)
+	$(LOCKED) --all-extras $(UPGRADE) --output-file $(LOCK)
+	$(LOCKED) --extra all --constraint $(LOCK) --upgrade --output-file requirements-run.lock
+
+# Archives, clean installs, extras, the Dockerfile's steps: some minutes, wants the package index.
+release-check: setup
+	$(BIN)/python tests/release.py
 
 clean:
 	rm -rf $(VENV) build .cache *.egg-info

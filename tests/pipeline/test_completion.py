@@ -80,7 +80,7 @@ def test_a_shell_completes_after_install_completion(shell, place, tmp_path):
     if shutil.which(shell) is None:
         pytest.skip(f"{shell} is not installed")
     path = f"{Path(FIDPIPE).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {"HOME": str(tmp_path), "PATH": path, "TERM": "dumb", "LANG": "C.UTF-8"}
+    environment = {"HOME": str(tmp_path), "PATH": path, "TERM": "xterm", "LANG": "C.UTF-8"}
     options = {"cwd": str(place), "env": environment, "encoding": "utf-8", "timeout": 60, "dimensions": (40, 200)}
     installed = pexpect.run(f"{shell} -c 'fidpipe --install-completion; echo code $?'", **options)
     assert "code 0" in installed
@@ -91,7 +91,7 @@ def test_a_shell_completes_after_install_completion(shell, place, tmp_path):
         terminal.expect_exact("\nloaded")
         if shell == "zsh":  # typer's file of functions answers only from the second Tab of a session on
             terminal.send("fidpipe sett\t")
-            terminal.expect_exact("\a")
+            terminal.expect_exact(["\a", "ings"])
             terminal.sendcontrol("c")
         for line, rest in [
             ("fidpipe sett", "ings"),
@@ -102,7 +102,9 @@ def test_a_shell_completes_after_install_completion(shell, place, tmp_path):
             ("fidpipe gate runs/streets --max r_gap.st", "d="),
             ("fidpipe check no", "tes"),
         ]:
-            terminal.send(f"{line}\t")
+            terminal.send(line)
+            terminal.expect_exact(line[-3:])  # a Tab among typed-ahead keys completes nothing in zsh
+            terminal.send("\t")
             terminal.expect_exact(rest)
             terminal.sendcontrol("c")
     finally:
