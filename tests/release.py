@@ -42,7 +42,7 @@ def build(folder):
     """Both archives; the wheel is built from the unpacked source archive."""
     run(BIN / "python", "-m", "build", "--no-isolation", "--outdir", folder / "dist", HOUSE)
     run(BIN / "twine", "check", "--strict", wheel(folder), sdist(folder))
-    return f"{wheel(folder).name} {wheel(folder).stat().st_size:,} B, {sdist(folder).name} {sdist(folder).stat().st_size:,} B"
+    return ", ".join(f"{path.name} {path.stat().st_size:,} B" for path in (wheel(folder), sdist(folder)))
 
 
 def check_contents(folder):
@@ -92,7 +92,8 @@ def try_wheel(folder):
         lines = [line for line in refused.stderr.splitlines() if re.search(rf"pip install .fidpipe\[{advised}\]", line)]
         demand(refused.returncode in {1, 3} and lines, f"extra {extra} missing: {refused.returncode}, {refused.stderr}")
         demand("Traceback" not in refused.stderr, refused.stderr)
-    return f"run and report with {len(run(BIN / 'uv', 'pip', 'list', '--python', bin_).splitlines()) - 2} packages; {len(MISSING)} hints"
+    n_packages = len(run(BIN / "uv", "pip", "freeze", "--python", bin_ / "python").splitlines())
+    return f"run and report with {n_packages} packages; {len(MISSING)} hints"
 
 
 def try_extras(folder):
@@ -118,7 +119,7 @@ def try_sdist(folder):
 
 
 def try_dockerfile(folder):
-    """Its COPY and RUN steps in a folder instead of an image, then its command as another user and without a network."""
+    """Its COPY and RUN steps in a folder instead of an image, then its command as another user, without network."""
     python = base_python()
     root = folder / "image"
     stages = re.split(r"^FROM ", (HOUSE / "Dockerfile").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
