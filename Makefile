@@ -10,11 +10,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache__/*' | sort)
 FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-	--config-settings editable_mode=strict
+LOCK := requirements.lock
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test check fast docs bench clean setup browser javascript
+.PHONY: run test check fast docs bench clean setup browser javascript lock release-check
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -71,11 +71,26 @@ browser:
 setup: $(VENV)/installed-$(FILE_LIST)
 
 # A strict editable install links file by file: a new file or new metadata means installing again.
-$(VENV)/installed-$(FILE_LIST): pyproject.toml constraints.txt
+# All that is fetched is in the lock with its hash, setuptools too, which builds the package.
+$(VENV)/installed-$(FILE_LIST): pyproject.toml $(LOCK)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(INSTALL) --editable '.[all,dev,docs]'
+	$(PIP) --require-hashes --requirement $(LOCK)
+	$(PIP) --no-deps --no-build-isolation --config-settings editable_mode=strict --editable .
 	rm -f $(VENV)/installed-*
 	touch $@
+
+# After a change of dependencies; versions that still fit stay. UPGRADE=--upgrade takes the newest of all.
+# requirements-run.lock is the part of it that a run needs: for images and clusters.
+LOCKED = $(BIN)/uv pip compile pyproject.toml --universal --generate-hashes --no-annotate --quiet \
+	--custom-compile-command "make lock"
+
+lock: setup
+	$(LOCKED) --all-extras $(UPGRADE) --output-file $(LOCK)
+	$(LOCKED) --extra all --constraint $(LOCK) --upgrade --output-file requirements-run.lock
+
+# Archives, clean installs, extras, the Dockerfile's steps: some minutes, wants the package index.
+release-check: setup
+	$(BIN)/python tests/release.py
 
 clean:
 	rm -rf $(VENV) build .cache *.egg-info

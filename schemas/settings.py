@@ -27,6 +27,8 @@ from .metrics import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
 
+_COLUMNS = ["x", "y", "z", "intensity", "ring"]
+
 #: Frames that scans are recorded in, metres and degrees: x, y and z of each. Coordinates of `carla` are left-handed.
 FrameName = Literal["ros", "carla", "nuscenes", "kitti-cam"]
 FRAME_AXES: dict[FrameName, str] = {
@@ -47,17 +49,25 @@ class InputSettings(_Group):
     columns: tuple[str, ...] | None = Field(
         None,
         description="names of the float32 columns of a .bin file; by default x y z intensity (and ring in .pcd.bin)",
+        examples=[_COLUMNS],
     )
-    real_columns: tuple[str, ...] | None = Field(None, description="the same for the real side alone")
-    sim_columns: tuple[str, ...] | None = Field(None, description="the same for the simulated side alone")
+    real_columns: tuple[str, ...] | None = Field(
+        None, description="the same for the real side alone", examples=[_COLUMNS]
+    )
+    sim_columns: tuple[str, ...] | None = Field(
+        None, description="the same for the simulated side alone", examples=[_COLUMNS]
+    )
     min_range_m: Annotated[float, Field(ge=0, description="nearer points are dropped (3-D range, own frame)")] = 2.5
     max_range_m: Annotated[float, Field(gt=0, description="farther points are dropped")] = 100.0
     exclude_box: Box | None = Field(
         None,
         description="xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)",
+        examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]],
     )
     include_box: Box | None = Field(
-        None, description="xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped"
+        None,
+        description="xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped",
+        examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]],
     )
     sim_flip_y: bool = Field(
         False, description='negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"'
@@ -70,7 +80,9 @@ class InputSettings(_Group):
     )
     sim_frame: FrameName = Field("ros", description="the same of the simulated scans")
 
-    @field_validator("columns", "real_columns", "sim_columns", "exclude_box", "include_box", mode="before")
+    @field_validator(
+        "columns", "real_columns", "sim_columns", mode="before", json_schema_input_type=tuple[str, ...] | str
+    )
     @classmethod
     def _split_words(cls, value: Any) -> Any:
         """`x,y,z,intensity` and `x y z intensity` are read as lists."""
@@ -94,7 +106,7 @@ class InputSettings(_Group):
                 raise ValueError("each name may stand once")
         return value
 
-    @field_validator("exclude_box", "include_box", mode="before")
+    @field_validator("exclude_box", "include_box", mode="before", json_schema_input_type=Box | str)
     @classmethod
     def _box_has_six_numbers(cls, value: Any) -> Any:
         words = value.replace(",", " ").split() if isinstance(value, str) else value
@@ -146,7 +158,7 @@ class GroundSettings(_Group):
     """How the road is cut away."""
 
     method: Literal["pca", "patchwork", "none"] = Field(
-        "pca", description='PCA Z-cut, patchwork++ (needs `pip install ".[patchwork]"`), or no cut'
+        "pca", description='PCA Z-cut, patchwork++ (needs `pip install "fidpipe[patchwork]"`), or no cut'
     )
     prior_m: Annotated[float, Field(ge=0, le=5, description="a-priori threshold above the road's peak")] = 0.30
     max_variance_loss: Annotated[
@@ -254,7 +266,7 @@ class MetricsSettings(_Group):
         int, Field(ge=2, description="NetLSD: larger objects are left out, their dense matrices would not fit")
     ] = 8000
 
-    @field_validator("baselines", mode="before")
+    @field_validator("baselines", mode="before", json_schema_input_type=tuple[BaselineName, ...] | str)
     @classmethod
     def _read_names(cls, value: Any) -> Any:
         """`all` is every one; `chamfer,emd` is read as a list."""
@@ -290,6 +302,7 @@ class MachineSettings(_Group):
         None,
         gt=0,
         description="memory that all worker processes together may occupy; by default four fifths of what there is",
+        examples=[8.0],
     )
 
 
@@ -429,10 +442,10 @@ def to_markdown() -> str:
     rows = ["| setting | default | allowed | what |", "|---|---|---|---|"]
     for group, field in Settings.model_fields.items():
         settings: type[BaseModel] = type(field.default)
-        schema = settings.model_json_schema()["properties"]
+        schema = settings.model_json_schema(mode="serialization")["properties"]
         for name, own in settings.model_fields.items():
             default = _markdown(own.default)
-            rows.append(f"| `{group}.{name}` | {default} | {_allowed(schema[name])} | {own.description} |")
+            rows.append(f"| `{group}.{name}` | {default} | {allowed_values(schema[name])} | {own.description} |")
     return "\n".join(rows) + "\n"
 
 
@@ -461,7 +474,7 @@ def _markdown(value: Any) -> str:
     return f"`{str(value).lower() if isinstance(value, bool) else f'{value:g}' if isinstance(value, float) else value}`"
 
 
-def _allowed(schema: dict[str, Any]) -> str:
+def allowed_values(schema: dict[str, Any]) -> str:
     """The values that a field takes, in words, from its JSON schema."""
     kinds = [kind for kind in schema.get("anyOf", [schema]) if kind.get("type") != "null"]
     kind = kinds[0]

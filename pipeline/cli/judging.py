@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from . import completion
 from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder
 from .output import print_json, print_view
 
@@ -17,11 +18,21 @@ def gate(
     run: RunFolder,
     at_most: Annotated[
         list[str] | None,
-        typer.Option("--max", metavar="MEASURE=NUMBER", help="The measure may be at most this; repeatable."),
+        typer.Option(
+            "--max",
+            metavar="MEASURE=NUMBER",
+            help="The measure may be at most this; repeatable.",
+            autocompletion=completion.criteria,
+        ),
     ] = None,
     at_least: Annotated[
         list[str] | None,
-        typer.Option("--min", metavar="MEASURE=NUMBER", help="The measure must be at least this; repeatable."),
+        typer.Option(
+            "--min",
+            metavar="MEASURE=NUMBER",
+            help="The measure must be at least this; repeatable.",
+            autocompletion=completion.criteria,
+        ),
     ] = None,
     criteria: Annotated[
         Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
@@ -81,6 +92,7 @@ def compare(
             metavar="RUN_A RUN_B [RUN_C]...",
             help="Folders of runs, up to eight; the first is the base.",
             show_default=False,
+            autocompletion=completion.run_folders,
         ),
     ],
     html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,

@@ -19,7 +19,7 @@ from .experiments import ablate, perturb
 from .judging import compare, gate, verify
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .results import export, report, show
-from .running import check, floor, run, status
+from .running import check, floor, run, settings, status
 
 _SECONDS_TO_STOP = 10.0
 _REFUSALS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)  # by the system, not our bugs
@@ -104,6 +104,6 @@ def _root(
 
 for _command in (
     *(check, run, synth, report, status, perturb, ablate, show, gate, compare),
-    *(export, floor, twin, pair, convert, verify),
+    *(export, floor, twin, pair, convert, verify, settings),
 ):
     app.command()(_command)

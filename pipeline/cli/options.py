@@ -7,12 +7,19 @@ from typing import Annotated
 
 import typer
 
+from . import completion
+
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", help="TOML file with settings; those it does not name keep their defaults.")
 ]
 Assignments = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="GROUP.NAME=VALUE", help="One setting, such as graph.k=60; repeatable."),
+    typer.Option(
+        "--set",
+        metavar="GROUP.NAME=VALUE",
+        help="One setting, such as graph.k=60; repeatable.",
+        autocompletion=completion.assignments,
+    ),
 ]
 Preset = Annotated[
     str | None,
@@ -20,6 +27,7 @@ Preset = Annotated[
         "--preset",
         metavar="paper|reference",
         show_default="paper",
+        autocompletion=completion.presets,
         help="Settings that belong together: paper divides each side by itself; reference fixes the objects on the "
         "real side, for comparing simulators.",
     ),
@@ -27,7 +35,12 @@ Preset = Annotated[
 DatasetFolder = Annotated[
     Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
 ]
-RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, such as runs/dataset.", show_default=False)]
+RunFolder = Annotated[
+    Path,
+    typer.Argument(
+        help="Folder of a run, such as runs/dataset.", show_default=False, autocompletion=completion.run_folders
+    ),
+]
 Workers = Annotated[
     int | None,
     typer.Option(
@@ -51,7 +64,10 @@ PairTimeout = Annotated[
 Floor = Annotated[
     Path | None,
     typer.Option(
-        "--floor", metavar="RUN", help="Scores also over this floor, a run of fidpipe floor of the same real scans."
+        "--floor",
+        metavar="RUN",
+        help="Scores also over this floor, a run of fidpipe floor of the same real scans.",
+        autocompletion=completion.run_folders,
     ),
 ]
 Replace = Annotated[

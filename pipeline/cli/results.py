@@ -8,13 +8,17 @@ from typing import Annotated
 
 import typer
 
+from . import completion
 from .options import AsCsv, AsJson, AsMarkdown, Floor, RunFolder, check_formats
 from .output import print_json, print_text, print_view
 
 
 def show(
     run: RunFolder,
-    pair: Annotated[str | None, typer.Argument(help="Name of a pair.", show_default=False)] = None,
+    pair: Annotated[
+        str | None,
+        typer.Argument(help="Name of a pair.", show_default=False, autocompletion=completion.pairs),
+    ] = None,
     object_: Annotated[
         str | None,
         typer.Argument(metavar="[OBJECT]", help="Object of the pair: 7 of the real side, sim:7 of the simulated one."),

@@ -1,4 +1,4 @@
-"""The commands around a run: check what it would read, make it or its floor, ask how far it is."""
+"""The commands around a run: its settings, check what it would read, make it or its floor, ask how far it is."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from . import completion
 from .options import (
     EXIT_WRONG_INPUT,
     AsJson,
@@ -21,7 +22,40 @@ from .options import (
     Workers,
     check_machines,
 )
-from .output import print_json, print_outcome, print_view
+from .output import print_json, print_outcome, print_text, print_view
+
+
+def settings(
+    preset: Preset = None,
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    json_schema: Annotated[
+        bool, typer.Option("--json-schema", help="The JSON schema of such files, for editors and other programs.")
+    ] = False,
+) -> None:
+    """Print all settings as a TOML file with comments, to change and to give to --settings.
+
+    Each has its meaning and the values it takes beside it. Without options they are the defaults.
+
+    Examples
+    --------
+    fidpipe settings > settings.toml             then: fidpipe run dataset/ --settings settings.toml
+
+    fidpipe settings --preset reference
+
+    fidpipe settings --settings runs/dataset/settings.toml    those of a run, with comments
+
+    fidpipe settings --json-schema > fidpipe.schema.json    for an editor: docs/install.md
+    """
+    from ...schemas import settings_file
+    from ...schemas.settings import load
+
+    if json_schema and (preset or settings or assignments):
+        raise typer.BadParameter("--json-schema is of every file of settings; give it alone")
+    if json_schema:
+        print_json(settings_file.json_schema())
+    else:
+        print_text(settings_file.commented_toml(load(settings, assignments or [], preset=preset)))
 
 
 def check(
@@ -62,7 +96,13 @@ def run(
     scheduler: Scheduler = None,
     pair_timeout: PairTimeout = None,
     from_stage: Annotated[
-        str | None, typer.Option("--from", metavar="STAGE", help="Make this stage and those after it again.")
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="STAGE",
+            help="Make this stage and those after it again.",
+            autocompletion=completion.stages,
+        ),
     ] = None,
     pairs: Annotated[
         str | None,

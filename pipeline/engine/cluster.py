@@ -215,7 +215,7 @@ class DaskPool:
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
-                    dashboard_address=":0",  # any free port, so that runs beside each other do not fight for one
+                    dashboard_address="127.0.0.1:0",  # no other machine may ask it; any free port
                     scheduler_kwargs={"dashboard": False},
                     memory_limit=self.memory.together,  # of each: one may need what the others leave
                     silence_logs=logging.CRITICAL,

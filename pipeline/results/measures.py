@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import DatasetError, SettingsError
-from ...schemas.metrics import COVERAGE_SCORES, DISTRIBUTED, METRIC, OBJECT_METRICS, SURFACE_SCORES
+from ...schemas.metrics import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
@@ -22,41 +22,19 @@ from ..storage.record import command_again
 from .findings import read_objects
 from .finished import FinishedRun
 from .floor import RunExcess
+from .measure_names import (
+    COUNTS,
+    COVERAGE,
+    KNOWN,
+    OF_DISTRIBUTIONS,
+    OF_OBJECTS,
+    OF_PAIRS,
+    PAIR_SCORES,
+    PLAIN_NAMES,
+    STATES,
+)
 
-_OF_PAIRS = ("mean", "std", "min", "median", "max")
-_OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
-_COUNTS = ("total", "mean", "max", "share")
-_PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in SURFACE_SCORES))
-#: `covered.real.0.3m`, by which a gate knows the column `covered_real_0p3m`.
-_COVERAGE = {metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES}
-#: Of the double validation metric, over objects where a score has them.
-_OF_DISTRIBUTIONS = ("bias", "area")
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
-
-_STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
-
-#: Every name that can be measured; words in capitals stand for many.
-KNOWN = (
-    f"SCORE.{'|'.join(_OF_PAIRS)} over pairs ({', '.join(_PAIR_SCORES)})",
-    f"covered.real|sim.0.1m|0.3m|1m.{'|'.join(_OF_PAIRS)}",
-    f"objects.SCORE.{'|'.join(_OF_OBJECTS)} and class.LABEL.SCORE.... over objects ({', '.join(DISTRIBUTED)})",
-    f"missing.{'|'.join(_COUNTS)}, hallucinated...., class.LABEL.missing....",
-    "missing.within_20m and missing.within_20m.share (any distance)",
-    "matched.total|mean|min",
-    f"pairs.{'|'.join(_STATES)}",
-    f"excess.SCORE.{'|'.join((*_OF_PAIRS, *_OF_DISTRIBUTIONS))} over the floor (--floor), covered.... as well",
-)
-
-
-#: The names that stand for themselves, to guess what a wrong one means.
-_PLAIN_NAMES = (
-    *(f"{score}.{stat}" for score in (*_PAIR_SCORES, *_COVERAGE) for stat in _OF_PAIRS),
-    *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in _OF_OBJECTS),
-    *(f"{what}.{count}" for what in _UNMATCHED for count in (*_COUNTS, "within_20m")),
-    *(f"matched.{count}" for count in ("total", "mean", "min")),
-    *(f"pairs.{state}" for state in _STATES),
-    *(f"excess.{score}.{stat}" for score in (*_PAIR_SCORES, *_COVERAGE) for stat in (*_OF_PAIRS, *_OF_DISTRIBUTIONS)),
-)
 
 
 @dataclass(frozen=True)
@@ -92,7 +70,7 @@ class Measures:
                     return Measured(float(measure(self, **match.groupdict())))
                 except _AbsentError as why:
                     return Measured(None, str(why))
-        near = get_close_matches(name, _PLAIN_NAMES, 1)
+        near = get_close_matches(name, PLAIN_NAMES, 1)
         hint = f"did you mean {near[0]}? " if near else ""
         raise SettingsError(f"criterion {name!r}: no such measure; {hint}known are {'; '.join(KNOWN)}")
 
@@ -115,7 +93,7 @@ class Measures:
         if self._excess is None:
             raise SettingsError(f"criterion 'excess.{score}.{stat}': no floor is given; --floor RUN is wanted")
         own = self._excess.scores[_column(score)]
-        if stat in _OF_DISTRIBUTIONS:
+        if stat in OF_DISTRIBUTIONS:
             apart: float | None = getattr(own, stat)
             if apart is None:
                 raise _AbsentError(f"no {score} in the run or in its floor")
@@ -214,7 +192,7 @@ class Measures:
 
 def _column(score: str) -> str:
     """The column of `pairs` with a score of pairs."""
-    return METRIC[score].mean_column if score in OBJECT_METRICS else _COVERAGE.get(score, score)
+    return METRIC[score].mean_column if score in OBJECT_METRICS else COVERAGE.get(score, score)
 
 
 def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
@@ -241,20 +219,20 @@ _MEASURES: tuple[tuple[re.Pattern[str], Callable[..., float]], ...] = tuple(
     (re.compile(pattern, re.DOTALL), measure)
     for pattern, measure in (
         (
-            rf"{_either('score', (*_PAIR_SCORES, *map(re.escape, _COVERAGE)))}\.{_either('stat', _OF_PAIRS)}",
+            rf"{_either('score', (*PAIR_SCORES, *map(re.escape, COVERAGE)))}\.{_either('stat', OF_PAIRS)}",
             Measures._of_pairs,
         ),
         (
-            rf"excess\.{_either('score', (*_PAIR_SCORES, *map(re.escape, _COVERAGE)))}"
-            rf"\.{_either('stat', (*_OF_PAIRS, *_OF_DISTRIBUTIONS))}",
+            rf"excess\.{_either('score', (*PAIR_SCORES, *map(re.escape, COVERAGE)))}"
+            rf"\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}",
             Measures._over_floor,
         ),
         (
-            rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', _OF_OBJECTS)}",
+            rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}",
             Measures._of_objects,
         ),
-        (rf"{_CLASS}?{_either('what', _UNMATCHED)}{_WITHIN}(?:\.{_either('count', _COUNTS)})?", Measures._unmatched),
+        (rf"{_CLASS}?{_either('what', _UNMATCHED)}{_WITHIN}(?:\.{_either('count', COUNTS)})?", Measures._unmatched),
         (rf"matched\.{_either('count', ('total', 'mean', 'min'))}", Measures._both),
-        (rf"pairs\.{_either('state', _STATES)}", Measures._pairs),
+        (rf"pairs\.{_either('state', STATES)}", Measures._pairs),
     )
 )

@@ -35,7 +35,7 @@ def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     n_fewest = min(len(real), len(sim))
     reason = None
     if not can_register():
-        reason = 'small_gicp is not installed; pip install ".[icp]"'
+        reason = 'small_gicp is not installed; pip install "fidpipe[icp]"'
     elif n_fewest < MIN_POINTS:
         reason = f"{n_fewest} points on a side, at least {MIN_POINTS} are needed for ICP"
     if reason:

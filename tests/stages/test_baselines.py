@@ -154,7 +154,7 @@ def test_without_the_library_icp_is_null_with_its_reason(car, monkeypatch):
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     values = compare_points(car, car, MetricsSettings(baselines=("icp",)))
     assert [(baseline.value, baseline.reason) for baseline in values] == [
-        (None, 'small_gicp is not installed; pip install ".[icp]"')
+        (None, 'small_gicp is not installed; pip install "fidpipe[icp]"')
     ] * 2
 
 

@@ -1,0 +1,73 @@
+"""What the shell offers when Tab is pressed: runs, their pairs and stages, presets, settings, measures.
+
+Each answers at once: nothing but names is imported, and of a run only its record is read. What cannot be read has no
+names; where none is offered, the shell completes files.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import typer
+
+_RECORD = "run.json"
+_LARGEST_RECORD = 50_000_000  # bytes: reading one takes a tenth of a second per 10 MB
+
+
+def run_folders(incomplete: str) -> list[str]:
+    """The folders of runs that begin like this, and those one and two folders down."""
+    above = Path(incomplete if incomplete.endswith("/") else Path(incomplete).parent)
+    try:
+        found = {str(path.parent) for below in ("*", "*/*") for path in above.glob(f"{below}/{_RECORD}")}
+    except OSError:
+        return []
+    return _beginning(sorted(found), incomplete)
+
+
+def pairs(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The names of the pairs of the run that stands before."""
+    return _beginning(_record(ctx.params.get("run")).get("inputs", {}), incomplete)
+
+
+def stages(ctx: typer.Context, incomplete: str) -> list[str]:
+    """The stages of the run that would go on: of `--out`, or of the dataset's folder in runs."""
+    dataset = next(iter(ctx.args), None)  # an option without its value ends the parsing: arguments are not named yet
+    folder = ctx.params.get("out") or (dataset and Path("runs") / Path(dataset).resolve().name)
+    return _beginning(_record(folder).get("stages", {}), incomplete)
+
+
+def presets(incomplete: str) -> list[str]:
+    """The presets."""
+    from ...schemas.settings import PRESETS
+
+    return _beginning(PRESETS, incomplete)
+
+
+def assignments(incomplete: str) -> list[str]:
+    """The settings, as `--set` takes them: `graph.k=`."""
+    from ...schemas.settings import Settings
+
+    return _beginning([f"{group}.{name}=" for group, values in Settings() for name, _ in values], incomplete)
+
+
+def criteria(incomplete: str) -> list[str]:
+    """The measures, as `--max` and `--min` take them: `r_lambda.mean=`."""
+    from ..results.measure_names import PLAIN_NAMES
+
+    return _beginning([f"{name}=" for name in PLAIN_NAMES], incomplete)
+
+
+def _record(folder: Any) -> dict[str, Any]:
+    path = Path(folder or "") / _RECORD
+    try:
+        record = json.loads(path.read_bytes()) if path.stat().st_size < _LARGEST_RECORD else {}
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]

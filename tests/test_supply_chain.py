@@ -1,0 +1,150 @@
+"""What fidpipe is made of and whom it talks to: locked libraries, their licences, no network."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from licences import is_allowed, libraries, licence
+from runs import FIDPIPE
+
+HOUSE = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+#: Loaded by every Python process of a command; what would reach or serve others is written down and refused.
+GUARD = """
+import os, sys
+
+LOCAL = ("127.0.0.1", "::1", "localhost", b"127.0.0.1")
+
+def _guard(event, arguments):
+    if event in ("socket.connect", "socket.sendto", "socket.sendmsg", "socket.bind"):
+        host = arguments[1][0] if isinstance(arguments[1], tuple) else "127.0.0.1"  # else a socket of the file system
+    elif event in ("socket.getaddrinfo", "socket.gethostbyname"):
+        host = arguments[0] or "127.0.0.1"
+    else:
+        return
+    if host not in LOCAL:
+        with open(os.environ["NETWORK_LOG"], "a") as log:
+            log.write(f"{event} {host}\\n")
+        raise OSError(f"no network here: {event} {host}")
+
+sys.addaudithook(_guard)
+"""
+#: Puts up the loopback device of a new network namespace, then becomes the command.
+LOOPBACK = (
+    "import fcntl, os, socket, struct, sys; "
+    "fcntl.ioctl(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0x8914, struct.pack('16sh14x', b'lo', 0x41)); "
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+def locked(name):
+    """Version and hashes of each library of a lock, by name."""
+    text = (HOUSE / name).read_text(encoding="utf-8")
+    entries = re.findall(r"^([\w.-]+)(?:\[.*?\])?==([^ \\;]+)(.*?)(?=^\w|\Z)", text, flags=re.MULTILINE | re.DOTALL)
+    return {
+        canonicalize_name(name): (version, re.findall(r"sha256:[0-9a-f]{64}", rest)) for name, version, rest in entries
+    }
+
+
+@pytest.mark.parametrize(
+    ("file", "extras"),
+    [("requirements.lock", PROJECT["optional-dependencies"]), ("requirements-run.lock", ["all"])],
+)
+def test_the_lock_has_each_requirement_with_a_version_that_fits_and_hashes(file, extras):
+    versions = locked(file)
+    for text in [
+        *PROJECT["dependencies"],
+        *(text for extra in extras for text in PROJECT["optional-dependencies"][extra]),
+    ]:
+        requirement = Requirement(text)
+        if requirement.name != "fidpipe":
+            version, _ = versions[canonicalize_name(requirement.name)]
+            assert requirement.specifier.contains(version), f"{text} is {version} in {file}; run make lock"
+    assert [name for name, (_, hashes) in versions.items() if not hashes] == []
+
+
+def test_runs_and_tests_have_the_same_versions():
+    everything = locked("requirements.lock")
+    assert {name: version for name, (version, _) in locked("requirements-run.lock").items()}.items() <= {
+        name: version for name, (version, _) in everything.items()
+    }.items()
+
+
+def test_no_library_is_under_the_gpl_or_an_unknown_licence():
+    said = {name: licence(name) for name in libraries()}
+    assert len(said) > len(PROJECT["dependencies"])
+    assert {name: words for name, words in said.items() if not is_allowed(words)} == {}
+
+
+@pytest.mark.parametrize(
+    "said", ["unknown", "", "GPL-3.0-only", "GNU General Public License v3 (GPLv3)", "AGPL-3.0", "LGPL-2.1 OR MIT"]
+)
+def test_such_a_licence_is_refused(said):
+    assert not is_allowed(said)
+
+
+@pytest.fixture
+def guarded(tmp_path):
+    """Starts a command whose processes all have the guard; gives what they tried."""
+    (tmp_path / "guard").mkdir()
+    (tmp_path / "guard" / "sitecustomize.py").write_text(GUARD)
+    log = tmp_path / "network.log"
+
+    def start(*words, check=True):
+        environment = os.environ | {"PYTHONPATH": str(tmp_path / "guard"), "NETWORK_LOG": str(log)}
+        done = subprocess.run(
+            [str(word) for word in words], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert not check or done.returncode == 0, done.stderr
+        return log.read_text() if log.exists() else ""
+
+    return start
+
+
+def all_commands(dataset):
+    """Every kind of command once: made data, a run on two workers, and what is made of it."""
+    yield FIDPIPE, "synth", "made", "--pairs", "1"
+    yield FIDPIPE, "check", dataset
+    yield FIDPIPE, "run", dataset, "--out", "a", "--workers", "2"
+    yield FIDPIPE, "run", dataset, "--out", "b", "--workers", "1", "--set", "metrics.baselines=all"
+    yield FIDPIPE, "report", "a"
+    yield FIDPIPE, "compare", "a", "b", "--html", "compare.html", "--allow-different-settings"
+    yield FIDPIPE, "show", "a", "000"
+    yield FIDPIPE, "gate", "a", "--max", "cdc.mean=2"
+    yield FIDPIPE, "export", "a", "--ply", "--mcap"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "socket.create_connection(('192.0.2.1', 80), 1)",
+        "socket.getaddrinfo('example.org', 80)",
+        "socket.socket().bind(('', 0))",
+        "socket.socket().bind(('0.0.0.0', 0))",
+        "socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(b'', ('192.0.2.1', 80))",
+    ],
+)
+def test_the_guard_sees_who_reaches_out(guarded, code):
+    assert "socket." in guarded(sys.executable, "-c", f"import socket; {code}", check=False)
+
+
+@pytest.mark.slow
+def test_no_command_reaches_out(guarded, dataset):
+    for words in all_commands(dataset):
+        assert guarded(*words) == "", words
+
+
+@pytest.mark.slow
+def test_every_command_does_its_work_where_there_is_no_network(guarded, dataset):
+    alone = ("unshare", "--net", "--map-root-user")
+    if subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("a network namespace is not permitted here")
+    for words in all_commands(dataset):
+        guarded(*alone, sys.executable, "-c", LOOPBACK, *words)
