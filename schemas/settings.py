@@ -18,6 +18,9 @@ from .metrics import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
 
+#: The farthest that a range or a motion may reach: squares, sums and single precision hold it with room to spare.
+FARTHEST_M = 1e9
+
 
 class _Group(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -33,7 +36,7 @@ class InputSettings(_Group):
     real_columns: tuple[str, ...] | None = Field(None, description="the same for the real side alone")
     sim_columns: tuple[str, ...] | None = Field(None, description="the same for the simulated side alone")
     min_range_m: Annotated[float, Field(ge=0, description="nearer points are dropped (3-D range, own frame)")] = 2.5
-    max_range_m: Annotated[float, Field(gt=0, description="farther points are dropped")] = 100.0
+    max_range_m: Annotated[float, Field(gt=0, le=FARTHEST_M, description="farther points are dropped")] = 100.0
     exclude_box: Box | None = Field(
         None,
         description="xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)",

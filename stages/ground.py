@@ -118,7 +118,8 @@ def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
     """The principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
     from sklearn.decomposition import PCA
 
-    axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
+    with np.errstate(divide="ignore", invalid="ignore"):  # the shares of a variance that underflows; not used
+        axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
     axis = axes[np.argmax(np.abs(axes[:, 2]))]
     if axis[2] < 0:
         axis = -axis
