@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings, parse
+from ..stages.arrays import FloatArray
 from ..stages.sensing.frames import check_frames
 from .datasets.frame_checks import frame_warning
 from .datasets.pairs import ScanPair
@@ -58,7 +59,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
 
     Parameters
     ----------
-    real, sim : (n, 3) points, metres, in the real sensor's frame (z up); computed with as float64
+    real, sim : (n, 3) points, metres, in the real sensor's frame (z up), of any real number type; computed with as
+        float64. NaN and infinite points, and the masked ones of a masked array, are dropped
     settings : by default those of the paper; or some of them by group, such as {"graph": {"k": 60}};
         {"preset": "reference"} fixes the objects on the real side
 
@@ -71,7 +73,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     Raises
     ------
     ScanError
-        An array is not of shape (n, 3) or holds no numbers.
+        An array is not of shape (n, 3) or holds no real numbers: complex ones, truth values, text and objects are none.
     StageError
         A stage cannot go on, such as with fewer than 8 object points.
 
@@ -126,11 +128,16 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     )
 
 
-def _points(name: str, points: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _points(name: str, points: ArrayLike) -> FloatArray:
     try:
-        array = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = np.asanyarray(points)
+    except ValueError as error:  # rows of unequal lengths
         raise ScanError(f"{name}: numbers of shape (n, 3) are wanted ({error})") from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise ScanError(f"{name}: an array of shape {array.shape} found, (n, 3) wanted")
-    return array
+    if array.dtype.kind not in "fiu":
+        convert = ".real" if array.dtype.kind == "c" else ".astype(float)"
+        raise ScanError(f"{name}: {array.dtype} values found, real numbers wanted; convert them with {name}{convert}")
+    with np.errstate(over="ignore"):  # what float64 does not hold is infinite, and dropped
+        metres = array.astype(np.float64, copy=False)
+    return np.asarray(np.ma.filled(metres, np.nan))

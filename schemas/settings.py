@@ -38,6 +38,9 @@ FRAME_AXES: dict[FrameName, str] = {
     "kitti-cam": "x right, y down, z forward",
 }
 
+#: The farthest that a range or a motion may reach: squares, sums and single precision hold it with room to spare.
+FARTHEST_M = 1e9
+
 
 class _Group(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -58,7 +61,7 @@ class InputSettings(_Group):
         None, description="the same for the simulated side alone", examples=[_COLUMNS]
     )
     min_range_m: Annotated[float, Field(ge=0, description="nearer points are dropped (3-D range, own frame)")] = 2.5
-    max_range_m: Annotated[float, Field(gt=0, description="farther points are dropped")] = 100.0
+    max_range_m: Annotated[float, Field(gt=0, le=FARTHEST_M, description="farther points are dropped")] = 100.0
     exclude_box: Box | None = Field(
         None,
         description="xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)",

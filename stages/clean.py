@@ -73,7 +73,8 @@ def clean_scan(
     drop("not_finite", ~_all(np.isfinite(points)))
     drop("zero", _all(points == 0))
     drop("duplicate", _repeats_an_earlier_row(points))
-    range_m = np.sqrt((points**2).sum(axis=1))
+    with np.errstate(over="ignore"):  # an infinite range is too far
+        range_m = np.sqrt((points**2).sum(axis=1))
     near = range_m < settings.min_range_m
     drop("too_near", near)
     drop("too_far", range_m[~near] > settings.max_range_m)

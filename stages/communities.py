@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ..schemas.settings import CommunitySettings
 from .arrays import IntArray
-from .linalg.subgraph import Edges, upper_half
+from .linalg.subgraph import Edges, connected_pieces, upper_half
 
 #: Smallest gain of modularity for which a level is gone through once more, and for which another level is begun.
 TOLERANCE_OPTIMISATION = 1e-3
@@ -44,7 +44,9 @@ def find_communities(
 
     Q = 1/2m sum_ij (A_ij - k_i k_j / 2m) delta(c_i, c_j), with A the edge lengths as stored (float32), k the weighted
     degrees, 2m their sum (Newman, PNAS 2006; Blondel et al., J. Stat. Mech. 2008). Both backends visit the nodes
-    in a random order that `seed` fixes. Nodes without edges are communities of their own; without any edge Q is 0.
+    in a random order that `seed` fixes. Nodes without edges are communities of their own. Where no edge has a length
+    (there is none, or all are below 1e-45 m, which float32 does not hold) the communities are the connected pieces of
+    the graph, and Q is 0.
 
     Parameters
     ----------
@@ -62,8 +64,8 @@ def find_communities(
     >>> partition.labels.tolist(), partition.modularity
     ([0, 0, 1, 1], 0.5)
     """
-    if not len(edges.src):
-        return Partition(canonical_ids(np.arange(n_nodes, dtype=np.int32), order), 0.0)
+    if not edges.length_m.any():
+        return Partition(canonical_ids(connected_pieces(n_nodes, edges), order), 0.0)
     if settings.backend == "scikit-network":
         labels = _scikit_network(n_nodes, edges, settings.seed, order, tolerance)
     else:

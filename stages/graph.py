@@ -6,10 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..schemas.errors import StageError
 from ..schemas.settings import GraphSettings
 from .arrays import FloatArray, IndexArray, IntArray
 from .linalg.subgraph import Edges
 
+#: More pairs of points within tau than this are not joined: their graph takes about 10 GB.
+MOST_CLOSE_PAIRS = 10**8
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 _LEAF_SIZE = 32
 
@@ -29,6 +32,12 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     points : (n, 3) float64, metres, finite; fewer than two have no edges
     settings : k (at most n - 1 are taken), tau_m, edges, ties
 
+    Raises
+    ------
+    StageError
+        More than 10^8 pairs of points lie within tau; or, with `edges = "intersection"`, at no distance that float64
+        holds (1e-162 m).
+
     Examples
     --------
     >>> import numpy as np
@@ -41,14 +50,19 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     if n < 2:
         empty = np.empty(0, dtype=np.int32)
         return Edges(empty, empty, np.empty(0, dtype=np.float32))
+    near_m = settings.tau_m if settings.edges == "union" else 0.0
+    if np.linalg.norm(np.ptp(points, axis=0)) <= near_m:  # a tree would compare all with all
+        _refuse_crowd(points, near_m, settings)
     tree = cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
     precedence = np.arange(n) if settings.ties == "point_id" else np.argsort(np.lexsort(points.T[::-1]))
-    neighbours, reach_m = _nearest(tree, points, k, precedence)
+    distance, nearest = tree.query(points, k=min(k + 2, n))
+    # Where the k-th neighbour is farther than tau, all that lie within tau are neighbours already.
+    crowded = np.flatnonzero(distance[:, k] <= near_m * (1 + _SLACK))
+    _refuse_crowd(points[crowded], near_m, settings)
+    neighbours = _nearest(tree, points, k, distance, nearest, precedence)
     arcs: list[Arcs] = [(np.repeat(np.arange(n), k), neighbours.ravel())]
     if settings.edges == "union":
-        # Where the k-th neighbour is farther than tau, all that lie within tau are neighbours already.
-        crowded = np.flatnonzero(reach_m <= settings.tau_m * (1 + _SLACK))
         near, other = _within(points[crowded], settings.tau_m)
         arcs.append((crowded[near], crowded[other]))
     src, dst = _joined(arcs, n)
@@ -59,18 +73,31 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     return Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
 
 
-def _nearest(tree: cKDTree, points: FloatArray, k: int, precedence: IndexArray) -> tuple[IntArray, FloatArray]:
-    """The k nearest neighbours of each point, (n, k), ties by smaller precedence; the distance of the k-th, (n,)."""
+def _refuse_crowd(points: FloatArray, near_m: float, settings: GraphSettings) -> None:
+    """Raises a `StageError` where too many pairs of these points lie within `near_m`."""
     n = len(points)
-    width = min(k + 2, n)
-    distance, nearest = tree.query(points, k=width)
+    if n * (n - 1) // 2 <= MOST_CLOSE_PAIRS:
+        return
+    tree = cKDTree(points, leafsize=_LEAF_SIZE)
+    n_pairs = (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
+    if n_pairs > MOST_CLOSE_PAIRS:
+        raise StageError(
+            f"{n_pairs} pairs of points lie within {near_m:g} m of each other, at most {MOST_CLOSE_PAIRS} can be "
+            f"joined; lower graph.tau_m (now {settings.tau_m:g}), raise input.min_range_m, or thin the scan"
+        )
+
+
+def _nearest(
+    tree: cKDTree, points: FloatArray, k: int, distance: FloatArray, nearest: IndexArray, precedence: IndexArray
+) -> IntArray:
+    """The k nearest neighbours of each point, (n, k), ties by smaller precedence, from what the tree found."""
     neighbours = nearest[:, 1 : k + 1].astype(np.int32)
-    is_open = nearest[:, 0] != np.arange(n)  # the point itself is not the first, so another one lies upon it
-    if width > k + 1:
+    is_open = nearest[:, 0] != np.arange(len(points))  # not the point itself is the first: another one lies upon it
+    if nearest.shape[1] > k + 1:
         is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
     for i in np.flatnonzero(is_open):
         neighbours[i] = _nearest_of_one(tree, points, int(i), float(distance[i, k]), k, precedence)
-    return neighbours, distance[:, k]
+    return neighbours
 
 
 def _nearest_of_one(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,7 +121,8 @@ def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
     """The principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
     from sklearn.decomposition import PCA
 
-    axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
+    with np.errstate(divide="ignore", invalid="ignore"):  # the shares of a variance that underflows; not used
+        axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
     axis = axes[np.argmax(np.abs(axes[:, 2]))]
     if axis[2] < 0:
         axis = -axis
@@ -178,8 +182,23 @@ def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
     parameters.sensor_height = -peak_m
     parameters.enable_RNR = False  # needs intensity, which a scan need not have
     parameters.verbose = False
-    estimator = pypatchworkpp.patchworkpp(parameters)
+    with _quiet_stdout():  # it says that it was initialised, whatever `verbose` is
+        estimator = pypatchworkpp.patchworkpp(parameters)
     estimator.estimateGround(np.column_stack([points, np.zeros(len(points))]).astype(np.float32))
     is_ground = np.zeros(len(points), dtype=np.bool_)
     is_ground[np.asarray(estimator.getGroundIndices(), dtype=np.intp)] = True
     return is_ground
+
+
+@contextmanager
+def _quiet_stdout() -> Iterator[None]:
+    """Drops what a library's compiled code writes to the standard output, which is for results."""
+    kept = os.dup(1)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nothing)

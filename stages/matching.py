@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from ..schemas.settings import MatchingSettings
-from .arrays import FloatArray, IntArray
+from .arrays import FloatArray, IndexArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,12 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
     >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist(), matching.match_rate
     ([0], [1], [1], 0.5)
     """
-    distance = cdist(real, sim)
     match = _greedy if settings.method == "greedy" else _optimal
-    real_ids, sim_ids = match(distance, settings.delta_m)
+    real_ids, sim_ids, distance_m = match(real, sim, settings.delta_m)
     return Matching(
         real_ids=real_ids.astype(np.int32),
         sim_ids=sim_ids.astype(np.int32),
-        distance_m=distance[real_ids, sim_ids],
+        distance_m=distance_m,
         missing=np.setdiff1d(np.arange(len(real), dtype=np.int32), real_ids),
         hallucinated=np.setdiff1d(np.arange(len(sim), dtype=np.int32), sim_ids),
     )
@@ -105,23 +104,27 @@ def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: 
     )
 
 
-def _greedy(distance: FloatArray, delta_m: float) -> tuple[IntArray, IntArray]:
-    """Real and simulated ids of Algorithm 1, by real id."""
-    free = distance.copy()
-    pairs = []
-    for real_id in range(len(free)):
-        sim_id = int(np.argmin(free[real_id]))
-        if free[real_id, sim_id] < delta_m:
+def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Real and simulated ids of Algorithm 1 and their distances, by real id; one row of distances at a time."""
+    is_taken = np.zeros(len(sim), dtype=np.bool_)
+    pairs, distance_m = [], []
+    for real_id in range(len(real)):
+        distance = np.where(is_taken, np.inf, cdist(real[real_id : real_id + 1], sim)[0])
+        sim_id = int(np.argmin(distance))
+        if distance[sim_id] < delta_m:
             pairs.append((real_id, sim_id))
-            free[:, sim_id] = np.inf
-    matched = np.array(pairs, dtype=np.int32).reshape(-1, 2)
-    return matched[:, 0], matched[:, 1]
+            distance_m.append(distance[sim_id])
+            is_taken[sim_id] = True
+    matched = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return matched[:, 0], matched[:, 1], np.array(distance_m, dtype=np.float64)
 
 
-def _optimal(distance: FloatArray, delta_m: float) -> tuple[IntArray, IntArray]:
-    """Real and simulated ids of the most pairs at the least total distance, by real id."""
+def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Real and simulated ids of the most pairs at the least total distance, and their distances, by real id."""
+    distance = cdist(real, sim)
     # A forbidden pair costs more than all allowed ones together, so first the fewest of them are used.
     forbidden = delta_m * (min(distance.shape) + 1)
     real_ids, sim_ids = linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))
-    allowed = distance[real_ids, sim_ids] < delta_m
-    return real_ids[allowed].astype(np.int32), sim_ids[allowed].astype(np.int32)
+    distance_m = distance[real_ids, sim_ids]
+    allowed = distance_m < delta_m
+    return real_ids[allowed], sim_ids[allowed], distance_m[allowed]

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 from sklearn.utils import murmurhash3_32
 
@@ -19,7 +17,7 @@ from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .communities import canonical_ids, find_communities
-from .linalg.subgraph import Edges
+from .linalg.subgraph import Edges, connected_pieces
 
 #: Where a scan has what the settings may ask for.
 _WHERE = {
@@ -152,10 +150,7 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
 def _pieces(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -> IndexArray:
     """The connected pieces of points of one code, (n,), joined by edges that are no longer than the reach."""
     joins = (codes[edges.src] == codes[edges.dst]) & (edges.length_m <= np.float32(reach_m))
-    ends = edges.src[joins], edges.dst[joins]
-    graph = sparse.coo_matrix((np.ones(len(ends[0]), dtype=np.bool_), ends), shape=(n_nodes, n_nodes))
-    pieces: IndexArray = csgraph.connected_components(graph, directed=False)[1]
-    return pieces
+    return connected_pieces(n_nodes, Edges(edges.src[joins], edges.dst[joins], edges.length_m[joins]))
 
 
 def _without_crumbs(points: FloatArray, pieces: IndexArray, codes: IndexArray, min_points: int) -> IndexArray:

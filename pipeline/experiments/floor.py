@@ -7,7 +7,6 @@ measurement is depends on the recipe, the real scan and the pair's name alone; t
 from __future__ import annotations
 
 import csv
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO, StringIO
@@ -18,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...schemas.errors import DatasetError, RunError, ScanError
-from ...schemas.settings import InputSettings, Settings
+from ...schemas.settings import FARTHEST_M, InputSettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
 from ...stages.sensing.perturbations import measure_again
@@ -41,7 +40,7 @@ RECIPE_VERSION = 1  # to be raised when the same recipe gives other measurements
 _KEY = b"fidpipe.floor"
 _SECONDS = 0.1
 #: All that was measured, once each: the settings of the run cut both sides alike.
-_ALL = InputSettings(min_range_m=0.0, max_range_m=sys.float_info.max)
+_ALL = InputSettings(min_range_m=0.0, max_range_m=FARTHEST_M)
 
 
 @dataclass(frozen=True)

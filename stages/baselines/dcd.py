@@ -48,11 +48,11 @@ def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> De
     real, sim : (n, 3), (m, 3) float64, metres, at least one point each
     alpha : per squared unit size
     """
-    size_m = float(np.linalg.norm(np.ptp(real, axis=0)))
-    if size_m == 0:
+    squared_m2 = float(np.linalg.norm(np.ptp(real, axis=0))) ** 2
+    if not squared_m2 or np.isinf(alpha / squared_m2):  # an extent whose square underflows is none
         return None
-    from_real, n_cut_real = _one_way(real, sim, alpha / size_m**2)
-    from_sim, n_cut_sim = _one_way(sim, real, alpha / size_m**2)
+    from_real, n_cut_real = _one_way(real, sim, alpha / squared_m2)
+    from_sim, n_cut_sim = _one_way(sim, real, alpha / squared_m2)
     return DensityAware((from_real + from_sim) / 2, n_cut_real + n_cut_sim)
 
 
@@ -61,5 +61,6 @@ def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:
     distance, neighbours = cKDTree(y).query(x)
     nearest: IndexArray = neighbours
     weight = len(x) / len(y) / np.bincount(nearest, minlength=len(y))[nearest]
-    term = 1 - np.minimum(weight, 1.0) * np.exp(-alpha * distance**2)
+    with np.errstate(over="ignore"):  # what is infinitely far has the term 1
+        term = 1 - np.minimum(weight, 1.0) * np.exp(-alpha * distance**2)
     return float(term.mean()), int(np.count_nonzero(weight > 1.0))

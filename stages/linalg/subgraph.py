@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse import csgraph
 
-from ..arrays import Float32Array, FloatArray, IntArray
+from ..arrays import Float32Array, FloatArray, IndexArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,22 @@ def upper_half(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
     """The part of the adjacency matrix above its diagonal, (n, n) CSR float64."""
     starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
     return sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
+
+
+def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
+    """The connected piece of each node, (n,), numbered from 0; edges join whatever their length is.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ends = np.array([0], np.int32), np.array([2], np.int32)
+    >>> connected_pieces(3, Edges(*ends, np.zeros(1, np.float32))).tolist()
+    [0, 1, 0]
+    """
+    joined = np.ones(len(edges.src), dtype=np.bool_)
+    graph = sparse.coo_matrix((joined, (edges.src, edges.dst)), shape=(n_nodes, n_nodes))
+    pieces: IndexArray = csgraph.connected_components(graph, directed=False)[1]
+    return pieces
 
 
 def split_by_community(

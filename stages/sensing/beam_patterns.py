@@ -268,7 +268,7 @@ def _by_ring(
         return None
     quartiles = quartiles[np.argsort(quartiles[:, 1])]
     width = float(np.median(quartiles[:, 2] - quartiles[:, 0]))
-    if width > np.median(np.diff(quartiles[:, 1])):
+    if width >= np.median(np.diff(quartiles[:, 1])):  # also where all rings are one
         return None
     centre = quartiles[:, 1]
     return BeamPattern(centre, max(width, _WIDTHS_DEG[0]), _is_even(centre), heights, block_deg, 1.0)

@@ -302,7 +302,8 @@ def _frames_and_motion(M: FloatArray, placement: _Placement) -> tuple[FrameName,
 
 def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArray:
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
-    near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
+    with np.errstate(over="ignore"):  # an infinite distance is far
+        near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
     _, first = np.unique(voxel_ids(near, VOXEL_M), return_index=True)
     own = settings.model_copy(update={"include_box": None})
     return clean_scan(near[np.sort(first)], own, frame=settings.frame_of(side)).points
@@ -318,7 +319,8 @@ def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
     sides = [points[points.any(axis=1)] for points in (sim, real)]  # no return is often written as zeros
     if not all(map(len, sides)):
         return {}
-    sim_m, real_m = (float(np.quantile(np.linalg.norm(points, axis=1), 0.75)) for points in sides)
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite distances fit no unit
+        sim_m, real_m = (float(np.quantile(np.linalg.norm(points, axis=1), 0.75)) for points in sides)
     return {unit: scale for unit, scale in _SCALES.items() if real_m / 10 < scale * sim_m < 10 * real_m}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...schemas.settings import FARTHEST_M
 from ..arrays import FloatArray
 
 FAR_COORDINATE_M = 1000.0
@@ -16,6 +17,7 @@ MOST_RANGE_M = 150.0
 _UNITS = (("centimetres", 100), ("millimetres", 1000))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # distances may be infinite
 def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     """What is odd about the values of a scan, one sentence each; nothing where there is no point.
 
@@ -33,10 +35,11 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     reach = np.abs([low, high]).max()
     if reach > FAR_COORDINATE_M:
         unit = _unit(low, high)
+        reach_words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
         odd.append(
-            f"coordinates reach {reach:.0f} m; metres are wanted: are they {unit}?"
+            f"coordinates reach {reach_words}; metres are wanted: are they {unit}?"
             if unit
-            else f"coordinates reach {reach:.0f} m; a scan has its sensor at (0, 0, 0): are they projected?"
+            else f"coordinates reach {reach_words}; a scan has its sensor at (0, 0, 0): are they projected?"
         )
     elif spread.max() < SMALLEST_EXTENT_M:
         odd.append(f"all points lie within {spread.max():.2g} m; metres are wanted")

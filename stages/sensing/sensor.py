@@ -12,6 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+from ...schemas.settings import FARTHEST_M
 from ..arrays import FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
@@ -75,12 +76,13 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, the frame of the sensor itself: z up, beams start on the z axis. Not finite and
-        zero ones are left out. A scan that was moved or tilted out of that frame has no beams that could be told
+    points : (n, 3) float64, metres, the frame of the sensor itself: z up, beams start on the z axis. Left out are zero
+        ones, those that are not finite, and those beyond a million kilometres. A scan that was moved or tilted out of
+        that frame has no beams that could be told
     ring : (n,) int32, number of each point's beam, if the file has it
     has_time : whether the file has a time for each point
     """
-    is_return = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
     points, ring = points[is_return], None if ring is None else ring[is_return]
     facts = SensorFacts(len(points), has_ring=ring is not None, has_time=has_time)
     if len(points) < _FEWEST_POINTS:

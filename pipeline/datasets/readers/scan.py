@@ -23,6 +23,7 @@ _INSTANCE = ("instance", "scalar_instance", "objidx")
 _INCIDENCE = ("incidence", "scalar_incidence", "cosangle")
 _RING = ("ring", "scalar_ring", "channel")
 _TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "gps_time")
+_NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
 _FEWEST_BYTES_PACKED = 0.02  # a point, in a compressed file
 
 #: Tags of CARLA from 0.9.14 on: carla/rpc/ObjectLabel.h, `CityObjectLabel`.
@@ -205,8 +206,12 @@ def label_path_of(path: Path, stem: str) -> Path:
 
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
+    if column.ndim != 1 or column.dtype.kind in _NO_NUMBERS:
+        shape = f" of shape {column.shape}" if column.ndim != 1 else ""
+        raise ScanError(f"{path}: column {name}: {column.dtype} values{shape} found, one real number a row wanted")
     try:
-        return column.astype(np.float64)
+        with np.errstate(over="ignore"):  # what float64 does not hold is infinite
+            return column.astype(np.float64)
     except (TypeError, ValueError):
         for row, value in enumerate(column.tolist()):
             try:
@@ -236,6 +241,6 @@ def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
 
 
 def _label_text(column: NDArray[Any]) -> NDArray[np.str_]:
-    if column.dtype.kind == "f" and np.array_equal(column, np.round(column)):
+    if column.dtype.kind == "f" and np.isfinite(column).all() and np.array_equal(column, np.round(column)):
         column = column.astype(np.int64)
     return column.astype(np.str_)
