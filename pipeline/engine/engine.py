@@ -324,7 +324,7 @@ class RunEngine(Engine):
             survey.usable.append(pair)
             is_selected = pair.pair_id in selected
             plan, unwanted = with_results(
-                plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive
+                plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive, by_content=True
             )
             survey.unwanted |= unwanted
             if is_selected and plan.todo:
