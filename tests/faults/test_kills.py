@@ -169,7 +169,9 @@ def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
 
 def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
-    outcome = run(dataset, tmp_path / "run", workers=2, stages=broken_jobs.with_job("graph", broken_jobs.poisoned_graph))
+    outcome = run(
+        dataset, tmp_path / "run", workers=2, stages=broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
+    )
     assert set(outcome.failures) == {broken_jobs.POISON}
     assert "stage graph, real: the worker process died" in outcome.failures[broken_jobs.POISON]
     assert run(dataset, tmp_path / "run").n_made <= JOBS_PER_PAIR

@@ -258,4 +258,6 @@ def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path
     small = Policy(worth_splitting_s=0.0, batch_s=0.0)
     outcome = run(dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S)
     assert list(outcome.failures) == [broken_jobs.POISON]
-    assert f"not finished after {LIMIT_S:g} s of work in stage selection; a larger" in outcome.failures[broken_jobs.POISON]
+    assert (
+        f"not finished after {LIMIT_S:g} s of work in stage selection; a larger" in outcome.failures[broken_jobs.POISON]
+    )
