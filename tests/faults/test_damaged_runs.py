@@ -1,7 +1,7 @@
-"""A run's folder that was damaged between two runs: tables, ledger and record truncated, emptied, deleted, a bit flipped.
+"""A run's folder that was damaged between two runs: tables, ledger and record cut off, emptied, deleted, a bit flipped.
 
-A file that was changed is known by its times; what a failing disk changes is not, so the bits that count are also flipped
-underneath a file system that knows nothing of it.
+A file that was changed is known by its times; what a failing disk changes is not, so bits are also flipped underneath a
+file system that knows nothing of it.
 """
 
 import random
