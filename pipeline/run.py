@@ -345,7 +345,7 @@ class _Run:
         """Writes a table of the whole run, unless it is there under its key; gives it."""
         path = self._request.out / f"{table.name}.parquet"
         before = self._folder.ledger.jobs("").get((table.name, ""))
-        if before is None or before.key != key or not self._folder.is_whole(before):
+        if before is None or before.key != key or not self._folder.is_whole(before, by_content=True):
             stored = self._folder.write_at(path, table.name, parts, key)
             before = JobRecord(table.name, "", "", key, {path.name: stored})
             self._folder.ledger.put_job(before)

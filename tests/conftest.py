@@ -15,6 +15,7 @@ import pytest
 from reports import finished_run, reference_run
 from runs import run
 from scenes import write_dataset
+from tries import Tally
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -64,3 +65,12 @@ def again(finished, tmp_path) -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20)
+
+
+@pytest.fixture(scope="session")
+def tally():
+    """The count of what faults were tried and what was lost; written at the end where a folder is named for it."""
+    tally = Tally()
+    yield tally
+    if folder := os.environ.get("FIDPIPE_FAULTS_TABLE"):
+        tally.write(Path(folder))

@@ -66,7 +66,7 @@ class DyingPool(WatchedPool):
 
 def jobs_in(function, args):
     """The jobs that a task makes as a whole; the reading of a pair's files counts as one."""
-    if function.__name__ == "inspect_pairs":
+    if function.__name__ == "inspect_batch":
         return tuple((pair.pair_id, "inspect", "") for pair in args[0])
     if function.__name__ != "run_batch":
         return ()

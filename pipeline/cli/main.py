@@ -22,6 +22,7 @@ from .results import export, report, show
 from .running import check, floor, run, settings, status
 
 _SECONDS_TO_STOP = 10.0
+_STOPPING = (signal.SIGINT, signal.SIGTERM)  # a batch system that ends a job means what Ctrl-C means
 _REFUSALS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)  # by the system, not our bugs
 
 app = typer.Typer(
@@ -40,10 +41,11 @@ def main() -> None:
     """Runs the command and exits with its code."""
     from ...schemas.errors import FidpipeError
 
-    for number in (signal.SIGINT, signal.SIGTERM):  # a batch system that ends a job means what Ctrl-C means
+    for number in _STOPPING:
         signal.signal(number, _Stop())
     try:
         code = app(standalone_mode=False)
+        _ignore_interrupts()
     except FidpipeError as error:
         _complain(f"error: {error}")
         code = EXIT_WRONG_INPUT
@@ -60,8 +62,8 @@ def main() -> None:
             raise
         show()
         code = getattr(error, "exit_code", 2)
+    _ignore_interrupts()
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Python takes our handler away before it ends
         _complain("interrupted; run the same command again to go on")
     sys.stdout.flush()
     sys.exit(code)
@@ -77,6 +79,12 @@ class _Stop:
         if monotonic() - _Stop.last >= _SECONDS_TO_STOP:
             _Stop.last = monotonic()
             raise KeyboardInterrupt
+
+
+def _ignore_interrupts() -> None:
+    """All is done and only the process has to end: Python takes our handlers away before that, and not these."""
+    for number in _STOPPING:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _complain(text: str) -> None:

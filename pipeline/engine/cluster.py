@@ -209,18 +209,22 @@ class DaskPool:
         import distributed
 
         if address is None:
-            with prefork.interrupts_afterwards():
-                self._cluster = distributed.LocalCluster(
-                    n_workers=n_workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",  # no other machine may ask it; any free port
-                    scheduler_kwargs={"dashboard": False},
-                    memory_limit=self.memory.together,  # of each: one may need what the others leave
-                    silence_logs=logging.CRITICAL,
-                    preload=[prefork.WORKER_START],
-                )
+            try:
+                with prefork.interrupts_afterwards():
+                    self._cluster = distributed.LocalCluster(
+                        n_workers=n_workers,
+                        threads_per_worker=1,
+                        processes=True,
+                        host="127.0.0.1",
+                        dashboard_address="127.0.0.1:0",  # no other machine may ask it; any free port
+                        scheduler_kwargs={"dashboard": False},
+                        memory_limit=self.memory.together,  # of each: one may need what the others leave
+                        silence_logs=logging.CRITICAL,
+                        preload=[prefork.WORKER_START],
+                    )
+            except BaseException:
+                prefork.kill_workers()
+                raise
         try:
             self._client = distributed.Client(
                 self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False

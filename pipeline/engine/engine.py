@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from shutil import rmtree
 from types import TracebackType
@@ -25,7 +24,6 @@ from ..datasets.scan_checks import (
     PairFacts,
     ScanContent,
     input_name,
-    inspect_pairs,
     pair_warnings,
     recall_pair_frames,
     recall_scan,
@@ -37,18 +35,15 @@ from ..storage.record import LIBRARIES, library_versions
 from ..storage.tables import JobName, JobRecord
 from .cluster import start_pool
 from .plan import OUT_OF_DATE, PairPlan, with_results
-from .pool import Handle, InProcess, Pool, WorkerDied
+from .pool import InProcess, Pool
 from .progress import Reporter, Work, seconds_of
+from .reading import read_files, wants_workers
 from .schedule import Policy, Schedule
 from .time_limit import TimeLimit
 from .worker import BatchResult, JobFailure, failures_in_words, is_required
 
-_FEW_PAIRS = 16  # whose files are read in this process
-_MOST_PAIRS_PER_BATCH = 32
-_LEAST_BATCHES = 8
-_BATCHES_PER_WORKER = 4
-
 _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
+_OF_INPUT, _OF_READING = "input", "reading"  # keys of failures before all stages: a faulty file, a reader that died
 
 PlanPair = Callable[[ScanPair], PairPlan]
 
@@ -280,21 +275,22 @@ class RunEngine(Engine):
                 unknown.append(pair)
             else:
                 self._tell(pair, self._judge(pair, facts, sides), is_noted)
-        pool = self.pool if len(unknown) > _FEW_PAIRS else InProcess()
-        n = max(1, min(_MOST_PAIRS_PER_BATCH, len(unknown) // _LEAST_BATCHES))
+        if not is_noted:
+            unknown = [pair for pair in unknown if not self._tell_as_before(pair)]
         judged: dict[str, tuple[str, list[str]]] = {}
-        for pair, facts in self._read_files(pool, [unknown[i : i + n] for i in range(0, len(unknown), n)], label_names):
-            for side, scan in facts.sides.items() if is_noted else ():
+        ended: set[str] = set()
+        for pair, read in self._read_files(unknown, label_names):
+            if isinstance(read, str):
+                ended.add(pair.pair_id)
+                judged[pair.pair_id] = read, []
+                continue
+            for side, scan in read.sides.items() if is_noted else ():
                 self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
-            if facts.frames and is_noted:
-                self.folder.ledger.put_input(frames_name(pair), facts.frames.as_dict())
-            judged[pair.pair_id] = self._judge(pair, facts, sides)
+            if read.frames and is_noted:
+                self.folder.ledger.put_input(frames_name(pair), read.frames.as_dict())
+            judged[pair.pair_id] = self._judge(pair, read, sides)
         for pair in unknown:  # in their order, whichever was read first
-            if pair.pair_id in judged:
-                self._tell(pair, judged[pair.pair_id], is_noted)
-            else:
-                fault = "the worker process died while it read the files, and again when it did so alone"
-                self._tell(pair, (fault, []), is_noted=False)
+            self._tell(pair, judged[pair.pair_id], is_noted, _OF_READING if pair.pair_id in ended else _OF_INPUT)
 
     def survey(
         self,
@@ -324,7 +320,7 @@ class RunEngine(Engine):
             survey.usable.append(pair)
             is_selected = pair.pair_id in selected
             plan, unwanted = with_results(
-                plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive
+                plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive, by_content=True
             )
             survey.unwanted |= unwanted
             if is_selected and plan.todo:
@@ -410,27 +406,25 @@ class RunEngine(Engine):
             self.folder.ledger.drop_failure(plan.pair_id)
 
     def _read_files(
-        self, pool: Pool, parts: Sequence[Sequence[ScanPair]], label_names: dict[int, str]
-    ) -> Iterator[tuple[ScanPair, PairFacts]]:
-        """What the files of pairs hold, in any order; pairs at which a worker dies twice, last alone, are left out."""
-        left, handles = iter(parts), dict[Handle, Sequence[ScanPair]]()
-        suspects: list[ScanPair] = []
-        while True:
-            for part in islice(left, max(0, _BATCHES_PER_WORKER * pool.n_workers - len(handles))):
-                handles[pool.submit(inspect_pairs, part, self.settings.input, label_names)] = part
-            if not handles:
-                break
-            handle, read = pool.next_done()
-            part = handles.pop(handle)
-            if isinstance(read, WorkerDied):
-                suspects.extend(part)
-            else:
-                yield from zip(part, read, strict=True)
-        for pair in suspects:
-            pool.submit(inspect_pairs, [pair], self.settings.input, label_names)
-            _, read = pool.next_done()
-            if not isinstance(read, WorkerDied):
-                yield pair, read[0]
+        self, pairs: Sequence[ScanPair], label_names: dict[int, str]
+    ) -> Iterator[tuple[ScanPair, PairFacts | str]]:
+        """See `read_files`; a few files of formats that are ours are read in this process."""
+        seconds, notes = self._machines.pair_timeout_s, self.folder.folder / _TIME_NOTES
+        is_here = not pairs or (seconds is None and not wants_workers(pairs))
+        limits = {}
+        if seconds is not None:
+            rmtree(notes, ignore_errors=True)
+            limits = {pair.pair_id: TimeLimit(seconds, notes / f"files-{i}") for i, pair in enumerate(pairs)}
+        yield from read_files(InProcess() if is_here else self.pool, pairs, self.settings.input, label_names, limits)
+        rmtree(notes, ignore_errors=True)
+
+    def _tell_as_before(self, pair: ScanPair) -> bool:
+        """Whether reading a pair's files ended a worker the last time; that is told, and not tried again."""
+        past = self.folder.ledger.failure(pair.pair_id)
+        if past is None or past["key"] != _OF_READING:
+            return False
+        self._tell(pair, (past["reason"], []), is_noted=False)
+        return True
 
     def _recall(self, pair: ScanPair, sides: Sequence[str]) -> PairFacts | None:
         """What a pair's files hold, if it is known from the last time and still so."""
@@ -459,14 +453,14 @@ class RunEngine(Engine):
         lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
         return (pair.fault if lacks_scan else None) or "; ".join(faults), pair_warnings(pair, facts, frames)
 
-    def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool) -> None:
+    def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool, key: str = _OF_INPUT) -> None:
         """Says why a pair cannot be used, and what is odd about it."""
         fault, warnings = judged
         if fault:
             self.fail(pair.pair_id, fault)
             self._unusable.add(pair.pair_id)
             if is_noted:
-                self.folder.ledger.put_failure(pair.pair_id, {"key": "input", "reason": fault})
+                self.folder.ledger.put_failure(pair.pair_id, {"key": key, "reason": fault})
         for text in warnings:
             self.reporter.warn(f"pair {pair.pair_id}: {text}")
 

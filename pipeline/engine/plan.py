@@ -222,7 +222,12 @@ def _given_columns(stage: Stage) -> dict[str, list[str]]:
 
 
 def with_results(
-    plan: PairPlan, folder: RunFolder, redo: frozenset[str] = frozenset(), exhaustive: frozenset[str] = frozenset()
+    plan: PairPlan,
+    folder: RunFolder,
+    redo: frozenset[str] = frozenset(),
+    exhaustive: frozenset[str] = frozenset(),
+    *,
+    by_content: bool = False,
 ) -> tuple[PairPlan, dict[JobName, str]]:
     """The plan knowing which jobs are done, and the finished jobs of the pair that are not wanted, with the reason.
 
@@ -234,6 +239,7 @@ def with_results(
     folder : of the run
     redo : stages that are made again whatever their keys say
     exhaustive : stages of which nothing is wanted but what the plan names
+    by_content : files are judged by their content, not only by length and times
     """
     records = folder.ledger.jobs(plan.pair_id)
     whole, unwanted = [], {}
@@ -243,7 +249,7 @@ def with_results(
             continue
         if record.key != job.key:
             unwanted[record.name] = OUT_OF_DATE
-        elif not folder.is_whole(record):
+        elif not folder.is_whole(record, by_content=by_content):
             unwanted[record.name] = "damaged or gone"
         elif job.stage.name in redo:
             unwanted[record.name] = "asked for by --from"

@@ -27,6 +27,8 @@ _ENVIRONMENT = {
 }
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
+_ALARM = getattr(signal, "SIGALRM", None)
+_LONGEST_WAIT_S = 15.0
 
 
 def is_available() -> bool:
@@ -53,19 +55,39 @@ def start(modules: Iterable[str] = ()) -> None:
 
 @contextmanager
 def interrupts_afterwards() -> Iterator[None]:
-    """Within it Ctrl-C and an end by a batch system wait: what is being started can then be ended in order."""
+    """Within it Ctrl-C and an end by a batch system wait: what is being started can then be ended in order.
+
+    They wait for some seconds and no longer: a worker may never be ready.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[int] = []
-    before = {number: signal.signal(number, lambda own, _: came.append(own)) for number in _STOPPING}
+
+    def note(number: int, _: object) -> None:
+        came.append(number)
+        if len(came) == 1 and _ALARM is not None:
+            signal.setitimer(signal.ITIMER_REAL, _LONGEST_WAIT_S)
+
+    before = {number: signal.signal(number, note) for number in _STOPPING}
+    if _ALARM is not None:
+        before[_ALARM] = signal.signal(_ALARM, signal.default_int_handler)
     try:
         yield
     finally:
+        if _ALARM is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)
     if came:
         signal.raise_signal(came[0])
+
+
+def kill_workers() -> None:
+    """Ends workers of a cluster that was never there as a whole: the end of this process would wait for them."""
+    for process in multiprocessing.active_children():
+        if process.name.startswith("Dask Worker"):
+            process.kill()
 
 
 @contextmanager

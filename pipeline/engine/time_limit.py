@@ -81,10 +81,10 @@ class Clock:
             path.with_suffix(_FINISHED).write_text(str(monotonic() - self._begun), encoding="utf-8")
             path.unlink(missing_ok=True)
 
-    def begin(self, stage: str, part: str) -> None:
+    def begin(self, work: str) -> None:
         """Notes what is begun, for the case that it does not end."""
         if self._note is not None:
-            self._note.write(f"stage {stage}{', ' + part if part else ''}\n")
+            self._note.write(f"{work}\n")
 
 
 def _seconds_used(limit: TimeLimit) -> float:

@@ -84,7 +84,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                         _, n_keep = largest_object(tables.objects)
                         if costs.object_bytes(n_keep) > batch.bytes_for_objects:
                             break
-                    clock.begin(*job.name)
+                    clock.begin(in_words(*job.name))
                     try:
                         records.append(make_job(tables, job))
                     except DiskFullError:
@@ -275,7 +275,7 @@ def _make_rows(
     beside: dict[tuple[str, str], pa.Table] = {}
     for name in jobs:
         job = plan.job(name)
-        clock.begin(*name)
+        clock.begin(in_words(*name))
         source = _WithRows(tables, beside)
         context = Context(job.stage, job.part, job.settings, source, objects, job.arguments)
         try:
@@ -323,6 +323,9 @@ def _failure(job: Job, error: Exception) -> JobFailure:
 
 def failures_in_words(failures: Iterable[JobFailure]) -> str:
     """Where jobs failed and why, in one line."""
-    return "; ".join(
-        f"stage {failure.stage}{', ' + failure.part if failure.part else ''}: {failure.reason}" for failure in failures
-    )
+    return "; ".join(f"{in_words(failure.stage, failure.part)}: {failure.reason}" for failure in failures)
+
+
+def in_words(stage: str, part: str) -> str:
+    """What a job is called where people read it."""
+    return f"stage {stage}{', ' + part if part else ''}"

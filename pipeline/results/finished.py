@@ -27,7 +27,7 @@ from ...schemas.tables import TABLES
 from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
-from ..storage.record import command_again, read_run
+from ..storage.record import command_again, finished_record
 from ..storage.tables import table_name
 
 if TYPE_CHECKING:
@@ -80,14 +80,12 @@ class FinishedRun:
 
     def __init__(self, folder: Path | str) -> None:
         self.folder = folder = Path(folder)
-        record = read_run(folder)
+        record = finished_record(folder)
         if made_by := record.get("experiment"):
             raise RunError(
                 f"run {folder}: was written by fidpipe {made_by}, whose tables are {folder}/{made_by}*.parquet; "
                 "a folder written by fidpipe run is wanted"
             )
-        if not record:
-            raise RunError(f"run {folder}: no run.json of fidpipe run found; a folder written by fidpipe run is wanted")
         try:
             self.record = RunRecord.from_dict(record)
             if self.record.metrics is None:
@@ -226,11 +224,16 @@ class FinishedRun:
             The file is damaged or gone.
         """
         name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
-        self.check_file(name)
+        record = self.store.ledger.job_of_file(name)
         try:
-            return pq.read_table(self.folder / name, columns=columns, use_threads=False, partitioning=None)
-        except (OSError, pa.ArrowInvalid) as error:
-            raise RunError(f"run {self.folder}: {name} cannot be read ({error}); run fidpipe run again") from error
+            content = (self.folder / name).read_bytes() if record is not None else b""
+        except FileNotFoundError:
+            content = b""
+        except OSError as error:
+            raise RunError(f"run {self.folder}: {name} cannot be read ({error.strerror or error})") from error
+        if record is None or not record.files[name].is_content(content):
+            raise self._damaged(name)
+        return pq.read_table(pa.BufferReader(content), columns=columns, use_threads=False)
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
@@ -253,11 +256,14 @@ class FinishedRun:
     def check_file(self, name: str) -> None:
         """Raises `RunError` if a file is not as the job wrote it, or gone."""
         record = self.store.ledger.job_of_file(name)
-        if record is None or not self.store.is_whole(record):
-            raise RunError(
-                f"run {self.folder}: {name} is damaged or gone; run it again with: "
-                f"{command_again(self.folder, self.record.dataset)}"
-            )
+        if record is None or not self.store.is_whole(record, by_content=True):
+            raise self._damaged(name)
+
+    def _damaged(self, name: str) -> RunError:
+        return RunError(
+            f"run {self.folder}: {name} is damaged or gone; run it again with: "
+            f"{command_again(self.folder, self.record.dataset)}"
+        )
 
 
 def _as_read(schema: pa.Schema) -> pa.Schema:

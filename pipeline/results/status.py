@@ -16,7 +16,7 @@ from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
 from ..storage.folder import RunFolder
-from ..storage.record import StageSeconds, read_run
+from ..storage.record import StageSeconds, finished_record
 
 STATES = ("done", "stale", "failed", "to do")
 
@@ -46,9 +46,7 @@ def run_status(folder: Path) -> RunStatus:
     RunError
         The folder is no run.
     """
-    record = read_run(folder)
-    if not record:
-        raise RunError(f"run {folder}: no run.json found; a folder written by fidpipe run is wanted")
+    record = finished_record(folder)
     if "experiment" in record:
         raise RunError(
             f"run {folder}: was written by fidpipe {record['experiment']}, which goes on when it is run again; "

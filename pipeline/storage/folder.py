@@ -91,9 +91,10 @@ class RunFolder(TableFolder):
             raise RunError(f"run {self.folder}: {name} is damaged or gone")
         return self.read(table, record.files[name], self.folder / name, columns)
 
-    def is_whole(self, record: JobRecord) -> bool:
-        """Whether the files of a job are as they were written."""
-        return all(is_as_stored(f"{self.folder}/{name}", stored) for name, stored in record.files.items())
+    def is_whole(self, record: JobRecord, *, by_content: bool = False) -> bool:
+        """Whether the files of a job are as they were written; see `is_as_stored`."""
+        files = record.files.items()
+        return all(is_as_stored(f"{self.folder}/{name}", stored, by_content=by_content) for name, stored in files)
 
     def forget(self, record: JobRecord) -> None:
         """Removes a job's files and takes it out of the ledger."""

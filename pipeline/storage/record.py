@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
+import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ...schemas.columns import Row
+from ...schemas.errors import RunError
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.record import (
     FrameSuspect,
@@ -34,6 +37,8 @@ from .tables import JobRecord
 SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *RUN_SCORES)
 
 RUN_JSON = "run.json"
+_SEAL = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n}\n\Z')  # of records that others have written anew there is none
+_END = len("\n}\n")
 SETTINGS_TOML = "settings.toml"
 
 #: Everything whose version can change a number or a file.
@@ -65,17 +70,52 @@ def _version(name: str) -> str:
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """The record of a run; {} where there is none yet."""
+    """The record of a run; {} where there is none yet, or none that is as it was written."""
     try:
-        record: dict[str, Any] = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
+        content = (folder / RUN_JSON).read_bytes()
+        seal = _SEAL.search(content)
+        if seal and hashlib.sha256(content[: seal.start()]).hexdigest() != seal[1].decode():
+            return {}
+        record: dict[str, Any] = json.loads(content)
     except (FileNotFoundError, ValueError):
         return {}
+    record.pop("sha256", None)
+    return record
+
+
+def finished_record(folder: Path) -> dict[str, Any]:
+    """The record of a run that must be there.
+
+    Raises
+    ------
+    RunError
+        It is not, or is damaged.
+    """
+    record = read_run(folder)
+    if not record and (folder / RUN_JSON).exists():
+        raise RunError(
+            f"run {folder}: {RUN_JSON} is damaged; run it again with: {command_again(folder, 'DATASET')} "
+            "(what is whole is not computed again)"
+        )
+    if not record:
+        raise RunError(f"run {folder}: no run.json of fidpipe run found; a folder written by fidpipe run is wanted")
     return record
 
 
 def write_record(folder: Path, record: Mapping[str, Any], before_rename: Callable[[], None] | None = None) -> None:
-    """Writes `run.json`, piece by piece: the record of a run has some lines for each pair."""
-    write_whole(folder / RUN_JSON, json_parts(record), before_rename=before_rename)
+    """Writes `run.json`, piece by piece: the record of a run has some lines for each pair; the last is its hash."""
+    write_whole(folder / RUN_JSON, _sealed(json_parts(record)), before_rename=before_rename)
+
+
+def _sealed(parts: Iterable[bytes]) -> Iterator[bytes]:
+    """A record as JSON with one more entry: the hash of the text before it."""
+    digest, end = hashlib.sha256(), b""
+    for part in parts:
+        text = end + part
+        text, end = text[:-_END], text[-_END:]
+        digest.update(text)
+        yield text
+    yield f',\n "sha256": "{digest.hexdigest()}"'.encode() + end
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:

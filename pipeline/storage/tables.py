@@ -46,6 +46,10 @@ class StoredFile:
     mtime_ns: int
     ctime_ns: int
 
+    def is_content(self, content: bytes) -> bool:
+        """Whether this is what was written."""
+        return len(content) == self.size and hashlib.sha256(content).hexdigest() == self.sha256
+
 
 @dataclass(frozen=True)
 class JobRecord:
@@ -189,7 +193,7 @@ class TableFolder:
             The file is not what was stored.
         """
         content = path.read_bytes()
-        if len(content) != stored.size or hashlib.sha256(content).hexdigest() != stored.sha256:
+        if not stored.is_content(content):
             raise RunError(f"{path}: the file changed while the run was using it; run the same command again")
         schema = TABLES[table]
         dictionaries = schema.same if columns is None else [name for name in schema.same if name in columns]
@@ -252,10 +256,13 @@ def _row_counts(metadata: pq.FileMetaData) -> set[int]:
     return {metadata.num_rows, sum(group.num_rows for group in groups)} | in_columns
 
 
-def is_as_stored(path: str, stored: StoredFile) -> bool:
+def is_as_stored(path: str, stored: StoredFile, *, by_content: bool = False) -> bool:
     """Whether a file is as it was written.
 
-    A file whose length and times are those of the moment it was written is taken as it is; any other is hashed.
+    Parameters
+    ----------
+    by_content : its content is hashed in any case; else only where length and times are not those of the moment it was
+        written. A disk that loses a bit changes no times
     """
     try:
         status = os.stat(path)  # noqa: PTH116 (a hundred thousand of them; a Path costs more than the call)
@@ -263,6 +270,9 @@ def is_as_stored(path: str, stored: StoredFile) -> bool:
         return False
     if status.st_size != stored.size:
         return False
-    if (status.st_mtime_ns, status.st_ctime_ns) == (stored.mtime_ns, stored.ctime_ns):
+    if not by_content and (status.st_mtime_ns, status.st_ctime_ns) == (stored.mtime_ns, stored.ctime_ns):
         return True
-    return hash_file(Path(path)) == stored.sha256
+    try:
+        return hash_file(Path(path)) == stored.sha256
+    except OSError:  # the disk cannot read it any more, or it may not be read: it can be made again
+        return False

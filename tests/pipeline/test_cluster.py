@@ -14,7 +14,7 @@ import psutil
 import pytest
 from distributed import Client
 
-import faults
+import broken_jobs
 from fidpipe.pipeline.engine import cluster as engine_cluster
 from fidpipe.pipeline.engine.cluster import DaskPool, code_hash, worker_fault
 from fidpipe.pipeline.engine.schedule import Policy
@@ -26,7 +26,7 @@ from scenes import write_dataset
 
 pytestmark = pytest.mark.slow
 
-TESTS = Path(faults.__file__).parent
+TESTS = Path(broken_jobs.__file__).parent
 _TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent)])
 N_PAIRS = 6
 LIMIT_S = 20.0  # a healthy pair takes far less, on a busy machine too
@@ -107,15 +107,15 @@ def kill_own_worker_once(context):
 
 def never_ending_graph(folder, context):
     """The graph job, which for one pair never comes back from a library that holds the interpreter."""
-    if context.pair_id == faults.POISON:
+    if context.pair_id == broken_jobs.POISON:
         (folder / str(os.getpid())).touch()
         ctypes.PyDLL(None).sleep(ENDLESS_S)
-    return faults.graph.make_graph(context)
+    return broken_jobs.graph.make_graph(context)
 
 
 def never_ending_selection(context):
     """The selection job, which for one pair never ends."""
-    while context.pair_id == faults.POISON:
+    while context.pair_id == broken_jobs.POISON:
         time.sleep(1.0)
     return selection.make_selection(context)
 
@@ -139,10 +139,10 @@ def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_ru
 
 def test_a_pair_whose_worker_dies_each_time_fails_and_says_so(dataset, tmp_path, cluster):
     cluster.add_workers(3, "--nanny")
-    stages = faults.with_job("graph", faults.poisoned_graph)
+    stages = broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
     outcome = run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
-    assert list(outcome.failures) == [faults.POISON]
-    reason = outcome.failures[faults.POISON]
+    assert list(outcome.failures) == [broken_jobs.POISON]
+    reason = outcome.failures[broken_jobs.POISON]
     assert reason.startswith("stage graph, real: the worker process died, and again when the pair ran alone")
     assert "4 workers each time, the last one tcp://127.0.0.1:" in reason
 
@@ -152,7 +152,7 @@ def test_a_cluster_whose_workers_are_all_lost_ends_the_run_which_can_be_gone_on_
 ):
     monkeypatch.setattr(engine_cluster, "_WITHOUT_WORKERS_S", 2.0)
     cluster.add_workers(1, "--no-nanny")
-    stages = faults.with_job("graph", faults.poisoned_graph)
+    stages = broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
     with pytest.raises(RunError, match="no worker has been there for 2 s; run the same command again: it goes on"):
         run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
     run(dataset, tmp_path / "run")
@@ -229,12 +229,12 @@ def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
     workers = {"one process": 1, "two processes": 2}.get(on)
     pids = tmp_path / "pids"
     pids.mkdir()
-    stages = faults.with_job("graph", partial(never_ending_graph, pids))
+    stages = broken_jobs.with_job("graph", partial(never_ending_graph, pids))
     begun = time.monotonic()
     outcome = run(dataset, tmp_path / "run", workers=workers, scheduler=address, stages=stages, pair_timeout_s=LIMIT_S)
     assert time.monotonic() - begun < ENDLESS_S / 3
-    assert list(outcome.failures) == [faults.POISON]
-    assert f"not finished after {LIMIT_S:g} s of work in stage graph, real" in outcome.failures[faults.POISON]
+    assert list(outcome.failures) == [broken_jobs.POISON]
+    assert f"not finished after {LIMIT_S:g} s of work in stage graph, real" in outcome.failures[broken_jobs.POISON]
     assert not (tmp_path / "run" / ".time_limit").exists()
     assert len(list(pids.iterdir())) == 1
     assert not any(psutil.pid_exists(int(path.name)) for path in pids.iterdir())
@@ -254,8 +254,10 @@ def test_a_worker_with_other_code_of_the_same_version_is_refused(tmp_path):
 
 def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", _TEST_MODULES)
-    stages = faults.with_job("selection", never_ending_selection)
+    stages = broken_jobs.with_job("selection", never_ending_selection)
     small = Policy(worth_splitting_s=0.0, batch_s=0.0)
     outcome = run(dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S)
-    assert list(outcome.failures) == [faults.POISON]
-    assert f"not finished after {LIMIT_S:g} s of work in stage selection; a larger" in outcome.failures[faults.POISON]
+    assert list(outcome.failures) == [broken_jobs.POISON]
+    assert (
+        f"not finished after {LIMIT_S:g} s of work in stage selection; a larger" in outcome.failures[broken_jobs.POISON]
+    )

@@ -14,7 +14,7 @@ import fidpipe
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.datasets.scan_checks import check_dataset
-from fidpipe.pipeline.engine import engine
+from fidpipe.pipeline.engine import reading
 from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
@@ -120,9 +120,9 @@ def test_a_gate_asks_for_a_new_run_where_frames_were_not_compared(finished, tmp_
 def test_frames_are_compared_again_only_where_files_or_input_settings_changed(mirrored, tmp_path, monkeypatch):
     data, out, settings = shutil.copytree(mirrored, tmp_path / "streets"), tmp_path / "run", load(None, ["graph.k=10"])
     read = []
-    whole = engine.inspect_pairs
+    whole = reading.inspect_pairs
     monkeypatch.setattr(
-        engine,
+        reading,
         "inspect_pairs",
         lambda pairs, *others: read.append([pair.pair_id for pair in pairs]) or whole(pairs, *others),
     )

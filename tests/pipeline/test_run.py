@@ -157,7 +157,7 @@ def test_files_are_known_wherever_the_command_is_called(tmp_path, monkeypatch):
     data = write_dataset(tmp_path / "streets", 17, n=40)  # so many that a pool reads them
     first, second = WatchedPool(), WatchedPool()
     run(data, tmp_path / "run", pool=first)
-    assert "inspect_pairs" in first.submitted
+    assert "inspect_batch" in first.submitted
     monkeypatch.chdir(tmp_path)
     assert run(Path("streets"), tmp_path / "run", pool=second).n_made == 0
     assert not second.submitted

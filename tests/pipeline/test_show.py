@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
+from fidpipe.pipeline.storage.record import read_run
 from fidpipe.schemas.errors import RunError
 from runs import command, run
 from scenes import drifted, street, write_bin
@@ -125,7 +126,7 @@ def test_a_failed_pair_shows_why_and_has_no_objects(finished):
 def test_the_whole_run_as_json_is_its_record_and_its_pairs(finished):
     found = json.loads(shown(finished, "--json"))
     assert {row["pair_id"] for row in found["pairs"]} == {*HOSTILE, "failed"}
-    assert found["record"] == json.loads((finished / "run.json").read_text())
+    assert found["record"] == read_run(finished)
     claims = json.loads(shown(finished, "--paper", "--json"))
     assert claims == found["record"]["findings"]["claims"]
 

@@ -50,14 +50,14 @@ def test_a_pair_that_ended_a_worker_is_not_begun_again_and_its_stage_is_named(li
 def test_a_worker_that_died_of_something_else_leaves_the_pair_its_time(limit, timer):
     (limit.folder / "a").write_text("stage ground, real\n")
     with Clock(limit) as clock:
-        clock.begin("graph", "sim")
+        clock.begin("stage graph, sim")
         assert {path.read_text() for path in limit.folder.iterdir()} == {"stage ground, real\n", "stage graph, sim\n"}
     assert timer == [pytest.approx(100.0, abs=1.0)]
 
 
 def test_without_a_limit_no_timer_is_set(timer):
     with Clock(None) as clock:
-        clock.begin("graph", "sim")
+        clock.begin("stage graph, sim")
     assert timer == []
 
 

@@ -79,6 +79,11 @@ def suffix_of(path: Path) -> str | None:
     return next(by_name, None) or next((suffix for suffix in known if suffix[0] == "/" and _holds(file, suffix)), None)
 
 
+def is_foreign(path: Path) -> bool:
+    """Whether a reader of another package reads the file: one that may crash or never end, for all that is known."""
+    return suffix_of(path) in _other_formats()
+
+
 def stem_of(path: Path) -> str:
     """The file name less its known suffix: the name of the pair; of a frame with its topic and number or time."""
     file, topic, frame = address_of(path)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pexpect
 import pytest
 
-import faults
+import broken_jobs
 from fidpipe.pipeline.engine import cluster
 from fidpipe.pipeline.engine.cluster import DaskPool
 from fidpipe.pipeline.engine.pool import WorkerDied
@@ -36,7 +36,7 @@ from scenes import write_dataset
 
 pytestmark = pytest.mark.slow
 
-TESTS = Path(faults.__file__).parent
+TESTS = Path(broken_jobs.__file__).parent
 
 
 @pytest.fixture(scope="module")
@@ -169,20 +169,22 @@ def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
 
 def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
-    outcome = run(dataset, tmp_path / "run", workers=2, stages=faults.with_job("graph", faults.poisoned_graph))
-    assert set(outcome.failures) == {faults.POISON}
-    assert "stage graph, real: the worker process died" in outcome.failures[faults.POISON]
+    outcome = run(
+        dataset, tmp_path / "run", workers=2, stages=broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
+    )
+    assert set(outcome.failures) == {broken_jobs.POISON}
+    assert "stage graph, real: the worker process died" in outcome.failures[broken_jobs.POISON]
     assert run(dataset, tmp_path / "run").n_made <= JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
 
 
 def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
-    stages = faults.with_job("baselines", faults.poisoned_baselines, (*STAGES, *EXTRAS))
+    stages = broken_jobs.with_job("baselines", broken_jobs.poisoned_baselines, (*STAGES, *EXTRAS))
     settings = load(None, ["metrics.baselines=chamfer", "stability.seeds=2"])
     outcome = run(dataset, tmp_path / "run", settings, workers=2, stages=stages)
-    assert set(outcome.failures) == {faults.POISON}
-    assert outcome.failures[faults.POISON].startswith("stage baselines: the worker process died, and again")
+    assert set(outcome.failures) == {broken_jobs.POISON}
+    assert outcome.failures[broken_jobs.POISON].startswith("stage baselines: the worker process died, and again")
     assert {row["status"] for row in outcome.rows} == {"scored"}
     assert outcome.record.seeds.n_pairs == 4
     assert run(dataset, tmp_path / "run", settings).n_made == 1
@@ -192,7 +194,7 @@ def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monk
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_bug_fails_its_pair_and_keeps_its_traceback(dataset, tmp_path, monkeypatch, workers):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
-    stages = faults.with_job("matching", faults.buggy_matching)
+    stages = broken_jobs.with_job("matching", broken_jobs.buggy_matching)
     outcome = run(dataset, tmp_path / "run", workers=workers, stages=stages)
     assert outcome.failures == {"001": "stage matching: internal error: ZeroDivisionError: a bug"}
 
@@ -240,7 +242,7 @@ def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monk
 
 def break_run(how, stage, n, dataset, out):
     """A run of its own that breaks at the n-th job of a stage."""
-    words = [sys.executable, str(TESTS / "faults.py"), how, stage, str(n), str(dataset), str(out)]
+    words = [sys.executable, str(TESTS / "broken_jobs.py"), how, stage, str(n), str(dataset), str(out)]
     return subprocess.run(words, check=False, capture_output=True)
 
 

@@ -1,0 +1,206 @@
+"""Does a large run hold out: are all pairs scored or named, does the memory stay flat, is the folder consistent?
+
+    python benchmarks/load.py [N_PAIRS] [POINTS] [SECONDS_BETWEEN_KILLS] [FIGURE]   by default 5000 pairs of 300 points
+
+One pair in a hundred is poison: a file that is cut off, one of three points, one whose reader (of another package)
+crashes the interpreter while files are read, or in a stage. While the command works on two workers of this machine, one
+of them is killed every minute, and the memory of all processes is noted every two seconds. Pairs repeat some hundred
+scenes, so that every row can be compared with that of its first like. Then `status`, and a second run, which has only
+the poison to do.
+"""
+
+import json
+import os
+import random
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import psutil
+from measure import FIDPIPE, MIB, machine, repeated, scratch, weigh
+
+N_FILES = 180
+WORKERS = 2
+ONE_IN = 100
+SECONDS_BETWEEN_SAMPLES = 2.0
+
+READER = """
+import ctypes
+
+import numpy as np
+
+from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
+
+
+def read(path):
+    with path.with_suffix(".readings").open("a+") as readings:
+        readings.write("x")
+        readings.flush()
+        readings.seek(0)
+        if len(readings.read()) >= int(path.stem.rpartition("-")[2]):
+            ctypes.string_at(0)
+    return scan_from_columns(path, dict(zip("xyz", np.fromfile(path, "<f4").reshape(-1, 4).T[:3], strict=True)))
+"""
+
+
+def install_reader(folder):
+    """A package with a reader of `.trap`, which crashes at the reading that the file's name ends with."""
+    about = folder / "fidpipe_trap-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: fidpipe-trap\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[fidpipe.readers]\ntrap = fidpipe_trap\n")
+    (folder / "fidpipe_trap.py").write_text(READER)
+
+
+def poison(listed):
+    """Makes one pair in a hundred unusable; gives by pair what was done to it."""
+    rows = pd.read_csv(listed / "pairs.csv", dtype=str)
+    kinds = ("cut off", "three points", "crash while files are read", "crash in a stage")
+    done = {}
+    for i, row in enumerate(range(ONE_IN // 2, len(rows), ONE_IN)):
+        pair_id, kind = rows.pair_id[row], kinds[i % len(kinds)]
+        content = Path(rows.real[row]).read_bytes()
+        crashes_at = {kinds[2]: "-1.trap", kinds[3]: "-2.trap"}.get(kind, ".bin")
+        path = listed / f"poison-{pair_id}{crashes_at}"
+        path.write_bytes({kinds[0]: content[:-5], kinds[1]: content[:48]}.get(kind, content))
+        rows.loc[row, "real"] = str(path)
+        done[pair_id] = kind
+    rows.to_csv(listed / "pairs.csv", index=False)
+    return done
+
+
+class Harmed:
+    """The command while workers of it are killed and its memory is noted.
+
+    samples : rows of seconds, MiB of the command (with dask's scheduler in it), of the largest worker, of all processes
+    """
+
+    def __init__(self, words, seconds_between_kills, errors, environment):
+        self.samples, self.n_killed = [], 0
+        self._rng = random.Random(0)
+        self._every_s = seconds_between_kills
+        with errors.open("w") as file:
+            self.process = subprocess.Popen(
+                [FIDPIPE, *map(str, words)], stdout=subprocess.DEVNULL, stderr=file, env=environment
+            )
+            self._begun = time.monotonic()
+            watcher = threading.Thread(target=self._watch)
+            watcher.start()
+            self.code = self.process.wait()
+        self.wall_s = time.monotonic() - self._begun
+        watcher.join()
+
+    def _watch(self):
+        next_kill = self._begun + self._every_s
+        while self.process.poll() is None:
+            workers = self._sample()
+            if time.monotonic() > next_kill and workers:
+                self._rng.choice(workers).kill()
+                self.n_killed += 1
+                next_kill += self._every_s
+            time.sleep(SECONDS_BETWEEN_SAMPLES)
+
+    def _sample(self):
+        try:
+            command = psutil.Process(self.process.pid)
+            family = command.children(recursive=True)
+            workers = [member for member in family if member.ppid() != command.pid]
+            sizes = {member.pid: member.memory_info().rss / MIB for member in (command, *family)}
+        except psutil.NoSuchProcess:
+            return []
+        of_workers = [sizes[member.pid] for member in workers]
+        seconds = time.monotonic() - self._begun
+        self.samples.append((seconds, sizes[command.pid], max(of_workers, default=np.nan), sum(sizes.values())))
+        return workers
+
+
+def judge(out, listed, poisoned):
+    """What became of the pairs: counts, reasons, and how many rows are not those of their first like."""
+    pairs = pd.read_parquet(out / "pairs.parquet").set_index("pair_id")
+    rows = pd.read_csv(listed / "pairs.csv", dtype=str).set_index("pair_id")
+    failed = pairs[pairs.status == "failed"].reason
+    scored = pairs[pairs.status == "scored"].drop(columns=["status", "reason"])
+    first = scored.groupby(rows.real.reindex(scored.index)).transform("first")
+    differs = ~((scored == first) | (scored.isna() & first.isna())).all(axis=1)
+    by_kind = {
+        kind: sorted(p for p, own in poisoned.items() if own == kind) for kind in dict.fromkeys(poisoned.values())
+    }
+    return {
+        "pairs": len(rows),
+        "scored": len(scored),
+        "failed": len(failed),
+        "neither": len(rows) - len(pairs),
+        "poison that was scored": sorted(set(poisoned) & set(scored.index)),
+        "others that failed": {name: failed[name] for name in failed.index if name not in poisoned},
+        "rows unlike their first like": int(differs.sum()),
+        "reasons": {kind: failed.get(names[0]) for kind, names in by_kind.items()},
+    }
+
+
+def draw(samples, path):
+    """The memory of command and workers over time."""
+    mpl.use("agg")
+    from matplotlib import pyplot as plt
+
+    minutes, *sizes = np.array(samples).T
+    figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
+    for of, name in zip(sizes, ("command, with dask's scheduler", "larger worker", "all processes"), strict=True):
+        axes.plot(minutes / 60, of, label=name, linewidth=1)
+    axes.set(xlabel="minutes", ylabel="resident memory, MiB", ylim=(0, None))
+    axes.legend(loc="lower right", frameon=False)
+    figure.savefig(path, dpi=120)
+
+
+def growth(samples, column):
+    """Mean of the second and of the last quarter of the samples, MiB."""
+    of = np.array(samples)[:, column]
+    n = len(of) // 4
+    return round(float(np.nanmean(of[n : 2 * n]))), round(float(np.nanmean(of[-n:])))
+
+
+def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
+    n_pairs = int(n_pairs)
+    print(machine(), "load", os.getloadavg())
+    with scratch() as folder:
+        data, out, listed = folder / "small", folder / f"load-run{n_pairs}", folder / f"load{n_pairs}"
+        if not data.exists():
+            weigh("synth", data, "--pairs", min(N_FILES, n_pairs), "--points", points, "--workers", WORKERS)
+        poisoned = poison(repeated(data, n_pairs, listed))
+        install_reader(folder / f"site{n_pairs}")
+        environment = {**os.environ, "PYTHONPATH": str(folder / f"site{n_pairs}")}
+        words = ("run", listed, "--out", out, "--workers", WORKERS)
+        harmed = Harmed(words, float(seconds_between_kills), folder / "errors.txt", environment)
+        found = judge(out, listed, poisoned)
+        told = (folder / "errors.txt").read_text()
+        size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+        left = [str(path) for path in out.rglob(".*") if path.name not in (".lock", ".writer")]
+        status = subprocess.run([FIDPIPE, "status", out], env=environment, capture_output=True, text=True, check=False)
+        begun = time.monotonic()
+        again = subprocess.run(
+            [FIDPIPE, *map(str, words)], env=environment, capture_output=True, text=True, check=False
+        )
+        again_s = time.monotonic() - begun
+        found_again = judge(out, listed, poisoned)
+        samples = harmed.samples
+        if figure:
+            draw(samples, figure)
+    print(json.dumps(found, indent=1))
+    print(
+        f"exit code {harmed.code}, {harmed.wall_s:.0f} s wall, {harmed.n_killed} workers killed, load {os.getloadavg()}"
+    )
+    print(f"tracebacks told: {told.count('Traceback')}; temporary files left: {left}; {size / 1e6:.0f} MB")
+    for column, name in ((1, "command with scheduler"), (2, "larger worker"), (3, "all processes")):
+        second, last = growth(samples, column)
+        print(f"memory of {name}: {second} MiB in the second quarter of the run, {last} in the last", end="; ")
+        print(f"at most {np.nanmax(np.array(samples)[:, column]):.0f}")
+    print(f"status: exit code {status.returncode}\n{status.stdout}")
+    print(f"second run: exit code {again.returncode}, {again_s:.1f} s, the same: {found_again == found}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

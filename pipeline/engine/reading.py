@@ -1,0 +1,83 @@
+"""Reading the files of pairs where a reader may crash, never end, or fill the memory: then its pair fails alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
+
+from ...schemas.settings import InputSettings
+from ..datasets.pairs import ScanPair
+from ..datasets.readers import is_foreign
+from ..datasets.scan_checks import PairFacts, inspect_pairs
+from .pool import Handle, Pool, WorkerDied
+from .time_limit import Clock, OutOfTimeError, TimeLimit
+
+_FEW_PAIRS = 16  # whose files are read in this process
+_MOST_PAIRS_PER_BATCH = 32
+_LEAST_BATCHES = 8
+_BATCHES_PER_WORKER = 4
+_DIED = (
+    "the worker process died while it read the files, and again when it did so alone (a crash of the reader, or out of "
+    "memory?)"
+)
+
+
+def wants_workers(pairs: Sequence[ScanPair]) -> bool:
+    """Whether files are to be read by workers: there are many, or readers of other packages, which may crash."""
+    paths = [path for pair in pairs for path in (pair.real, pair.sim) if path is not None]
+    return len(pairs) > _FEW_PAIRS or any(map(is_foreign, paths))
+
+
+def read_files(
+    pool: Pool,
+    pairs: Sequence[ScanPair],
+    settings: InputSettings,
+    label_names: dict[int, str],
+    limits: Mapping[str, TimeLimit],
+) -> Iterator[tuple[ScanPair, PairFacts | str]]:
+    """What the files of pairs hold, in any order, or in words why that cannot be told.
+
+    Parameters
+    ----------
+    pool : where they are read; pairs at which a worker dies are read once more, each alone
+    limits : by pair_id, how long reading may take; {} for as long as it takes
+    """
+    n = max(1, min(_MOST_PAIRS_PER_BATCH, len(pairs) // _LEAST_BATCHES))
+    left = iter([pairs[i : i + n] for i in range(0, len(pairs), n)])
+    handles = dict[Handle, Sequence[ScanPair]]()
+    suspects: list[ScanPair] = []
+
+    def submit(part: Sequence[ScanPair]) -> Handle:
+        own = {pair.pair_id: limits[pair.pair_id] for pair in part if pair.pair_id in limits}
+        return pool.submit(inspect_batch, part, settings, label_names, own)
+
+    while True:
+        for part in islice(left, max(0, _BATCHES_PER_WORKER * pool.n_workers - len(handles))):
+            handles[submit(part)] = part
+        if not handles:
+            break
+        handle, read = pool.next_done()
+        part = handles.pop(handle)
+        if isinstance(read, WorkerDied):
+            suspects.extend(part)
+        else:
+            yield from zip(part, read, strict=True)
+    for pair in suspects:
+        submit([pair])
+        _, read = pool.next_done()
+        yield pair, _DIED if isinstance(read, WorkerDied) else read[0]
+
+
+def inspect_batch(
+    pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str], limits: Mapping[str, TimeLimit]
+) -> list[PairFacts | str]:
+    """What the files of each pair hold, or why its time was over; a worker that is out of time ends."""
+    facts: list[PairFacts | str] = []
+    for pair in pairs:
+        try:
+            with Clock(limits.get(pair.pair_id)) as clock:
+                clock.begin("reading its files")
+                facts += inspect_pairs([pair], settings, label_names)
+        except OutOfTimeError as error:
+            facts.append(str(error))
+    return facts

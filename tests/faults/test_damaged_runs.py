@@ -1,0 +1,182 @@
+"""A run's folder that was damaged between two runs: tables, ledger and record cut off, emptied, deleted, a bit flipped.
+
+A file that was changed is known by its times; what a failing disk changes is not, so bits are also flipped underneath a
+file system that knows nothing of it.
+"""
+
+import random
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
+from fidpipe.pipeline.storage.ledger import LEDGER
+from fidpipe.schemas.errors import RunError
+from runs import FOLDERS, assert_same_tables, command, marks, run
+from tries import assert_resumes, temporary_files, times
+
+pytestmark = pytest.mark.slow
+
+WHOLE_RUN = ["pairs", "timings"]
+N_FLIPS = times(1, 20)  # of each table, and ten times as many of the ledger
+
+
+def tables_of(out, table):
+    return [out / f"{table}.parquet"] if table in WHOLE_RUN else sorted((out / table).glob("*.parquet"))
+
+
+def delete(path, rng):
+    path.unlink()
+
+
+def truncate(path, rng):
+    content = path.read_bytes()
+    path.write_bytes(content[: rng.randrange(1, len(content))])
+
+
+def empty(path, rng):
+    path.write_bytes(b"")
+
+
+def zero_the_end(path, rng):
+    """What a crash of the machine may leave of a file that was not flushed."""
+    content = path.read_bytes()
+    start = rng.randrange(len(content) // 2)
+    path.write_bytes(content[:start] + bytes(len(content) - start))
+
+
+def flip_bit(path, rng):
+    content = bytearray(path.read_bytes())
+    content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+    path.write_bytes(content)
+
+
+HARMS = {"deleted": delete, "truncated": truncate, "emptied": empty, "zeroed": zero_the_end, "flipped": flip_bit}
+
+
+@pytest.mark.parametrize("table", [*FOLDERS, *WHOLE_RUN])
+@pytest.mark.parametrize("harm", HARMS)
+def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dataset, tally, table, harm):
+    rng = random.Random(f"{table} {harm}")
+    for _ in range(N_FLIPS if harm == "flipped" else 1):
+        path = rng.choice(tables_of(again, table))
+        before = marks(again)
+        HARMS[harm](path, rng)
+        outcome = run(dataset, again)
+        assert outcome.n_made == (table not in WHOLE_RUN)
+        changed = {name for name, mark in marks(again).items() if mark != before.get(name)}
+        assert {name.rpartition("/")[2] for name in changed} <= {path.name}
+        assert_same_tables(again, finished)
+        assert temporary_files(again) == []
+        tally.add(f"a table {harm}")
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_the_command_says_what_it_replaces_and_show_believes_nothing(again, finished, dataset, tally, harm):
+    HARMS[harm](again / "metrics" / "001.parquet", random.Random(harm))
+    shown = command("show", again, "001")
+    hint = f"metrics/001.parquet is damaged or gone; run it again with: fidpipe run {dataset}"
+    assert (shown.returncode, hint in shown.stderr) == (1, True), shown.stderr
+    told = assert_resumes(dataset, again, finished, tally, f"a table {harm} (the command)")
+    assert "replacing metrics of 1 pair: damaged or gone" in told
+    assert command("show", again, "001").returncode == 0
+
+
+@pytest.mark.parametrize("seed", range(10 * N_FLIPS))
+def test_a_bit_flipped_in_the_ledger_changes_no_result(again, finished, dataset, tally, seed):
+    rng = random.Random(seed)
+    for _ in range(rng.choice([1, 1, 1, 8, 64])):
+        flip_bit(again / LEDGER, rng)
+    outcome = run(dataset, again)
+    assert outcome.failures == {}
+    assert_same_tables(again, finished)
+    assert temporary_files(again) == []
+    assert run(dataset, again).n_made == 0
+    tally.add("bits flipped in the ledger")
+
+
+@pytest.mark.parametrize("harm", ["deleted", "truncated", "emptied", "zeroed"])
+def test_a_run_goes_on_without_a_sound_ledger(again, finished, dataset, tally, harm):
+    before = marks(again)
+    HARMS[harm](again / LEDGER, random.Random(harm))
+    assert_resumes(dataset, again, finished, tally, f"the ledger {harm}")
+    assert marks(again) == before
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_a_damaged_record_is_named_and_made_again(again, finished, dataset, tally, harm):
+    for seed in range(N_FLIPS if harm == "flipped" else 1):
+        before = (again / "run.json").read_bytes()
+        HARMS[harm](again / "run.json", random.Random(f"{harm} {seed}"))
+        try:
+            believed = FinishedRun(again).record
+        except RunError as error:
+            if harm != "deleted":
+                assert re.search(r"run\.json is damaged; run it again with: fidpipe run DATASET --out", str(error))
+        else:
+            (again / "run.json").write_bytes(before)
+            assert believed == FinishedRun(again).record
+        run(dataset, again)
+        assert FinishedRun(again).record.summary == FinishedRun(finished).record.summary
+        assert_same_tables(again, finished)
+        tally.add(f"run.json {harm}")
+
+
+@pytest.fixture
+def failing_disk(tmp_path):
+    """A file system in a file, which a test may change underneath; skipped where nothing may be mounted."""
+    image, folder = tmp_path / "image", tmp_path / "disk"
+    folder.mkdir()
+    image.write_bytes(bytes(32 * 2**20))
+    mkfs, mount = shutil.which("mkfs.ext4", path="/sbin:/usr/sbin:/bin:/usr/bin"), shutil.which("mount")
+    if not (mkfs and mount):
+        pytest.skip("no mkfs.ext4 or mount here")
+    made = subprocess.run([mkfs, "-q", image], check=False, capture_output=True)
+    if made.returncode or subprocess.run([mount, "-o", "loop", image, folder], check=False).returncode:
+        pytest.skip("no file system may be mounted here")
+    yield image, folder
+    subprocess.run(["umount", folder], check=False)
+
+
+@pytest.mark.parametrize("table", [*times(["metrics"], FOLDERS), "pairs"])
+def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(
+    finished, dataset, failing_disk, tmp_path, tally, table
+):
+    image, disk = failing_disk
+    out = disk / "run"
+    run(dataset, out)
+    path = tables_of(out, table)[0]
+    stored, before = path.read_bytes(), path.stat()
+    subprocess.run(["umount", disk], check=True)
+    content = image.read_bytes()
+    place = content.index(stored[:2048]) + 40
+    with image.open("r+b") as file:
+        file.seek(place)
+        file.write(bytes([content[place] ^ 4]))
+    subprocess.run(["mount", "-o", "loop", image, disk], check=True)
+    after = path.stat()
+    assert path.read_bytes() != stored
+    assert (after.st_size, after.st_mtime_ns, after.st_ctime_ns) == (
+        before.st_size,
+        before.st_mtime_ns,
+        before.st_ctime_ns,
+    )
+    if table != "timings":
+        name = re.escape(str(path.relative_to(out)))
+        with pytest.raises(RunError, match=f"{name} is damaged or gone; run it again with: fidpipe run"):
+            read_all(out)
+    told = assert_resumes(dataset, out, finished, tally, "a bit lost by the disk, no time changed")
+    assert table == "pairs" or re.search("replacing .* of 1 pair: damaged or gone", told)
+    read_all(out)
+    assert_same_tables(out, finished)
+
+
+def read_all(out):
+    """Reads every table of a finished run as readers do."""
+    finished = FinishedRun(out)
+    for row in finished.scored:
+        pair_facts(finished, row["pair_id"])
+    for name in FOLDERS:
+        finished.table(name)

@@ -1,0 +1,179 @@
+"""A pair whose reader crashes the interpreter, never ends or fills the memory: one that another package installed."""
+
+import re
+import time
+
+import numpy as np
+import pytest
+
+from runs import assert_same_tables, command
+from scenes import drifted, street, write_dataset
+from tries import Started, assert_resumes, lines_of, n_lost, temporary_files, times
+
+pytestmark = pytest.mark.slow
+
+N_PAIRS = 4
+LIMIT_S = 20  # a healthy pair takes far less, on a busy machine too
+POISON = "002"
+
+#: Reads what `numpy.save` writes, unless a file beside it says what else to do, and at which reading.
+READER = """
+import ctypes
+import time
+
+import numpy as np
+
+from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
+
+
+def read(path):
+    trap = path.with_suffix(".do")
+    if trap.exists():
+        what, nth = trap.read_text().split()
+        with path.with_suffix(".readings").open("a+") as readings:
+            readings.write("x")
+            readings.flush()
+            readings.seek(0)
+            if len(readings.read()) >= int(nth):
+                HARM[what]()
+    with path.open("rb") as file:
+        return scan_from_columns(path, dict(zip("xyz", np.load(file).T, strict=True)))
+
+
+def crash():
+    ctypes.string_at(0)
+
+
+def hang():
+    ctypes.PyDLL(None).sleep(900)  # with the interpreter held, as a library does that has lost its way
+
+
+def wait():
+    time.sleep(900)
+
+
+def fill_memory():
+    kept = []
+    while True:
+        kept.append(np.ones(4_000_000))
+
+
+HARM = {"crash": crash, "hang": hang, "wait": wait, "fill_memory": fill_memory}
+"""
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Small streets, of which one pair is in the format of the other package."""
+    folder = write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS)
+    scan = street(seed=77)
+    for side, points in (("real", scan), ("sim", drifted(scan, seed=7))):
+        (folder / side / f"{POISON}.bin").unlink()
+        with (folder / side / f"{POISON}.trap").open("wb") as file:
+            np.save(file, points)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def installed(tmp_path_factory, monkeypatch):
+    """The other package, where the command and its workers find it."""
+    folder = tmp_path_factory.mktemp("site")
+    about = folder / "fidpipe_trap-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: fidpipe-trap\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[fidpipe.readers]\ntrap = fidpipe_trap\n")
+    (folder / "fidpipe_trap.py").write_text(READER)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    return tmp_path_factory.mktemp("runs") / "streets"
+
+
+@pytest.fixture
+def undisturbed(dataset, finished, installed):
+    if not finished.exists():
+        assert command("run", dataset, "--out", finished, "--workers", 1).returncode == 0
+    return finished
+
+
+def set_trap(dataset, what, nth):
+    path = dataset / "real" / f"{POISON}.do"
+    path.write_text(f"{what} {nth}")
+    return path
+
+
+DIED_READING = r"the worker process died while it read the files, and again when it did so alone \(a crash of"
+DIED_IN_STAGE = "stage ground, real: the worker process died, and again when the pair ran alone (.*out of memory"
+OUT_OF_TIME = f"not finished after {LIMIT_S} s of work in reading its files; a larger --pair-timeout gives it more"
+OUT_OF_TIME_IN_STAGE = f"not finished after {LIMIT_S} s of work in stage ground, real; a larger --pair-timeout"
+IN_LITTLE_MEMORY = ("--set", "machine.memory_gib=1.5")
+WITH_LIMIT = ("--pair-timeout", LIMIT_S)
+
+#: What is done at which reading, with which options, and what is said of it.
+TRIES = [
+    ("crash", 1, (), DIED_READING),
+    ("crash", 2, (), DIED_IN_STAGE),
+    ("hang", 1, WITH_LIMIT, OUT_OF_TIME),
+    ("hang", 2, WITH_LIMIT, OUT_OF_TIME_IN_STAGE),
+    ("wait", 1, WITH_LIMIT, OUT_OF_TIME),
+    ("wait", 2, WITH_LIMIT, OUT_OF_TIME_IN_STAGE),
+    ("fill_memory", 1, IN_LITTLE_MEMORY, DIED_READING),
+    ("fill_memory", 2, IN_LITTLE_MEMORY, DIED_IN_STAGE),
+]
+FEW = [TRIES[0], TRIES[2]]
+FAULTS = {
+    "crash": "a reader that crashes the interpreter",
+    "hang": "a reader that never ends, the interpreter held",
+    "wait": "a reader that never ends",
+    "fill_memory": "a reader that fills the memory",
+}
+
+
+@pytest.mark.parametrize(
+    ("what", "nth", "words", "reason"), times(FEW, TRIES), ids=[f"{t[0]}-{t[1]}" for t in times(FEW, TRIES)]
+)
+def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
+    dataset, undisturbed, tmp_path, tally, what, nth, words, reason
+):
+    out, trap = tmp_path / "run", set_trap(dataset, what, nth)
+    try:
+        started = Started("run", dataset, "--out", out, "--workers", 2, *words)
+        code, errors = started.end()
+        named = [line for line in lines_of(errors) if re.search(f"pair {POISON}: .*{reason}", line)]
+        assert (code, len(named)) == (3, 1), errors
+        assert "Traceback" not in errors
+        assert n_lost(out, undisturbed) == 1
+        status = command("status", out, timeout=60)
+        assert (status.returncode, "1 pair failed" in status.stdout + status.stderr or POISON in status.stdout) == (
+            0,
+            True,
+        )
+    finally:
+        trap.unlink()
+        trap.with_suffix(".readings").unlink(missing_ok=True)
+    assert_resumes(dataset, out, undisturbed, tally, f"{FAULTS[what]} ({'its files' if nth == 1 else 'a stage'})")
+
+
+def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_path, tally):
+    out, trap = tmp_path / "run", set_trap(dataset, "hang", 1)
+    try:
+        started = Started("run", dataset, "--out", out, "--workers", 2)
+        assert started.wait_for(trap.with_suffix(".readings").exists)
+        time.sleep(0.5)
+        started.process.terminate()
+        code, errors = started.end()
+        assert (code, lines_of(errors)[-1:]) == (130, ["interrupted; run the same command again to go on"])
+    finally:
+        trap.unlink()
+        trap.with_suffix(".readings").unlink(missing_ok=True)
+    assert_resumes(dataset, out, undisturbed, tally, "a reader that never ends, then SIGTERM")
+
+
+def test_a_reader_of_another_package_gives_the_same_tables_in_a_worker_and_in_the_command(
+    dataset, undisturbed, tmp_path
+):
+    assert command("run", dataset, "--out", tmp_path / "run", "--workers", 2).returncode == 0
+    assert_same_tables(tmp_path / "run", undisturbed)
+    assert temporary_files(tmp_path / "run") == []

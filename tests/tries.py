@@ -1,0 +1,171 @@
+"""Trying faults on real processes: start the command, harm it, run it again; and the count of what was lost.
+
+All tries are made where FIDPIPE_FAULTS=all (`make faults`), else a few of each kind. FIDPIPE_FAULTS_TABLE names the
+folder for the table of all tries.
+"""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import psutil
+
+from runs import FIDPIPE, assert_same_tables, command, tables
+
+ALL = os.environ.get("FIDPIPE_FAULTS") == "all"
+_OWN_FILES = {".lock", ".writer"}  # of a run's folder, beginning with a dot, that stay
+
+
+def times(few, all_of_them):
+    """How often something is tried."""
+    return all_of_them if ALL else few
+
+
+@dataclass
+class _Fault:
+    """What became of the tries of one fault: for each the pairs that were lost, and the seconds until all was whole."""
+
+    lost: list = field(default_factory=list)
+    seconds: list = field(default_factory=list)
+
+
+class Tally:
+    """What became of all tries, by fault."""
+
+    def __init__(self):
+        self._faults = defaultdict(_Fault)
+
+    def add(self, fault, lost=0, seconds=None):
+        """One try; `seconds` of the run that made everything whole, None where none was needed."""
+        self._faults[fault].lost.append(lost)
+        if seconds is not None:
+            self._faults[fault].seconds.append(seconds)
+
+    def write(self, folder):
+        """The table of all tries as JSON and as Markdown."""
+        folder.mkdir(parents=True, exist_ok=True)
+        rows = [
+            {
+                "fault": name,
+                "tried": len(of.lost),
+                "lost": sum(of.lost),
+                "median_s": round(sorted(of.seconds)[len(of.seconds) // 2], 1) if of.seconds else None,
+                "most_s": round(max(of.seconds), 1) if of.seconds else None,
+            }
+            for name, of in self._faults.items()
+        ]
+        (folder / "faults.json").write_text(json.dumps({"load": os.getloadavg(), "faults": rows}, indent=1))
+        lines = ["| fault | tried | pairs lost | next run, median s | longest, s |", "|---|---|---|---|---|"]
+        lines += ["| " + " | ".join("" if of is None else str(of) for of in row.values()) + " |" for row in rows]
+        (folder / "faults.md").write_text("\n".join(lines) + "\n")
+
+
+class Started:
+    """The command in a session of its own, so that whatever it starts can be found, also when it is gone."""
+
+    def __init__(self, *words, **environment):
+        self.words = words
+        self.process = subprocess.Popen(
+            [FIDPIPE, *map(str, words)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            env={**os.environ, **environment},
+        )
+        self.begun = time.monotonic()
+
+    def workers(self):
+        """The worker processes, as they are now."""
+        try:
+            family = psutil.Process(self.process.pid).children(recursive=True)
+            return [member for member in family if member.ppid() != self.process.pid]
+        except psutil.NoSuchProcess:
+            return []
+
+    def family(self):
+        """All processes of the session that have not ended."""
+        found = []
+        for process in psutil.process_iter():
+            try:
+                if os.getsid(process.pid) == self.process.pid and process.status() != psutil.STATUS_ZOMBIE:
+                    found.append(process)
+            except (ProcessLookupError, psutil.NoSuchProcess):
+                continue
+        return found
+
+    def wait_for(self, is_so, timeout=120):
+        """Whether something came to be before the command ended."""
+        end = time.monotonic() + timeout
+        while not is_so():
+            if self.process.poll() is not None:
+                return False
+            if time.monotonic() > end:
+                raise TimeoutError
+            time.sleep(0.005)
+        return True
+
+    def ends_within(self, seconds):
+        """Whether the command ends by itself so soon."""
+        try:
+            self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def end(self, timeout=300):
+        """Waits for the end: exit code, what was said on standard error; no process may be left."""
+        _, errors = self.process.communicate(timeout=timeout)
+        assert_no_process(self)
+        return self.process.returncode, errors
+
+    def kill(self):
+        """Ends the command at once, as the system does when memory is short; nobody is told."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.communicate()
+        assert_no_process(self)
+
+
+def assert_no_process(started, within_s=60):
+    """What the command had started ends by itself."""
+    end = time.monotonic() + within_s
+    while left := started.family():
+        assert time.monotonic() < end, [process.cmdline() for process in left]
+        time.sleep(0.05)
+
+
+def temporary_files(out):
+    """What a run should not leave in its folder: names that begin with a dot, but for lock and writer."""
+    return [path for path in out.rglob(".*") if path.name not in _OWN_FILES]
+
+
+def n_lost(out, undisturbed):
+    """Pairs whose rows are not those of an undisturbed run."""
+    rows = [
+        {row["pair_id"]: row for row in tables(folder)["pairs.parquet"].to_pylist()} for folder in (out, undisturbed)
+    ]
+    return sum(rows[0].get(pair_id) != row for pair_id, row in rows[1].items())
+
+
+def assert_resumes(dataset, out, undisturbed, tally=None, fault="", workers=1, words=(), code=0):
+    """The next run ends with this code and the tables of an undisturbed one; gives what it said."""
+    begun = time.monotonic()
+    again = command("run", dataset, "--out", out, "--workers", workers, *words)
+    seconds = time.monotonic() - begun
+    assert again.returncode == code, again.stderr
+    assert "Traceback" not in again.stderr
+    if tally is not None:
+        tally.add(fault, n_lost(out, undisturbed), seconds)
+    assert_same_tables(out, undisturbed)
+    assert temporary_files(out) == []
+    return again.stdout + again.stderr
+
+
+def lines_of(errors):
+    """What was said, without the lines of progress."""
+    return [line for line in errors.splitlines() if line.strip() and not re.search(r"\d+ pairs?, \d+ failed", line)]
