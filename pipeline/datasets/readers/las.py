@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .scan import Scan, check_promise, refused_unless, scan_from_columns
+from .bounds import BoundedFile, check_promise, check_unpacked
+from .scan import Scan, refused_unless, scan_from_columns
+
+_N_RECORDS_AT, _RECORD_HEAD_BYTES = 100, 54  # LAS Specification 1.4 R15, tables 3 and 7
 
 #: ASPRS, LAS Specification 1.4 R15, tables 9 and 17.
 _CLASSES = {
@@ -30,11 +34,14 @@ def read(path: Path) -> Scan:
     """
     import laspy
 
-    with refused_unless(path, "a whole LAS file", Exception):  # laspy and lazrs raise many
-        with laspy.open(path) as file:
+    with refused_unless(path, "a whole LAS file"):
+        _check_records(path)
+        with laspy.open(BoundedFile(path), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as file:
             header = file.header
-            is_packed = bool(header.are_points_compressed)
-            check_promise(path, header.point_count, None if is_packed else header.point_format.size)
+            if header.are_points_compressed:
+                check_unpacked(path, header.point_count * header.point_format.size)
+            else:
+                check_promise(path, header.point_count, header.point_format.size)
             rows = file.read()
         n_points = len(rows.points)
         columns = {name: np.asarray(rows[name]) for name in ("x", "y", "z", "intensity")}
@@ -45,3 +52,15 @@ def read(path: Path) -> Scan:
     if n_points != header.point_count:
         raise ScanError(f"{path}: {n_points} points found, the header says {header.point_count}; it is truncated")
     return scan_from_columns(path, columns, _CLASSES)
+
+
+def _check_records(path: Path) -> None:
+    """Refuses a header with more variable length records than the file has room for: laspy reads as many as it says."""
+    with path.open("rb") as file:
+        file.seek(_N_RECORDS_AT)
+        (n_records,) = struct.unpack("<I", file.read(4))
+    if n_records * _RECORD_HEAD_BYTES > (n_bytes := path.stat().st_size):
+        raise ScanError(
+            f"{path}: the header says {n_records} variable length records, in {n_bytes} bytes; the file is truncated "
+            "or wrong"
+        )

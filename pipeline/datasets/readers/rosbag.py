@@ -86,7 +86,7 @@ def _opened(file: Path) -> Iterator[Any]:
     from rosbags.rosbag2 import Reader as Ros2Reader
 
     reader = Ros1Reader if _is_ros1(file) else Ros2Reader
-    with refused_unless(file, "a whole ROS bag", Exception), reader(file) as bag:
+    with refused_unless(file, "a whole ROS bag"), reader(file) as bag:
         yield bag
 
 

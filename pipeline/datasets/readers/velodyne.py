@@ -60,7 +60,7 @@ def decoded(path: Path, packets: Sequence[tuple[float, bytes]]) -> dict[str, NDA
     """
     import velodyne_decoder as vd
 
-    with refused_unless(path, "packets of a Velodyne sensor", Exception):  # it raises what its C++ code met
+    with refused_unless(path, "packets of a Velodyne sensor"):
         listed = vd.PacketVector([vd.VelodynePacket(stamp, data) for stamp, data in packets])
         _, rows = vd.ScanDecoder(_config(path)).decode(listed, False)
     names = ("x", "y", "z", "intensity", "time", "ring")
@@ -74,7 +74,7 @@ def _frames(file: Path, _mtime_ns: int) -> list[_Frame]:
 
     found: list[_Frame] = []
     start, stop = None, 0
-    with refused_unless(file, "a whole capture of Velodyne packets", Exception):
+    with refused_unless(file, "a whole capture of Velodyne packets"):
         decoder = vd.StreamDecoder(_config(file))
         for (begin, end), stamp, data in _packets(file):
             start, stop = begin if start is None else start, end
