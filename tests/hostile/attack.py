@@ -33,8 +33,27 @@ MOST_BYTES_A_BYTE = 100
 MOST_ADDRESSES = 2**30
 
 _LOST_MEMORY = ("memoryerror", "bad_alloc", "bad alloc", "cannot allocate", "malloc of size", "unable to allocate")
-_NEVER = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.fork", "socket.", "pickle.find_class", "ctypes.dlopen")
-_CHANGES = ("os.remove", "os.rename", "os.rmdir", "os.mkdir", "os.link", "os.symlink", "os.truncate", "os.chmod", "shutil.")
+_NEVER = (
+    "subprocess.",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.fork",
+    "socket.",
+    "pickle.find_class",
+    "ctypes.dlopen",
+)
+_CHANGES = (
+    "os.remove",
+    "os.rename",
+    "os.rmdir",
+    "os.mkdir",
+    "os.link",
+    "os.symlink",
+    "os.truncate",
+    "os.chmod",
+    "shutil.",
+)
 
 
 class Watch:
@@ -42,7 +61,16 @@ class Watch:
 
     def __init__(self):
         self.folder, self.seen = None, []
-        known = (sys.prefix, sys.base_prefix, "/usr", "/etc/localtime", "/proc", "/sys", "/dev", Path(__file__).parents[2])
+        known = (
+            sys.prefix,
+            sys.base_prefix,
+            "/usr",
+            "/etc/localtime",
+            "/proc",
+            "/sys",
+            "/dev",
+            Path(__file__).parents[2],
+        )
         self._known = tuple(map(str, known))
         sys.addaudithook(self._hook)
 
@@ -102,10 +130,20 @@ def fault_of(error):
         text = f"{type(cause).__name__} {cause}".lower()
         if any(sign in text for sign in _LOST_MEMORY):
             return "memory ran out"
-        if isinstance(cause, RecursionError):
-            return "recursion without end"
+        frames = traceback.extract_tb(cause.__traceback__)
+        if not isinstance(cause, FidpipeError) and frames and _is_ours(frames[-1].filename) and not _is_meant(cause):
+            return f"{type(cause).__name__} in our own code"
         cause = cause.__cause__ or cause.__context__
     return ""
+
+
+def _is_ours(filename):
+    return "/fidpipe/" in filename or filename.startswith(str(Path(__file__).parents[2] / "pipeline"))
+
+
+def _is_meant(error):
+    """Whether our code raises it by itself where a file is broken."""
+    return isinstance(error, OSError | ValueError | struct.error | UnicodeDecodeError)
 
 
 def attack(place, name, start, stop):

@@ -6,10 +6,52 @@ import struct
 _WIDTHS = {1: "B", 2: "H", 4: "I", 8: "Q"}
 _WHOLES = (0, 1, 2, 3, 7, 8, 16, 127, 128, 255, 256, 1000, 4096, 32767, 32768, 65535, 65536, 10**6, 10**9, 2**31 - 1)
 _WHOLES += (2**31, 2**32 - 1, 2**32, 10**12, 2**53, 2**63 - 1, 2**63, 2**64 - 1)
-_NUMBERS = ("0", "-1", "1", "2", "3", "255", "65536", "1000000000", "2147483648", "99999999999999999999", "1e400", "nan")
+_NUMBERS = (
+    "0",
+    "-1",
+    "1",
+    "2",
+    "3",
+    "255",
+    "65536",
+    "1000000000",
+    "2147483648",
+    "99999999999999999999",
+    "1e400",
+    "nan",
+)
 _NUMBERS += ("inf", "-0", "0.5", "1e-300", "0x10", "1_0", "", "+", "٣", "1.5.5", "9" * 400)
-_WORDS = (b"\x00", b"\xff\xfe", b"../", b"..", b"/etc/passwd", b"#", b"@", b"\n", b"\r", b"\t", b",", b'"', b"'", b"{", b"}")
-_WORDS += (b"[" * 60, b"\x1b[31m", b"\xe2\x80\xae", b"x" * 300, b"=1+1", b"%n", b"<script>", b"\\", b":", b" ", b"&a", b"*a")
+_WORDS = (
+    b"\x00",
+    b"\xff\xfe",
+    b"../",
+    b"..",
+    b"/etc/passwd",
+    b"#",
+    b"@",
+    b"\n",
+    b"\r",
+    b"\t",
+    b",",
+    b'"',
+    b"'",
+    b"{",
+    b"}",
+)
+_WORDS += (
+    b"[" * 60,
+    b"\x1b[31m",
+    b"\xe2\x80\xae",
+    b"x" * 300,
+    b"=1+1",
+    b"%n",
+    b"<script>",
+    b"\\",
+    b":",
+    b" ",
+    b"&a",
+    b"*a",
+)
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
@@ -36,7 +78,9 @@ def _bits(rng, content, others, words):
 
 def _byte(rng, content, others, words):
     place = rng.randrange(len(content) + 1)
-    return content[:place] + bytes([rng.choice((0, 1, 10, 32, 127, 128, 255, rng.randrange(256)))]) + content[place + 1 :]
+    return (
+        content[:place] + bytes([rng.choice((0, 1, 10, 32, 127, 128, 255, rng.randrange(256)))]) + content[place + 1 :]
+    )
 
 
 def _length_field(rng, content, others, words):

@@ -52,7 +52,7 @@ def _recording(name):
 
         with suppress(FidpipeError):
             read_scan(folder / f"{name}#0")
-        return read_scan(frames_of(folder / name)[-1])
+        return [read_scan(frame) for frame in frames_of(folder / name)[:1]]
 
     return read
 
@@ -277,7 +277,7 @@ def _manifests():
     identity = "1 0 0 0 0 1 0 0 0 0 1 0"
     head = "pair_id,real,sim,timestamp_s,T_real_sim,T_world_sensor\n"
     rows = "".join(f"{i},real/{i}.bin,sim/{i}.bin,{i}.5,{identity},{identity}\n" for i in range(3))
-    plain = "pair_id, real, sim\na,real/0.bin,sim/0.bin\n\"b, c\",real/1.bin#0,real/drive.mcap#/points@1.5\n"
+    plain = 'pair_id, real, sim\na,real/0.bin,sim/0.bin\n"b, c",real/1.bin#0,real/drive.mcap#/points@1.5\n'
     return [{**_scan_files(), "pairs.csv": text.encode()} for text in (head + rows, plain)]
 
 
@@ -343,7 +343,13 @@ def _read_criteria(folder):
     return read_criteria(folder / "a.toml")
 
 
-_PLY_WORDS = (b"element vertex 5\n", b"property list uchar int a\n", b"property double x\n", b"end_header\n", b"\nformat ")
+_PLY_WORDS = (
+    b"element vertex 5\n",
+    b"property list uchar int a\n",
+    b"property double x\n",
+    b"end_header\n",
+    b"\nformat ",
+)
 _PCD_WORDS = (b"COUNT 1 1 1 1000000", b"POINTS 1000000000", b"DATA ascii", b"DATA binary_compressed", b"SIZE 8 8 8 8")
 _YAML_WORDS = (b"- &a [*a, *a]\n", b"!!python/object:os.system", b"compression_mode: FILE\n", b"- ../../a.db3\n", b"? ")
 

@@ -7,6 +7,7 @@ unpacks to as much are refused before memory is taken for them.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,12 +51,56 @@ def check_unpacked(path: Path, n_unpacked: int, n_bytes: int | None = None) -> N
         It is more than `MOST_UNPACKED_BYTES` and `MOST_UNPACKED_A_BYTE` for each byte.
     """
     n_bytes = path.stat().st_size if n_bytes is None else n_bytes
-    most = MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes
-    if n_unpacked > most:
+    if n_unpacked > (most := most_unpacked(n_bytes)):
         raise ScanError(
             f"{path}: {n_bytes} bytes would unpack to {_short(n_unpacked)} or more, at most {most} are read; the file "
             "is wrong, or made to fill the memory"
         )
+
+
+def most_unpacked(n_bytes: int) -> int:
+    """Bytes that so many may unpack to."""
+    return MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes
+
+
+class Unpacker:
+    """Unpacks the parts of one file, all of them together to no more than `check_unpacked` allows.
+
+    A part that comes again counts once: only one at a time is in memory then.
+
+    Parameters
+    ----------
+    n_bytes : of the file, or of all files of a folder
+    """
+
+    def __init__(self, path: Path, n_bytes: int) -> None:
+        self._path, self._n_bytes = path, n_bytes
+        self._sizes: dict[int, int] = {}
+
+    def count(self, n_unpacked: int) -> None:
+        """Counts bytes that another has unpacked; raises `ScanError` where they are too many."""
+        self._sizes[0] = self._sizes.get(0, 0) + n_unpacked
+        check_unpacked(self._path, sum(self._sizes.values()), self._n_bytes)
+
+    def __call__(self, content: bytes, opened: Callable[[io.BytesIO], Any]) -> bytes:
+        """What a part unpacks to.
+
+        Parameters
+        ----------
+        opened : the file class of a compressor, such as `bz2.BZ2File`
+
+        Raises
+        ------
+        ScanError
+            It is too much.
+        """
+        part = hash(content)
+        n_others = sum(self._sizes.values()) - self._sizes.get(part, 0)
+        with opened(io.BytesIO(content)) as stream:
+            unpacked: bytes = stream.read(max(most_unpacked(self._n_bytes) - n_others, 0) + 1)
+        self._sizes[part] = len(unpacked)
+        check_unpacked(self._path, n_others + len(unpacked), self._n_bytes)
+        return unpacked
 
 
 class BoundedFile(io.BufferedReader):
