@@ -130,20 +130,10 @@ def fault_of(error):
         text = f"{type(cause).__name__} {cause}".lower()
         if any(sign in text for sign in _LOST_MEMORY):
             return "memory ran out"
-        frames = traceback.extract_tb(cause.__traceback__)
-        if not isinstance(cause, FidpipeError) and frames and _is_ours(frames[-1].filename) and not _is_meant(cause):
-            return f"{type(cause).__name__} in our own code"
+        if not isinstance(cause, FidpipeError | OSError) and ": cannot be read (" in str(error):
+            return f"{type(cause).__name__} that nobody had expected"
         cause = cause.__cause__ or cause.__context__
     return ""
-
-
-def _is_ours(filename):
-    return "/fidpipe/" in filename or filename.startswith(str(Path(__file__).parents[2] / "pipeline"))
-
-
-def _is_meant(error):
-    """Whether our code raises it by itself where a file is broken."""
-    return isinstance(error, OSError | ValueError | struct.error | UnicodeDecodeError)
 
 
 def attack(place, name, start, stop):

@@ -172,7 +172,7 @@ def _reader(path: Path, known: Format) -> Iterator[Any]:
     except FidpipeError:
         raise
     except OSError as error:
-        raise ScanError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise ScanError(f"{path}: cannot be read ({error.strerror or cause_of(error)})") from error
     except Exception as error:  # whatever a library, or a reader of another package, meets in a broken file
         raise ScanError(f"{path}: cannot be read ({cause_of(error)})") from error
 

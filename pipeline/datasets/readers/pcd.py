@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ....schemas.errors import ScanError
 from .bounds import BoundedFile, check_promise, check_unpacked
 from .scan import Scan, refused_unless, scan_from_columns
 
-_LONGEST_LINE_BYTES, _MOST_COLUMNS = 2**16, 1000
+_HEADER_LINES, _MOST_COLUMNS = 10, 1000
 
 
 def read(path: Path) -> Scan:
@@ -25,7 +27,7 @@ def read(path: Path) -> Scan:
         _check_head(path)
         with BoundedFile(path) as file:
             cloud = PointCloud.from_fileobj(file)
-    rows = cloud.pc_data
+    rows = np.atleast_1d(cloud.pc_data)
     if len(rows) != cloud.metadata.points:
         raise ScanError(
             f"{path}: {len(rows)} points found, the header says {cloud.metadata.points}; the file is truncated"
@@ -35,21 +37,27 @@ def read(path: Path) -> Scan:
 
 def _check_head(path: Path) -> None:
     """Refuses a header that speaks of more than the file can hold, or can unpack to: pypcd4 believes it."""
-    words: dict[str, list[str]] = {}
+    from pypcd4.pypcd4 import MetaData
+
+    lines: list[str] = []
     with BoundedFile(path) as file:
-        while "DATA" not in words and (line := file.readline(_LONGEST_LINE_BYTES)):
-            name, *values = line.decode().split() or ["#"]
-            words[name] = values
-        n_packed = file.read(4)
-    n_points = int(words["POINTS"][0])
-    counts = [int(count) for count in words.get("COUNT", ["1"] * len(words["SIZE"]))]
-    if min(counts) < 0 or sum(counts) > _MOST_COLUMNS:
-        raise ScanError(f"{path}: the header says {counts} numbers a point, at most {_MOST_COLUMNS} are read")
-    point_bytes = sum(count * int(size) for count, size in zip(counts, words["SIZE"], strict=True))
-    if words["DATA"] == ["ascii"]:
-        check_promise(path, n_points, 2 * sum(counts))  # a digit and a blank
-    elif words["DATA"] == ["binary"]:
-        check_promise(path, n_points, point_bytes)
+        for line in file:  # as pypcd4 reads them
+            text = line.decode().strip()
+            lines += [text] * bool(text and not text.startswith("#"))
+            if text.startswith("DATA") or len(lines) == _HEADER_LINES:
+                break
+        n_packed, n_unpacked = np.frombuffer(file.read(8).ljust(8, b"\0"), "<u4").tolist()
+    head = MetaData.parse_header(lines)
+    if sum(head.count) > _MOST_COLUMNS:
+        raise ScanError(f"{path}: {sum(head.count)} numbers a point found, at most {_MOST_COLUMNS} are read")
+    point_bytes = sum(count * size for count, size in zip(head.count, head.size, strict=True))
+    if head.data == "ascii":
+        check_promise(path, head.points, 2 * sum(head.count))  # a digit and a blank
+    elif head.data == "binary":
+        check_promise(path, head.points, point_bytes)
+    elif n_unpacked != head.points * point_bytes or n_packed > path.stat().st_size:
+        raise ScanError(
+            f"{path}: {n_unpacked} bytes packed in {n_packed} found, {point_bytes} wanted for each of {head.points} points"
+        )
     else:
-        check_promise(path, int.from_bytes(n_packed, "little"), 1)
-        check_unpacked(path, n_points * point_bytes)
+        check_unpacked(path, n_unpacked)

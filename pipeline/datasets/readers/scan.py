@@ -146,9 +146,11 @@ def refused_unless(path: Path, wanted: str) -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, ScanError, ModuleNotFoundError):
+    except (ScanError, ModuleNotFoundError):
         raise
     except Exception as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
         raise ScanError(f"{path}: not {wanted} ({cause_of(error)})") from error
 
 
