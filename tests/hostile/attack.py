@@ -119,7 +119,7 @@ def write_input(folder, files):
 
 def fault_of(error):
     """What is wrong with how a reader refused an input, in words; "" where it did as it should."""
-    from fidpipe.schemas.errors import FidpipeError
+    from fidpipe.schemas.errors import FidpipeError, ScanError
 
     if not isinstance(error, FidpipeError):
         return f"{type(error).__name__} escaped"
@@ -130,7 +130,8 @@ def fault_of(error):
         text = f"{type(cause).__name__} {cause}".lower()
         if any(sign in text for sign in _LOST_MEMORY):
             return "memory ran out"
-        if not isinstance(cause, FidpipeError | OSError) and ": cannot be read (" in str(error):
+        is_caught_last = isinstance(error, ScanError) and ": cannot be read (" in str(error)
+        if is_caught_last and not isinstance(cause, FidpipeError | OSError):
             return f"{type(cause).__name__} that nobody had expected"
         cause = cause.__cause__ or cause.__context__
     return ""

@@ -25,7 +25,7 @@ _RING = ("ring", "scalar_ring", "channel")
 _TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "gps_time")
 #: Names of columns that are read, in lower case.
 KNOWN_COLUMNS = frozenset(("x", "y", "z", *_INTENSITY, *_LABEL, *_INSTANCE, *_INCIDENCE, *_RING, *_TIME))
-_LONGEST_LABEL = 200
+LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
 #: Tags of CARLA from 0.9.14 on: carla/rpc/ObjectLabel.h, `CityObjectLabel`.
@@ -237,8 +237,8 @@ def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
 
 def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
     """Labels as text; all take the room of the longest, so that there is a limit to that."""
-    if column.dtype.kind == "O" and (longest := max(map(len, map(str, column.tolist())), default=0)) > _LONGEST_LABEL:
-        raise ScanError(f"{path}: a label of {longest} characters found, at most {_LONGEST_LABEL} are wanted")
+    if column.dtype.kind == "O" and (longest := max(map(len, map(str, column.tolist())), default=0)) > LONGEST_LABEL:
+        raise ScanError(f"{path}: a label of {longest} characters found, at most {LONGEST_LABEL} are wanted")
     if column.dtype.kind == "f" and np.all((np.abs(column) < 2**53) & (column == np.round(column))):
         column = column.astype(np.int64)
     return column.astype(np.str_)
