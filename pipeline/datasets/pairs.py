@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import DatasetError
+from ...schemas.errors import DatasetError, ScanError
 from ...stages.arrays import FloatArray
 from .readers import formats, is_scan_path, stem_of, suffix_of
+from .readers.scan import LONGEST_LABEL
 
 MANIFEST = "pairs.csv"
 UNPAIRED = "unpaired.csv"
@@ -104,9 +105,13 @@ def read_label_names(folder: Path) -> dict[int, str]:
     if not path.exists():
         return {}
     try:
-        return {int(number): str(name) for number, name in tomllib.loads(path.read_text(encoding="utf-8")).items()}
-    except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
+        lines = tomllib.loads(path.read_text(encoding="utf-8"))
+        names = {int(number): str(name) for number, name in lines.items()}
+    except (OSError, ValueError, RecursionError) as error:  # TOML and unicode errors are ValueErrors
         raise DatasetError(f'{path}: lines such as 4 = "tree" are wanted ({error})') from error
+    if (longest := max(map(len, names.values()), default=0)) > LONGEST_LABEL:  # each point takes room for the longest
+        raise DatasetError(f"{path}: a name of {longest} characters found, at most {LONGEST_LABEL} are wanted")
+    return names
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
@@ -236,7 +241,11 @@ def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | 
     path = folder / name.strip()
     if not name.strip():
         return None, f"{where}: no {side} scan is named"
-    return (path, None) if is_scan_path(path) else (None, f"{where}: {path} is no file; the {side} scan is wanted")
+    try:
+        is_there = is_scan_path(path)
+    except (OSError, ScanError) as error:  # a name that no file can have, or that names no frame
+        return None, f"{where}: {error.strerror or error if isinstance(error, OSError) else error}"
+    return (path, None) if is_there else (None, f"{where}: {path} is no file; the {side} scan is wanted")
 
 
 def _number(where: str, name: str, text: str) -> float | None:
@@ -275,7 +284,8 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
         raise DatasetError(f"{where}: {name} has {len(numbers)} numbers, 12 are wanted ([R | t] row by row)")
     motion = numbers.reshape(3, 4)
     rotation = motion[:, :3]
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
         raise DatasetError(
             f"{where}: {name} is no rigid motion (R R^T is off the identity by {off:.2g}, "

@@ -206,7 +206,11 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
             f"{path}: no such file; {poses.name} holds 12 numbers a line, KITTI's poses of the camera, and a "
             "calibration with the line Tr is wanted with them (--calib); poses of the sensor are read in TUM format"
         )
-    for line in path.read_text(encoding="utf-8").splitlines():
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: cannot be read ({error})") from error
+    for line in lines:
         name, _, text = line.partition(":")
         if name.strip() in ("Tr", "Tr_velo_to_cam"):
             try:

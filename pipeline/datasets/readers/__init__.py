@@ -14,9 +14,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ....schemas.errors import DatasetError, ScanError
+from ....schemas.errors import DatasetError, FidpipeError, ScanError
 from .frames import address_of
-from .scan import Scan, with_label_file, with_label_names
+from .scan import Scan, cause_of, with_label_file, with_label_names
 
 _KITTI = ("x", "y", "z", "intensity")
 _NUSCENES = (*_KITTI, "ring")
@@ -174,8 +174,12 @@ def _reader(path: Path, known: Format) -> Iterator[Any]:
         raise ScanError(
             f"{path}: reading it needs {error.name}; install it with: pip install 'fidpipe[{extra}]'"
         ) from error
+    except FidpipeError:
+        raise
     except OSError as error:
-        raise ScanError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise ScanError(f"{path}: cannot be read ({error.strerror or cause_of(error)})") from error
+    except Exception as error:  # whatever a library, or a reader of another package, meets in a broken file
+        raise ScanError(f"{path}: cannot be read ({cause_of(error)})") from error
 
 
 @cache

@@ -20,7 +20,9 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     ScanError
         The array is not whole, holds objects (pickles, which could run code), or has another shape.
     """
-    with refused_unless(path, "a whole .npy array", ValueError, EOFError, MemoryError):
+    with refused_unless(path, "a whole .npy array"):
+        _check_head(path)
+        np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory, and refuses a file shorter than its array
         array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})
@@ -38,3 +40,13 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
             f"{path}: {array.dtype} array of shape {array.shape} found, numbers of shape (n, 3) or (n, 4) wanted"
         )
     return scan_from_columns(path, dict(zip(_COLUMNS, array.T, strict=False)))
+
+
+def _check_head(path: Path) -> None:
+    """Refuses a description of the array that is longer than the file: NumPy takes memory for it."""
+    with path.open("rb") as file:
+        if np.lib.format.read_magic(file) == (1, 0):
+            return  # it has two bytes for the length
+        n_head, n_bytes = int.from_bytes(file.read(4), "little"), path.stat().st_size
+    if n_head > n_bytes:
+        raise ScanError(f"{path}: a head of {n_head} bytes found, in {n_bytes}; the file is truncated or wrong")

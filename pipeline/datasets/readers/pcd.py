@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ....schemas.errors import ScanError
+from .bounds import BoundedFile, check_promise, check_unpacked
 from .scan import Scan, refused_unless, scan_from_columns
+
+_HEADER_LINES, _MOST_COLUMNS = 10, 1000
 
 
 def read(path: Path) -> Scan:
@@ -18,11 +23,41 @@ def read(path: Path) -> Scan:
     """
     from pypcd4 import PointCloud
 
-    with refused_unless(path, "a whole PCD file", Exception):  # pypcd4 has no error class of its own
-        cloud = PointCloud.from_path(path)
-    rows = cloud.pc_data
+    with refused_unless(path, "a whole PCD file"):
+        _check_head(path)
+        with BoundedFile(path) as file:
+            cloud = PointCloud.from_fileobj(file)
+    rows = np.atleast_1d(cloud.pc_data)
     if len(rows) != cloud.metadata.points:
         raise ScanError(
             f"{path}: {len(rows)} points found, the header says {cloud.metadata.points}; the file is truncated"
         )
     return scan_from_columns(path, {name: rows[name] for name in cloud.fields})
+
+
+def _check_head(path: Path) -> None:
+    """Refuses a header that speaks of more than the file can hold, or can unpack to: pypcd4 believes it."""
+    from pypcd4.pypcd4 import MetaData
+
+    lines: list[str] = []
+    with BoundedFile(path) as file:
+        for line in file:  # as pypcd4 reads them
+            text = line.decode().strip()
+            lines += [text] * bool(text and not text.startswith("#"))
+            if text.startswith("DATA") or len(lines) == _HEADER_LINES:
+                break
+        n_packed, n_unpacked = np.frombuffer(file.read(8).ljust(8, b"\0"), "<u4").tolist()
+    head = MetaData.parse_header(lines)
+    if sum(head.count) > _MOST_COLUMNS:
+        raise ScanError(f"{path}: {sum(head.count)} numbers a point found, at most {_MOST_COLUMNS} are read")
+    point_bytes = sum(count * size for count, size in zip(head.count, head.size, strict=True))
+    if head.data == "ascii":
+        check_promise(path, head.points, 2 * sum(head.count))  # a digit and a blank
+    elif head.data == "binary":
+        check_promise(path, head.points, point_bytes)
+    elif n_unpacked != head.points * point_bytes or n_packed > path.stat().st_size:
+        raise ScanError(
+            f"{path}: {n_unpacked} bytes packed in {n_packed} found, {point_bytes} wanted for each of {head.points} points"
+        )
+    else:
+        check_unpacked(path, n_unpacked)

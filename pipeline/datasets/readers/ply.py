@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .bounds import BoundedFile
 from .scan import Scan, refused_unless, scan_from_columns
 
 
@@ -19,8 +20,8 @@ def read(path: Path) -> Scan:
     """
     from trimesh.exchange.ply import load_ply
 
-    with refused_unless(path, "a whole PLY file with vertices", Exception):  # trimesh raises whatever its parser met
-        with path.open("rb") as file:
+    with refused_unless(path, "a whole PLY file with vertices"):
+        with BoundedFile(path) as file:
             vertex = load_ply(file, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
         n_points, rows = vertex["length"], vertex["data"]
         columns = {name: np.asarray(rows[name]).reshape(n_points) for name in vertex["properties"]}

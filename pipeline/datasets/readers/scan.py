@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +25,10 @@ _RING = ("ring", "scalar_ring", "channel")
 _TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "gps_time")
 _NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
 _FEWEST_BYTES_PACKED = 0.02  # a point, in a compressed file
+#: Names of columns that are read, in lower case.
+KNOWN_COLUMNS = frozenset(("x", "y", "z", *_INTENSITY, *_LABEL, *_INSTANCE, *_INCIDENCE, *_RING, *_TIME))
+LONGEST_LABEL = 200  #: characters
+_LONGEST_CAUSE = 300
 
 #: Tags of CARLA from 0.9.14 on: carla/rpc/ObjectLabel.h, `CityObjectLabel`.
 CARLA_TAGS = dict(
@@ -99,10 +103,11 @@ def scan_from_columns(
         x, y or z is missing, or a value is no number (named by row and column). NaN and infinity are let through in
         coordinates and intensity.
     """
-    by_name = {name.lower(): np.asarray(column) for name, column in columns.items()}
-    missing = [name for name in ("x", "y", "z") if name not in by_name]
-    if missing:
-        raise ScanError(f"{path}: columns {', '.join(columns)} found; {', '.join(missing)} wanted as well")
+    check_names(path, columns)
+    by_name = {name.lower(): np.asarray(column) for name, column in columns.items() if name.lower() in KNOWN_COLUMNS}
+    shapes = sorted({column.shape for column in by_name.values()})
+    if len(shapes) > 1 or len(shapes[0]) != 1:
+        raise ScanError(f"{path}: columns of the shapes {shapes} found, one number a point is wanted in each")
 
     def first(names: tuple[str, ...]) -> NDArray[Any] | None:
         return next((by_name[name] for name in names if name in by_name), None)
@@ -112,7 +117,7 @@ def scan_from_columns(
     return Scan(
         points=np.column_stack([_numbers(path, name, by_name[name]) for name in ("x", "y", "z")]),
         intensity=None if intensity is None else _numbers(path, "intensity", intensity),
-        labels=None if labels is None else _label_text(labels),
+        labels=None if labels is None else _label_text(path, labels),
         instances=None if instances is None else _instance_numbers(path, instances),
         incidence=None if incidence is None else _numbers(path, "incidence", incidence),
         rings=None if rings is None else _ring_numbers(path, rings),
@@ -121,45 +126,42 @@ def scan_from_columns(
     )
 
 
-def check_promise(path: Path, n_points: int, point_bytes: int | None) -> None:
-    """Refuses a file whose header speaks of more points than its bytes can hold, before memory is taken for them.
-
-    Parameters
-    ----------
-    point_bytes : of a point; None where they are compressed
-
-    Raises
-    ------
-    ScanError
-        There are too many.
-    """
-    n_bytes = path.stat().st_size
-    if n_points * (point_bytes or _FEWEST_BYTES_PACKED) > n_bytes:
-        raise ScanError(
-            f"{path}: the header says {n_points} points, in {n_bytes} bytes; the file is truncated or wrong"
-        )
+def check_names(path: Path, names: Iterable[str]) -> None:
+    """Raises `ScanError` where x, y or z, in upper or lower case, is not among the names of a file's columns."""
+    known = list(names)
+    missing = [name for name in ("x", "y", "z") if name not in map(str.lower, known)]
+    if missing:
+        found = cause_of(", ".join(known)) if known else "none"
+        raise ScanError(f"{path}: columns {found} found; {', '.join(missing)} wanted as well")
 
 
 @contextmanager
-def refused_unless(path: Path, wanted: str, *errors: type[Exception]) -> Iterator[None]:
-    """Around the call of a format's library.
+def refused_unless(path: Path, wanted: str) -> Iterator[None]:
+    """Around the call of a format's library, which on a broken file raises whatever its parser met.
 
     Parameters
     ----------
     wanted : what the file should be: "a CSV table"
-    errors : what the library raises on a broken file
 
     Raises
     ------
     ScanError
-        In place of these errors. An `OSError` of the file itself is let through, and a `ScanError`.
+        In place of any error, with its first line. An `OSError` of the file itself is let through, and a `ScanError`.
     """
     try:
         yield
-    except (OSError, ScanError, ModuleNotFoundError):
+    except (ScanError, ModuleNotFoundError):
         raise
-    except errors as error:
-        raise ScanError(f"{path}: not {wanted} ({str(error).strip()})") from error
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise ScanError(f"{path}: not {wanted} ({cause_of(error)})") from error
+
+
+def cause_of(error: object) -> str:
+    """What an error of a library says, in one line; its name where it says nothing."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= _LONGEST_CAUSE else f"{text[:_LONGEST_CAUSE]} ..."
 
 
 def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
@@ -185,7 +187,7 @@ def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
     upper = (numbers >> 16).astype(np.int32)
     return replace(
         scan,
-        labels=_label_text(numbers & 0xFFFF),
+        labels=_label_text(label_path, numbers & 0xFFFF),
         instances=scan.instances if scan.instances is not None and not upper.any() else upper,
         label_names={},
     )
@@ -212,13 +214,14 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
     try:
         with np.errstate(over="ignore"):  # what float64 does not hold is infinite
             return column.astype(np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         for row, value in enumerate(column.tolist()):
             try:
                 float(value)
-            except (TypeError, ValueError):
-                raise ScanError(f"{path}: row {row + 1}, column {name}: {value!r} found, a number wanted") from None
-        raise
+            except (TypeError, ValueError, OverflowError):
+                found = cause_of(repr(value))
+                raise ScanError(f"{path}: row {row + 1}, column {name}: {found} found, a number wanted") from None
+        raise ScanError(f"{path}: column {name} is of type {column.dtype}, numbers are wanted") from None
 
 
 def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
@@ -240,7 +243,10 @@ def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
     return numbers.astype(np.int32) if is_whole else None
 
 
-def _label_text(column: NDArray[Any]) -> NDArray[np.str_]:
-    if column.dtype.kind == "f" and np.isfinite(column).all() and np.array_equal(column, np.round(column)):
+def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
+    """Labels as text; all take the room of the longest, so that there is a limit to that."""
+    if column.dtype.kind == "O" and (longest := max(map(len, map(str, column.tolist())), default=0)) > LONGEST_LABEL:
+        raise ScanError(f"{path}: a label of {longest} characters found, at most {LONGEST_LABEL} are wanted")
+    if column.dtype.kind == "f" and np.all((np.abs(column) < 2**53) & (column == np.round(column))):
         column = column.astype(np.int64)
     return column.astype(np.str_)

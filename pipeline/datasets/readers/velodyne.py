@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
+from .bounds import BoundedFile
 from .frames import Address, frame_number
 from .scan import Scan, refused_unless, scan_from_columns
 
 _PACKET_BYTES = 1206
 _LINUX_COOKED = 113
+_PACKETS_TOLD_BY = 5
 
 
 class _Frame(NamedTuple):
@@ -60,7 +63,7 @@ def decoded(path: Path, packets: Sequence[tuple[float, bytes]]) -> dict[str, NDA
     """
     import velodyne_decoder as vd
 
-    with refused_unless(path, "packets of a Velodyne sensor", Exception):  # it raises what its C++ code met
+    with refused_unless(path, "packets of a Velodyne sensor"):
         listed = vd.PacketVector([vd.VelodynePacket(stamp, data) for stamp, data in packets])
         _, rows = vd.ScanDecoder(_config(path)).decode(listed, False)
     names = ("x", "y", "z", "intensity", "time", "ring")
@@ -74,7 +77,7 @@ def _frames(file: Path, _mtime_ns: int) -> list[_Frame]:
 
     found: list[_Frame] = []
     start, stop = None, 0
-    with refused_unless(file, "a whole capture of Velodyne packets", Exception):
+    with refused_unless(file, "a whole capture of Velodyne packets"):
         decoder = vd.StreamDecoder(_config(file))
         for (begin, end), stamp, data in _packets(file):
             start, stop = begin if start is None else start, end
@@ -96,7 +99,7 @@ def _packets(
     """Data packets between two places of a capture: bytes from and to, when each came in seconds, and its content."""
     import dpkt
 
-    with file.open("rb") as stream:
+    with BoundedFile(file) as stream:
         capture = dpkt.pcap.UniversalReader(stream)
         outermost = dpkt.sll.SLL if capture.datalink() == _LINUX_COOKED else dpkt.ethernet.Ethernet
         if start is not None:
@@ -118,18 +121,31 @@ def _packets(
 
 
 @lru_cache(maxsize=16)
-def _calibration(file: Path) -> tuple[Any, Any]:
-    """Model and calibration, which an HDL-64E sends among its packets; (None, None) of other sensors."""
-    import velodyne_decoder as vd
+def _calibration(file: Path, _mtime_ns: int) -> tuple[Any, Any]:
+    """Model and calibration, which an HDL-64E sends among its packets; (None, None) of other sensors.
 
-    return vd.hdl64e.detect_hdl64e(file) if file.suffix.lower() in (".pcap", ".pcapng") else (None, None)
+    As `velodyne_decoder.hdl64e.detect_hdl64e` finds them, which opens `.pcap` files alone.
+    """
+    if file.suffix.lower() not in (".pcap", ".pcapng"):
+        return None, None
+    endings = [data[-2:] for _, _, data in islice(_packets(file), _PACKETS_TOLD_BY)]
+    if len(endings) < _PACKETS_TOLD_BY or len(set(endings)) == 1:  # model and return mode: the same in newer sensors
+        return None, None
+    import velodyne_decoder as vd
+    import yaml
+
+    found = vd.hdl64e.status_info_to_calib_dict(vd.hdl64e.read_status_info(data for _, _, data in _packets(file)))
+    if found["status"]["Calibration Time"] is None or [one["laser_id"] for one in found["lasers"]] != list(range(64)):
+        raise ValueError("packets of an HDL-64E without its calibration")
+    model = vd.Model.HDL64E_S2 if found["status"]["Model"] == "S2" else vd.Model.HDL64E_S3
+    return model, vd.Calibration.from_string(yaml.dump(found))
 
 
 def _config(file: Path) -> Any:
     import velodyne_decoder as vd
 
     config = vd.Config()
-    model, calibration = _calibration(file)
+    model, calibration = _calibration(file, file.stat().st_mtime_ns)
     if model is not None:
         config.model, config.calibration = model, calibration
     return config

@@ -1,0 +1,199 @@
+"""What one process of a campaign does: it makes hostile inputs by number, reads each, and says what went wrong.
+
+Called as `python tests/hostile/attack.py PLACE READER START STOP`. Each line on standard output is a finding as JSON, or
+the sums at the end. The number of the input at work stands in the file PLACE/number, for whoever watches.
+"""
+
+import contextlib
+import json
+import mmap
+import os
+import random
+import resource
+import shutil
+import struct
+import sys
+import tempfile
+import traceback
+import warnings
+from itertools import count
+from pathlib import Path
+from time import process_time
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+
+from mutation import mutated
+from seeds import TARGETS
+
+#: An input may take so many seconds of the processor, so much memory, and so much again for each byte it is long.
+MOST_SECONDS = 2.0
+MOST_BYTES = 64 * 2**20
+MOST_BYTES_A_BYTE = 100
+#: Address space beyond what the process has when it begins: what is asked for above that is refused by the system.
+MOST_ADDRESSES = 2**30
+
+_LOST_MEMORY = ("memoryerror", "bad_alloc", "bad alloc", "cannot allocate", "malloc of size", "unable to allocate")
+_NEVER = (
+    "subprocess.",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.fork",
+    "socket.",
+    "pickle.find_class",
+    "ctypes.dlopen",
+)
+_CHANGES = (
+    "os.remove",
+    "os.rename",
+    "os.rmdir",
+    "os.mkdir",
+    "os.link",
+    "os.symlink",
+    "os.truncate",
+    "os.chmod",
+    "shutil.",
+)
+
+
+class Watch:
+    """Sees through Python's audit hook which files are opened and changed, and what must never happen."""
+
+    def __init__(self):
+        self.folder, self.seen = None, []
+        known = (
+            sys.prefix,
+            sys.base_prefix,
+            "/usr",
+            "/etc/localtime",
+            "/proc",
+            "/sys",
+            "/dev",
+            Path(__file__).parents[2],
+        )
+        self._known = tuple(map(str, known))
+        sys.addaudithook(self._hook)
+
+    def _hook(self, event, values):
+        if self.folder is None:
+            return
+        if event.startswith(_NEVER):
+            self.seen.append(f"{event} {values[:2]!r}")
+        elif event == "open" and isinstance(values[0], str | bytes):
+            name, writes = os.fsdecode(values[0]), bool((values[2] or 0) & (os.O_WRONLY | os.O_RDWR))
+            if self._is_outside(name) and (writes or not name.startswith(self._known)):
+                self.seen.append(f"opened {name}{' to write' if writes else ''}")
+        elif event.startswith(_CHANGES) and values and isinstance(values[0], str | bytes):
+            if self._is_outside(os.fsdecode(values[0])):
+                self.seen.append(f"{event} {values[0]!r}")
+
+    def _is_outside(self, name):
+        return not os.path.abspath(name).startswith(self.folder)
+
+    @contextlib.contextmanager
+    def over(self, folder):
+        self.seen, self.folder = [], str(folder)
+        try:
+            yield self.seen
+        finally:
+            self.folder = None
+
+
+def make_input(target, seeds, name, number):
+    """The files of an input; every whole input comes first as it is."""
+    rng = random.Random(f"{name} {number}")
+    files = dict(seeds[number] if number < len(seeds) else rng.choice(seeds))
+    if number >= len(seeds):
+        hot = rng.choice([file for file in files if file.startswith(target.hot)])
+        others = [content for seed in seeds for file, content in seed.items() if file.startswith(target.hot)]
+        files[hot] = mutated(rng, files[hot], others, target.words)
+    return files
+
+
+def write_input(folder, files):
+    for file, content in files.items():
+        path = folder / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+def fault_of(error):
+    """What is wrong with how a reader refused an input, in words; "" where it did as it should."""
+    from fidpipe.schemas.errors import FidpipeError, ScanError
+
+    if not isinstance(error, FidpipeError):
+        return f"{type(error).__name__} escaped"
+    if "\n" in str(error).strip() or len(str(error)) > 3000:
+        return "a message of many lines"
+    cause = error
+    while cause is not None:
+        text = f"{type(cause).__name__} {cause}".lower()
+        if any(sign in text for sign in _LOST_MEMORY):
+            return "memory ran out"
+        is_caught_last = isinstance(error, ScanError) and ": cannot be read (" in str(error)
+        if is_caught_last and not isinstance(cause, FidpipeError | OSError):
+            return f"{type(cause).__name__} that nobody had expected"
+        cause = cause.__cause__ or cause.__context__
+    return ""
+
+
+def attack(place, name, start, stop):
+    """Reads inputs by number; prints findings, and at the end the sums."""
+    target = TARGETS[name]
+    seeds = target.inputs()
+    scratch = place / "scratch"
+    tempfile.tempdir = str(scratch)
+    number_file = (place / "number").open("w+b")
+    number_file.write(bytes(8))
+    number_file.flush()
+    at_work = mmap.mmap(number_file.fileno(), 8)
+    scratch.mkdir(exist_ok=True)
+    warnings.simplefilter("ignore")
+    for seed in range(len(seeds)):  # loads what is loaded at first use, before anything is measured
+        folder = scratch / f"whole{seed}"
+        write_input(folder, seeds[seed])
+        with contextlib.suppress(Exception):
+            target.read(folder)
+        shutil.rmtree(folder)
+    watch = Watch()
+    own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (own + MOST_ADDRESSES, own + MOST_ADDRESSES))
+    base = peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    sums = {"inputs": 0, "read": 0, "refused": 0, "slowest_s": 0.0, "slowest": -1}
+    for number in count(start):
+        if number >= stop:
+            break
+        files = make_input(target, seeds, name, number)
+        folder = scratch / f"input{number}"
+        write_input(folder, files)
+        at_work[:] = struct.pack("<Q", number + 1)
+        fault = trace = ""
+        began = process_time()
+        with watch.over(scratch) as seen:
+            try:
+                target.read(folder)
+                sums["read"] += 1
+            except Exception as error:
+                fault, sums["refused"] = fault_of(error), sums["refused"] + 1
+                trace = "".join(traceback.format_exception(error))[-3000:] if fault else ""
+        seconds = process_time() - began
+        sums["inputs"] += 1
+        if seconds > sums["slowest_s"]:
+            sums["slowest_s"], sums["slowest"] = seconds, number
+        now = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        grown, peak = (now - peak) * 1024, now
+        n_bytes = sum(map(len, files.values()))
+        if grown > MOST_BYTES + MOST_BYTES_A_BYTE * n_bytes:
+            fault = fault or f"{grown / 2**20:.0f} MiB of memory for {n_bytes} bytes"
+        if seconds > MOST_SECONDS:
+            fault = fault or f"{seconds:.1f} s"
+        for event in seen:
+            fault = fault or event.replace(str(folder), "INPUT")
+        if fault:
+            print(json.dumps({"reader": name, "number": number, "fault": fault, "trace": trace}), flush=True)
+        shutil.rmtree(folder)
+    print(json.dumps(sums | {"grown_mib": (peak - base) / 1024}), flush=True)
+
+
+if __name__ == "__main__":
+    attack(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))

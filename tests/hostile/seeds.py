@@ -1,0 +1,379 @@
+"""What is attacked: each reader with small whole inputs of its own, from which hostile ones are made."""
+
+import io
+import shutil
+import struct
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from recordings import CLOUD, carla_ply, cloud, packets_message, typestore, write_bag, write_pcap
+
+POINTS = np.array([[1.5, -2.25, 0.5], [4, 5, 6], [-7, 8, 9.125], [3, 3, 3], [10, 0, -1.5]])
+_ROWS = np.zeros(5, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")])
+for _name, _column in zip("xyz", POINTS.T, strict=True):
+    _ROWS[_name] = _column
+
+
+class Target(NamedTuple):
+    """A reader under attack.
+
+    inputs : gives whole inputs: files by name; that one is changed whose name begins with the target's `hot`
+    read : what is called with the folder of an input
+    hot : beginning of the names of the files that are changed; of several one at a time
+    words : of the format
+    """
+
+    inputs: Callable[[], list[dict[str, bytes]]]
+    read: Callable[[Path], object]
+    hot: str = "a."
+    words: tuple[bytes, ...] = ()
+
+
+def _scan(name):
+    def read(folder):
+        from fidpipe.pipeline.datasets.readers import read_scan
+
+        return read_scan(folder / name)
+
+    return read
+
+
+def _recording(name):
+    """The frames of a recording, then the first one and one by its number."""
+
+    def read(folder):
+        from fidpipe.pipeline.datasets.readers import frames_of, read_scan
+        from fidpipe.schemas.errors import FidpipeError
+
+        with suppress(FidpipeError):
+            read_scan(folder / f"{name}#0")
+        return [read_scan(frame) for frame in frames_of(folder / name)[:1]]
+
+    return read
+
+
+def _files(write, *names):
+    """What a function writes into a folder, as contents by name."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder))
+        return {
+            path.relative_to(folder).as_posix(): path.read_bytes()
+            for path in sorted(Path(folder).rglob("*"))
+            if path.is_file() and (not names or path.name in names)
+        }
+
+
+def _raw(name, columns):
+    rows = np.zeros((5, columns), "<f4")
+    rows[:, :3] = POINTS
+    return lambda: [{name: rows.tobytes()}, {name: rows.astype("<f8").tobytes()}]
+
+
+def _npy():
+    structured = _ROWS
+    arrays = [POINTS, POINTS.astype("f4"), structured, np.zeros((5, 4), ">f4"), np.asfortranarray(POINTS)]
+    found = []
+    for array in arrays:
+        content = io.BytesIO()
+        np.save(content, array)
+        found.append({"a.npy": content.getvalue()})
+    content = io.BytesIO()
+    np.lib.format.write_array(content, POINTS, version=(3, 0))
+    return [*found, {"a.npy": content.getvalue()}]
+
+
+def _pcd():
+    from pypcd4 import Encoding, PointCloud
+
+    found = []
+    for encoding in ("ascii", "binary", "binary_compressed"):
+        for columns in (("x", "y", "z", "intensity"), ("x", "y", "z", "ring")):
+            made = PointCloud.from_points([*POINTS.T, np.arange(5)], columns, [np.float32] * 3 + [np.uint16])
+            content = io.BytesIO()
+            made.save(content, Encoding(encoding))
+            found.append({"a.pcd": content.getvalue()})
+    return found
+
+
+def _ply():
+    text = "".join(f"{x} {y} {z} 7 {i}\n" for i, (x, y, z) in enumerate(POINTS))
+    properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity")) + "property int label\n"
+    head = "ply\nformat {} 1.0\ncomment made\nelement vertex 5\n" + properties
+    faces = "element face 1\nproperty list uchar int vertex_indices\n"
+    rows = np.zeros(5, [*((name, "<f4") for name in "xyz"), ("intensity", "<f4"), ("label", "<i4")])
+    for name, column in zip("xyz", POINTS.T, strict=True):
+        rows[name] = column
+    end, face = "end_header\n", struct.pack("<B3i", 3, 0, 1, 2)
+    swapped = rows.astype(rows.dtype.newbyteorder(">")).tobytes()
+    little, big = head.format("binary_little_endian"), head.format("binary_big_endian")
+    contents = [
+        (head.format("ascii") + end + text).encode(),
+        (head.format("ascii") + faces + end + text + "3 0 1 2\n").encode(),
+        (little + end).encode() + rows.tobytes(),
+        (little + faces + end).encode() + rows.tobytes() + face,
+        (big + end).encode() + swapped,
+        carla_ply(POINTS, {"CosAngle": np.ones(5), "ObjIdx": np.arange(5), "ObjTag": np.arange(5)}).encode(),
+    ]
+    return [{"a.ply": content} for content in contents]
+
+
+def _csv():
+    rows = "".join(f"{x},{y},{z},9,car\n" for x, y, z in POINTS)
+    numbers = "".join(f"{x},{y},{z},0.5,3,12,0.25\n" for x, y, z in POINTS)
+    return [
+        {"a.csv": f"X, Y, Z, Intensity, label\n{rows}".encode()},
+        {"a.csv": f"x,y,z,i,ring,instance,time\n{numbers}".encode()},
+        {"a.csv": f"x,y,z\r\n1,2,\r\n{rows}".encode()},
+    ]
+
+
+def _parquet():
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {name: pa.array(column) for name, column in zip("xyz", POINTS.T, strict=True)}
+    table = pa.table(columns | {"label": ["a", "b", None, "a", "b"], "ring": pa.array([1, 2, None, 4, 5], pa.int32())})
+    found = []
+    for options in (
+        {"compression": "none"},
+        {"compression": "zstd"},
+        {"compression": "snappy", "use_dictionary": False},
+        {"compression": "gzip", "data_page_version": "2.0"},
+        {"compression": "none", "write_statistics": False, "store_schema": False, "row_group_size": 2},
+    ):
+        content = io.BytesIO()
+        pq.write_table(table, content, **options)
+        found.append({"a.parquet": content.getvalue()})
+    return found
+
+
+def _las(name, point_format=3):
+    import laspy
+
+    def made():
+        found = []
+        for kind in (0, point_format, 6):
+            header = laspy.LasHeader(point_format=kind, version="1.4" if kind == 6 else "1.2")
+            header.scales, header.offsets = [0.001] * 3, [0.0] * 3
+            las = laspy.LasData(header)
+            las.x, las.y, las.z = POINTS.T
+            las.classification = np.arange(5)
+            content = io.BytesIO()
+            las.write(content, do_compress=name.endswith("laz"))
+            found.append({name: content.getvalue()})
+        return found
+
+    return made
+
+
+def _clouds(path, compression=None):
+    messages = [("/points", 5 * 10**9 + i, lambda types: cloud(types, _ROWS)) for i in range(2)]
+    if compression is None:
+        return write_bag(path, messages)
+    from rosbags.rosbag1 import Writer
+
+    types = typestore(is_ros1=True)
+    bag = Writer(path)
+    bag.set_compression(compression)
+    with bag:
+        connection = bag.add_connection("/points", CLOUD, typestore=types)
+        for _, time_ns, make in messages:
+            bag.write(connection, time_ns, types.serialize_ros1(make(types), CLOUD))
+    return path
+
+
+def _packets():
+    """Two packets of a VLP-16 as they come."""
+    packets = []
+    for i in range(2):
+        blocks = b""
+        for block in range(12):
+            azimuth = (i * 12 + block) * 40 % 36000
+            blocks += struct.pack("<HH", 0xEEFF, azimuth) + struct.pack("<HB", 2000 + block, 10) * 32
+        packets.append((100.0 + i * 0.001, blocks + struct.pack("<IBB", 1000 * i, 0x37, 0x22)))
+    return packets
+
+
+def _bag():
+    from rosbags.rosbag1 import Writer
+
+    kinds = (None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4)
+    found = [_files(lambda folder, kind=kind: _clouds(folder / "a.bag", kind)) for kind in kinds]
+    message = [("/packets", 10**9, lambda types: packets_message(types, _packets()[:1]))]
+    return [*found, _files(lambda folder: write_bag(folder / "a.bag", message))]
+
+
+def _ros2_bags(name):
+    """Folders of a bag, MCAP or SQLite by the name; the second one's chunks are compressed, the third's by lz4."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    found = [_files(lambda folder: _clouds(folder / name))]
+    if "mcap" not in name:
+        return found
+    for kind in ("ZSTD", "LZ4"):
+
+        def write(folder, kind=kind):
+            types = typestore(is_ros1=False)
+            bag = Writer(folder / name, version=9, storage_plugin=StoragePlugin.MCAP)
+            bag.set_compression(CompressionMode.STORAGE, CompressionFormat[kind])
+            with bag:
+                connection = bag.add_connection("/points", CLOUD, typestore=types)
+                bag.write(connection, 10**9, types.serialize_cdr(cloud(types, _ROWS), CLOUD))
+
+        with suppress(KeyError):
+            found.append(_files(write))
+    return found
+
+
+def _mcap():
+    return [{"a.mcap": files["a_mcap/a_mcap.mcap"]} for files in _ros2_bags("a_mcap")]
+
+
+def _db3():
+    return [{"a.db3": files["a_sql/a_sql.db3"]} for files in _ros2_bags("a_sql")]
+
+
+def _metadata():
+    folders = [*_ros2_bags("a_mcap")[:1], *_ros2_bags("a_sql")]
+    return [{f"bag/{Path(name).name}": content for name, content in files.items()} for files in folders]
+
+
+def _pcap():
+    return [_files(lambda folder: write_pcap(folder / "a.pcap", _packets()))]
+
+
+def _pcapng():
+    import dpkt
+
+    content = io.BytesIO()
+    writer = dpkt.pcapng.Writer(content)
+    capture = _pcap()[0]["a.pcap"]
+    for stamp, packet in dpkt.pcap.Reader(io.BytesIO(capture)):
+        writer.writepkt(packet, ts=stamp)
+    return [{"a.pcapng": content.getvalue()}]
+
+
+def _labels():
+    scan = {"scan.bin": np.zeros((5, 4), "<f4").tobytes(), "labels.toml": b'1 = "car"\n'}
+    return [scan | {"scan.label": np.arange(5, dtype="<u4").tobytes()}]
+
+
+def _scan_files():
+    points = np.zeros((5, 4), "<f4")
+    points[:, :3] = POINTS
+    return {f"{side}/{name}.bin": points.tobytes() for side in ("real", "sim") for name in ("0", "1", "2")}
+
+
+def _label_names():
+    return [{**_scan_files(), "labels.toml": b'# names\n1 = "car"\n4 = "tree"\n40 = \'road\'\n'}]
+
+
+def _manifests():
+    identity = "1 0 0 0 0 1 0 0 0 0 1 0"
+    head = "pair_id,real,sim,timestamp_s,T_real_sim,T_world_sensor\n"
+    rows = "".join(f"{i},real/{i}.bin,sim/{i}.bin,{i}.5,{identity},{identity}\n" for i in range(3))
+    plain = 'pair_id, real, sim\na,real/0.bin,sim/0.bin\n"b, c",real/1.bin#0,real/drive.mcap#/points@1.5\n'
+    return [{**_scan_files(), "pairs.csv": text.encode()} for text in (head + rows, plain)]
+
+
+def _dataset(folder):
+    from fidpipe.pipeline.datasets.pairs import read_dataset
+    from fidpipe.pipeline.datasets.readers.frames import address_of
+    from fidpipe.pipeline.storage.tables import table_name
+
+    dataset = read_dataset(folder)
+    for pair in dataset.pairs:
+        name = table_name("metrics", pair.pair_id)
+        if (folder / name).parent != folder / "metrics" or "\0" in name or len(Path(name).name.encode()) > 200:
+            raise RuntimeError(f"pair {pair.pair_id!r} is written to {name!r}")
+        for path in filter(None, (pair.real, pair.sim)):
+            address_of(path)
+    return dataset
+
+
+def _poses():
+    numbers = "".join(f"{i}.5 1 2 3 0 0 0 1\n" for i in range(3))
+    kitti = "1 0 0 0 0 1 0 0 0 0 1 0\n" * 3
+    scans = _scan_files()
+    return [
+        {**scans, "pose/poses.tum": f"# time\n{numbers}".encode()},
+        {**scans, "pose/poses.txt": kitti.encode(), "pose/calib.txt": b"P0: 1\nTr: 1 0 0 0 0 1 0 0 0 0 1 0\n"},
+        {**scans, "pose/times.txt": b"0.5\n1.5\n2.5\n"},
+    ]
+
+
+def _posed(folder):
+    from fidpipe.pipeline.datasets.pairing import read_timeline
+    from fidpipe.pipeline.datasets.sequences import read_recording
+
+    for path in (folder / "pose").iterdir():
+        shutil.copy(path, folder / "real" / path.name)
+    if (folder / "real" / "times.txt").exists():
+        return read_timeline(folder / "real")
+    return read_recording(folder / "real")
+
+
+def _settings():
+    from fidpipe.schemas.settings import PRESETS, parse, to_toml
+
+    return [{"a.toml": to_toml(parse({"preset": name})).encode()} for name in PRESETS]
+
+
+def _load_settings(folder):
+    from fidpipe.schemas.settings import departures, load, to_toml
+
+    settings = load(folder / "a.toml")
+    return departures(settings), to_toml(settings)
+
+
+def _criteria():
+    one = '[[criterion]]\nname = "structure"\nmeasure = "r_lambda.mean"\nmax = 0.4\nreason = "agreed"\n\n'
+    two = '[[criterion]]\nname = "found"\nmeasure = "match_rate.min"\nmin = 0.5\nmax = 1\nreason = "also"\n'
+    return [{"a.toml": one.encode()}, {"a.toml": (one + two).encode()}]
+
+
+def _read_criteria(folder):
+    from fidpipe.pipeline.results.gate import read_criteria
+
+    return read_criteria(folder / "a.toml")
+
+
+_PLY_WORDS = (
+    b"element vertex 5\n",
+    b"property list uchar int a\n",
+    b"property double x\n",
+    b"end_header\n",
+    b"\nformat ",
+)
+_PCD_WORDS = (b"COUNT 1 1 1 1000000", b"POINTS 1000000000", b"DATA ascii", b"DATA binary_compressed", b"SIZE 8 8 8 8")
+_YAML_WORDS = (b"- &a [*a, *a]\n", b"!!python/object:os.system", b"compression_mode: FILE\n", b"- ../../a.db3\n", b"? ")
+
+#: By name; each reads the file whose name begins with `a.`, or as `hot` says.
+TARGETS = {
+    "bin": Target(_raw("a.bin", 4), _scan("a.bin")),
+    "pcd.bin": Target(_raw("a.pcd.bin", 5), _scan("a.pcd.bin")),
+    "npy": Target(_npy, _scan("a.npy"), words=(b"'O'", b"'|V0'", b"'M8[s]'", b"(5,)<f4", b"'fortran_order': True")),
+    "pcd": Target(_pcd, _scan("a.pcd"), words=_PCD_WORDS),
+    "ply": Target(_ply, _scan("a.ply"), words=_PLY_WORDS),
+    "csv": Target(_csv, _scan("a.csv"), words=(b"x,y,z\n", b"NA", b"True", b"1j", b"2020-01-01", b'"\n"', b"x,x,x")),
+    "parquet": Target(_parquet, _scan("a.parquet")),
+    "las": Target(_las("a.las"), _scan("a.las"), words=(b"LASF_Spec", b"laszip encoded")),
+    "laz": Target(_las("a.laz"), _scan("a.laz"), words=(b"LASF_Spec", b"laszip encoded")),
+    "bag": Target(_bag, _recording("a.bag"), words=(b"compression=lz4", b"compression=bz2", b"chunk_count=")),
+    "mcap": Target(_mcap, _recording("a.mcap"), words=(b"zstd", b"lz4", b"\x89MCAP0\r\n")),
+    "db3": Target(_db3, _recording("a.db3"), words=(b"CREATE TABLE", b"CREATE VIEW", b"messages", b"topics")),
+    "metadata.yaml": Target(_metadata, _recording("bag"), hot="bag/metadata", words=_YAML_WORDS),
+    "pcap": Target(_pcap, _recording("a.pcap")),
+    "pcapng": Target(_pcapng, _recording("a.pcapng")),
+    "label": Target(_labels, _scan("scan.bin"), hot="scan.label"),
+    "labels.toml": Target(_label_names, _dataset, hot="labels", words=(b'"\\ud800"', b"1.5 = ", b"[a.b]", b"[[1]]")),
+    "pairs.csv": Target(_manifests, _dataset, hot="pairs", words=(b"real/../../x", b"#/points@1", b"pair_id", b"CON")),
+    "poses and times": Target(_poses, _posed, hot="pose/", words=(b"Tr: ", b"#", b"1_0", b"nan")),
+    "settings": Target(_settings, _load_settings, words=(b"[a]\n", b"preset = 5\n", b"[[graph]]\n", b"graph = 1\n")),
+    "criteria": Target(_criteria, _read_criteria, words=(b"[[criterion]]\n", b"[criterion]\n", b"max = nan\n")),
+}
