@@ -24,7 +24,6 @@ _INCIDENCE = ("incidence", "scalar_incidence", "cosangle")
 _RING = ("ring", "scalar_ring", "channel")
 _TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "gps_time")
 _NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
-_FEWEST_BYTES_PACKED = 0.02  # a point, in a compressed file
 #: Names of columns that are read, in lower case.
 KNOWN_COLUMNS = frozenset(("x", "y", "z", *_INTENSITY, *_LABEL, *_INSTANCE, *_INCIDENCE, *_RING, *_TIME))
 LONGEST_LABEL = 200  #: characters
