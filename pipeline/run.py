@@ -25,7 +25,8 @@ from ..schemas.results import (
     Overview,
     PreviousRun,
 )
-from ..schemas.settings import Settings, preset_of, to_toml
+from ..schemas.settings import Settings, preset_of
+from ..schemas.settings_text import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset

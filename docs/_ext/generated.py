@@ -8,7 +8,8 @@ from sphinx.util.docutils import SphinxDirective
 
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.stage import SCAN, Grain, Stage
-from fidpipe.schemas.settings import Settings, group_to_markdown
+from fidpipe.schemas.settings import Settings
+from fidpipe.schemas.settings_text import group_to_markdown
 from fidpipe.schemas.tables import TABLES, columns_to_markdown
 
 if TYPE_CHECKING:

@@ -47,15 +47,15 @@ def settings(
 
     fidpipe settings --json-schema > fidpipe.schema.json    for an editor: docs/install.md
     """
-    from ...schemas import settings_file
+    from ...schemas import settings_text
     from ...schemas.settings import load
 
     if json_schema and (preset or settings or assignments):
         raise typer.BadParameter("--json-schema is of every file of settings; give it alone")
     if json_schema:
-        print_json(settings_file.json_schema())
+        print_json(settings_text.json_schema())
     else:
-        print_text(settings_file.commented_toml(load(settings, assignments or [], preset=preset)))
+        print_text(settings_text.commented_toml(load(settings, assignments or [], preset=preset)))
 
 
 def check(

@@ -20,7 +20,8 @@ import pyarrow.parquet as pq
 
 from ...schemas.columns import Row, Table
 from ...schemas.errors import DatasetError, RunError, ScanError
-from ...schemas.settings import Settings, to_toml
+from ...schemas.settings import Settings
+from ...schemas.settings_text import to_toml
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import ScanPair, read_dataset, read_label_names

@@ -319,13 +319,15 @@ def _posed(folder):
 
 
 def _settings():
-    from fidpipe.schemas.settings import PRESETS, parse, to_toml
+    from fidpipe.schemas.settings import PRESETS, parse
+    from fidpipe.schemas.settings_text import to_toml
 
     return [{"a.toml": to_toml(parse({"preset": name})).encode()} for name in PRESETS]
 
 
 def _load_settings(folder):
-    from fidpipe.schemas.settings import departures, load, to_toml
+    from fidpipe.schemas.settings import departures, load
+    from fidpipe.schemas.settings_text import to_toml
 
     settings = load(folder / "a.toml")
     return departures(settings), to_toml(settings)

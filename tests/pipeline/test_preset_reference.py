@@ -12,7 +12,8 @@ from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, departures, load, parse, preset_of, to_toml
+from fidpipe.schemas.settings import Settings, departures, load, parse, preset_of
+from fidpipe.schemas.settings_text import to_toml
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from pools import WatchedPool
 from runs import assert_same_tables, changed_files, command, marks, run, tables

@@ -1,7 +1,8 @@
 import pytest
 
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, group_to_markdown, load, to_markdown, to_toml
+from fidpipe.schemas.settings import Settings, load
+from fidpipe.schemas.settings_text import to_toml
 
 
 def test_the_defaults_are_those_of_the_paper():
@@ -72,25 +73,6 @@ def test_a_wrong_file_is_named(tmp_path, text, fault):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(SettingsError, match=r"nowhere\.toml: cannot be read"):
         load(tmp_path / "nowhere.toml")
-
-
-def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
-    lines = to_markdown().splitlines()[2:]
-    assert len(lines) == sum(len(type(values).model_fields) for _, values in Settings())
-    by_name = {line.split("`")[1]: line for line in lines}
-    assert "| `90` | 1 to 2000 | nearest neighbours" in by_name["graph.k"]
-    assert "| `5` | above 0 |" in by_name["matching.delta_m"]
-    assert "| `greedy` | `greedy`, `optimal` |" in by_name["matching.method"]
-    assert "| none | 6 numbers |" in by_name["input.exclude_box"]
-
-
-def test_the_table_of_a_group_has_the_values_of_both_presets():
-    head, _, *lines = group_to_markdown("graph").splitlines()
-    rows = {cells[1].strip(): [cell.strip() for cell in cells[2:5]] for cells in (line.split("|") for line in lines)}
-    assert head.startswith("| setting | paper | reference | allowed |")
-    assert rows["`graph.k`"] == ["`90`", "`90`", "1 to 2000"]
-    assert rows["`graph.ties`"][:2] == ["`point_id`", "`coordinates`"]
-    assert len(rows) == len(Settings().graph.model_dump())
 
 
 def test_frames_at_their_default_are_in_no_key_and_no_record_of_a_run():

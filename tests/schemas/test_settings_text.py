@@ -9,7 +9,7 @@ import pytest
 
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import PRESETS, Settings, load, parse
-from fidpipe.schemas.settings_file import commented_toml, json_schema
+from fidpipe.schemas.settings_text import commented_toml, group_to_markdown, json_schema, to_markdown
 from runs import command
 
 OTHER_VALUES = [
@@ -17,7 +17,8 @@ OTHER_VALUES = [
     "graph.tau_m=0.1",
     "input.columns=x,y,z,intensity,ring",
     "input.exclude_box=-1 -1 -1 1.5 1e-9 1",
-    "input.max_range_m=1e300",
+    "input.max_range_m=1e9",
+    "input.min_range_m=1e-300",
     "metrics.baselines=all",
     "ground.shared=true",
     "machine.memory_gib=0.5",
@@ -111,3 +112,22 @@ def test_the_command_prints_what_its_options_say(tmp_path):
         1,
         "error: preset 'papper': no such preset; known are paper, reference\n",
     )
+
+
+def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
+    lines = [line for line in to_markdown().splitlines() if line.startswith("| `")]
+    assert len(lines) == sum(len(type(values).model_fields) for _, values in Settings())
+    by_name = {line.split("`")[1]: line for line in lines}
+    assert "| `90` | `90` | 1 to 2000 | nearest neighbours" in by_name["graph.k"]
+    assert "| `5` | `5` | above 0 |" in by_name["matching.delta_m"]
+    assert "| `greedy`, `optimal` |" in by_name["matching.method"]
+    assert "| none | none | 6 numbers |" in by_name["input.exclude_box"]
+
+
+def test_the_table_of_a_group_has_the_values_of_both_presets():
+    head, _, *lines = group_to_markdown("graph").splitlines()
+    rows = {cells[1].strip(): [cell.strip() for cell in cells[2:5]] for cells in (line.split("|") for line in lines)}
+    assert head.startswith("| setting | paper | reference | allowed |")
+    assert rows["`graph.k`"] == ["`90`", "`90`", "1 to 2000"]
+    assert rows["`graph.ties`"][:2] == ["`point_id`", "`coordinates`"]
+    assert len(rows) == len(Settings().graph.model_dump())
