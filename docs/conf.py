@@ -48,14 +48,19 @@ html_show_copyright = False
 
 def inline_math(writer: HTML5Translator, node: nodes.math) -> None:
     """Writes a formula in the line as MathML, which every browser draws without a script or a font from elsewhere."""
-    writer.body.append(tex2mathml(node.astext()))
+    writer.body.append(mathml(node, as_block=False))
     raise nodes.SkipNode
 
 
 def block_math(writer: HTML5Translator, node: nodes.math_block) -> None:
     """Writes a formula on lines of its own as MathML."""
-    writer.body.append(f'<div class="math-block">{tex2mathml(node.astext(), as_block=True)}</div>')
+    writer.body.append(f'<div class="math-block">{mathml(node, as_block=True)}</div>')
     raise nodes.SkipNode
+
+
+def mathml(node: nodes.math | nodes.math_block, *, as_block: bool) -> str:
+    """The formula of a node; both bars of a norm are as high as the letters, else one of them is higher."""
+    return tex2mathml(node.astext(), as_block=as_block).replace("<mo>‖</mo>", '<mo stretchy="false">‖</mo>')
 
 
 def setup(app: Sphinx) -> None:
