@@ -314,19 +314,6 @@ _TYPES = {str(CONSTANT): "string", "double": "float64", "float": "float32"}
 
 
 def to_markdown() -> str:
-<<<<<<< HEAD
-    """All tables for people: a heading for each, what sorts its rows, and its columns."""
-    parts = []
-    for table in TABLES.values():
-        keys = ", ".join(f"`{key}`" for key in table.keys)
-        parts.append(f"### {table.name}\n\nSorted by {keys}.\n\n{columns_to_markdown(table)}")
-    return "\n".join(parts)
-
-
-def columns_to_markdown(table: Table) -> str:
-    """The columns of a table for people: name, with a question mark where it may be null, type, unit and meaning."""
-    rows = ["| column | type | unit | what |", "|---|---|---|---|"]
-=======
     """All tables for people: a heading for each, and its columns."""
     return "\n".join(f"### {table.name}\n\n{columns_to_markdown(table)}" for table in TABLES.values())
 
@@ -335,7 +322,6 @@ def columns_to_markdown(table: Table) -> str:
     """The columns of a table for people, with type, unit, whether null is allowed, meaning, and what sorts its rows."""
     rows = [f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", ""]
     rows += ["| column | type | unit | null | what |", "|---|---|---|---|---|"]
->>>>>>> room-docs
     for field in table.schema:
         kind = _TYPES.get(str(field.type), str(field.type))
         unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))

@@ -74,14 +74,7 @@ def tables_of(stage: Stage) -> str:
     for table, columns in stage.takes.items():
         words = "points, and labels if it has them" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
         lines.append(f"| {_table_word(table)} | {words or 'facts of its job alone'} |")
-<<<<<<< HEAD
-    for table in (TABLES[name] for name in stage.gives):
-        keys = ", ".join(f"`{key}`" for key in table.keys)
-        lines += ["", f"It gives `{table.name}`, rows by {keys}; a column with a question mark may be null:", ""]
-        lines.append(columns_to_markdown(table))
-=======
     lines += [f"\nIt gives `{name}`. {columns_to_markdown(TABLES[name])}" for name in stage.gives]
->>>>>>> room-docs
     return "\n".join(lines) + "\n"
 
 
