@@ -24,6 +24,7 @@ from fidpipe.pipeline.datasets.side_checks import SideSamples
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros, clean_scan
 from fidpipe.stages.sensing.frames import check_frames
+from fidpipe.stages.sensing.plausibility import implausible
 from fidpipe.stages.sensing.scans import make_pair
 from fidpipe.stages.sensing.sensor_models import SENSORS
 from fidpipe.stages.sensing.stamps import describe_stamps
@@ -246,10 +247,22 @@ def frames(data):
             print(f"| {real_frame} | {sim_frame} | " + " | ".join(cells) + " |", flush=True)
 
 
+def camera(data):
+    """Scans by themselves, as they are and in camera axes: what both sides in one wrong frame leave to see."""
+    names = ["kitti_twin/*/000000.bin", "kitti_sequence/000000.bin", "carla/000030.bin", "carla/half_sweep.bin"]
+    names += ["rellis/*.bin", "registration/source.ply", "velodyne_vlp32c/*.pcd", "nuscenes/*.bin"]
+    scans = points_of(path for name in names for path in sorted(data.glob(name))) + streets(0, 4, "vlp32c")[1]
+    scans = [points[np.isfinite(points).all(axis=1) & points.any(axis=1)] for points in scans]
+    for name, turn in (("as they are", np.eye(3)), ("in camera axes", as_ros(np.eye(3), "kitti-cam").T)):
+        n_told = sum(any("camera axes" in text for text in implausible(points @ turn, "real", 2.5)) for points in scans)
+        print(f"\n{name}: {n_told} of {len(scans)} scans are said to be in camera axes")
+
+
 def main(data):
     sides(data)
     stamps(data)
     frames(data)
+    camera(data)
 
 
 if __name__ == "__main__":

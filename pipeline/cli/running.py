@@ -67,11 +67,14 @@ def check(
 ) -> None:
     """Show what would be read from a dataset, and what is wrong with it; computes nothing.
 
-    Exits with 1 if anything is wrong.
+    Lengths are metres, angles degrees; scans have x forward, y left, z up unless input.real_frame or input.sim_frame
+    says otherwise. Exits with 1 if anything is wrong.
 
     Examples
     --------
     fidpipe check dataset/ --set input.min_range_m=3
+
+    fidpipe check dataset/ --set input.real_frame=nuscenes --set input.sim_frame=carla
 
     fidpipe check dataset/ --json | jq -r '.faults[]'
     """

@@ -289,8 +289,9 @@ def _frames_and_motion(M: FloatArray, placement: _Placement) -> tuple[FrameName,
     F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; fewer frames are changed before more.
     """
     R, real, sim = placement.motion[:, :3], placement.real_frame, placement.sim_frame
-    candidates = [(real, sim), *((real, name) for name in _FRAMES), *((name, sim) for name in _FRAMES)]
-    for own_real, own_sim in [*candidates, *((a, b) for a in _FRAMES for b in _FRAMES)]:
+    reals = sorted(_FRAMES, key=lambda name: name == "carla")  # real sensors are right-handed, if anything else fits
+    candidates = [(real, sim), *((real, name) for name in _FRAMES), *((name, sim) for name in reals)]
+    for own_real, own_sim in [*candidates, *((a, b) for a in reals for b in _FRAMES)]:
         change = _FRAMES[own_real] @ _FRAMES[real].T
         if np.allclose(change @ M[:, :3] @ _FRAMES[sim], R @ _FRAMES[own_sim], atol=1e-9):
             return own_real, own_sim, np.column_stack([R, change @ M[:, 3]])

@@ -60,7 +60,7 @@ def test_two_healthy_sides_raise_no_warning(tmp_path):
 
 def test_a_late_side_is_named_with_frames_and_seconds(tmp_path):
     (warning,) = (text for text in warnings(write(tmp_path, drive(2), drive(0, seed=20))) if "frames late" in text)
-    assert warning.startswith("simulated scans seem 2 frames late (0.2 s): real ones are 0.1")
+    assert warning.startswith("simulated scans seem 2 frames late (0.2 s): real ones are 0.0")
     assert "from those of pair +2" in warning and "(better in 4 of 4)" in warning and "--offset" in warning
 
 

@@ -95,6 +95,12 @@ def test_the_frame_of_one_side_is_named(sim_frame):
         assert check(recorded(again(scene()), sim_frame), scene()).setting == f"input.real_frame={sim_frame}"
 
 
+@pytest.mark.parametrize("real_frame", ["nuscenes", "kitti-cam"])
+def test_of_two_frames_the_left_handed_one_is_the_simulators(real_frame):
+    found = check(recorded(scene(), real_frame), recorded(again(scene()), "carla"))
+    assert found.setting == f"input.real_frame={real_frame} and input.sim_frame=carla"
+
+
 @pytest.mark.parametrize("shift_m", [1.8, -1.8])
 def test_another_height_of_the_sensor_is_seen_by_the_ground(shift_m):
     found = check(scene(), again(scene()) + [0, 0, shift_m])
