@@ -14,7 +14,7 @@ LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test check fast docs bench clean setup browser javascript lock release-check
+.PHONY: run test check fast docs bench clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -87,6 +87,24 @@ LOCKED = $(BIN)/uv pip compile pyproject.toml --universal --generate-hashes --no
 lock: setup
 	$(LOCKED) --all-extras $(UPGRADE) --output-file $(LOCK)
 	$(LOCKED) --extra all --constraint $(LOCK) --upgrade --output-file requirements-run.lock
+
+# Under each Python with the locked versions, and with the lowest versions that pyproject.toml allows. TESTS="-m ''" runs
+# the slow ones too; interpreters of pyenv are found with PYENV_VERSION=3.11.7:3.12.1:3.13.0 or the like.
+PYTHONS ?= 3.11 3.12 3.13
+TESTS ?= -m "not slow"
+
+test-pythons: setup
+	for version in $(PYTHONS) lowest; do \
+		place=.cache/python-$$version; \
+		if [ $$version = lowest ]; then \
+			$(BIN)/uv venv --quiet --clear --python $(firstword $(PYTHONS)) $$place && \
+			$(BIN)/uv pip install --quiet --python $$place --resolution lowest-direct '.[all,dev]'; \
+		else \
+			$(BIN)/uv venv --quiet --clear --python $$version $$place && \
+			$(BIN)/uv pip install --quiet --python $$place --require-hashes --requirement $(LOCK) && \
+			$(BIN)/uv pip install --quiet --python $$place --no-deps --no-build-isolation .; \
+		fi && $$place/bin/pytest $(TESTS) || exit 1; \
+	done
 
 # Archives, clean installs, extras, the Dockerfile's steps: some minutes, wants the package index.
 release-check: setup

@@ -5,12 +5,14 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from fidpipe.pipeline.storage.record import library_versions
 from licences import is_allowed, libraries, licence
 from runs import FIDPIPE
 
@@ -65,8 +67,8 @@ def test_the_lock_has_each_requirement_with_a_version_that_fits_and_hashes(file,
     ]:
         requirement = Requirement(text)
         if requirement.name != "fidpipe":
-            version, _ = versions[canonicalize_name(requirement.name)]
-            assert requirement.specifier.contains(version), f"{text} is {version} in {file}; run make lock"
+            found, _ = versions[canonicalize_name(requirement.name)]
+            assert requirement.specifier.contains(found), f"{text} is {found} in {file}; run make lock"
     assert [name for name, (_, hashes) in versions.items() if not hashes] == []
 
 
@@ -148,3 +150,7 @@ def test_every_command_does_its_work_where_there_is_no_network(guarded, dataset)
         pytest.skip("a network namespace is not permitted here")
     for words in all_commands(dataset):
         guarded(*alone, sys.executable, "-c", LOOPBACK, *words)
+
+
+def test_an_extra_that_is_not_installed_has_no_version_and_stops_no_plan():
+    assert library_versions(["no-such-library", "numpy"]) == {"no-such-library": "absent", "numpy": version("numpy")}

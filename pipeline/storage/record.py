@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +60,16 @@ LIBRARIES = (
 
 
 def library_versions(names: Iterable[str]) -> dict[str, str]:
-    """Installed versions by distribution name."""
+    """Installed versions by distribution name; of an extra that is not installed: absent."""
     return {name: _version(name) for name in names}
 
 
 @cache
 def _version(name: str) -> str:
-    return version(name)
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"  # whatever calls it says what to install
 
 
 def read_run(folder: Path) -> dict[str, Any]:
