@@ -131,8 +131,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
 def _points(name: str, points: ArrayLike) -> FloatArray:
     try:
         array = np.asanyarray(points)
-    except ValueError as error:  # rows of unequal lengths
-        raise ScanError(f"{name}: numbers of shape (n, 3) are wanted ({error})") from error
+    except ValueError as error:
+        raise ScanError(f"{name}: rows of unequal lengths found, numbers of shape (n, 3) wanted") from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise ScanError(f"{name}: an array of shape {array.shape} found, (n, 3) wanted")
     if array.dtype.kind not in "fiu":

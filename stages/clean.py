@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,6 +106,28 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     columns, signs = _AXES[frame]
     turned: FloatArray = points[:, columns] * np.array(signs)
     return turned
+
+
+def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], settings: InputSettings) -> str:
+    """Why a scan cannot be used of which cleaning has left too little, and what may be done about it.
+
+    Examples
+    --------
+    >>> too_few_left(5, 8, {"too_near": 9, "too_far": 2}, InputSettings())
+    '5 points are left after cleaning (9 too near, 2 too far), at least 8 are needed; lower input.min_range_m (now 2.5)'
+    """
+    counts = {reason: n for reason, n in dropped.items() if n}
+    why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()) or "no more in the file"
+    remedies = {
+        "too_near": f"lower input.min_range_m (now {settings.min_range_m:g})",
+        "too_far": f"raise input.max_range_m (now {settings.max_range_m:g}), or give the points in the sensor's frame",
+        "in_exclude_box": "shrink input.exclude_box",
+        "outside_include_box": "widen input.include_box",
+    }
+    remedy = remedies.get(max(counts, key=counts.__getitem__, default=""), "is the export whole?")
+    if not n_left:
+        return f"no point is left after cleaning ({why}); {remedy}"
+    return f"{n_left} points are left after cleaning ({why}), at least {n_fewest} are needed; {remedy}"
 
 
 def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:

@@ -69,3 +69,54 @@ def write_dataset(folder: Path, n_pairs=3, n=150):
         write_bin(folder / "real" / f"{i:03}.bin", scan)
         write_bin(folder / "sim" / f"{i:03}.bin", drifted(scan, seed=i))
     return folder
+
+
+def cloud(n=60, seed=0):
+    """Points of a round cloud, 11 m from the sensor."""
+    return np.array([10.0, 5.0, 1.0]) + np.random.default_rng(seed).normal(0, 1, (n, 3))
+
+
+def grid(*axes):
+    """The points of a lattice."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float64)
+
+
+def degenerate():
+    """By what it is: a real and a simulated scan of which hardly anything can be said, or for which numbers end."""
+    some, line = cloud(), np.outer(np.arange(40.0), [1, 0.5, 0.2]) + [3, 3, 1]
+    plane = np.column_stack([np.random.default_rng(1).uniform(5, 15, (80, 2)), np.ones(80)])
+    lattice = grid(*[np.arange(5.0)] * 3) + [5, 5, 0]
+    crumbs = np.repeat(grid(np.arange(-45, 45, 2.0), np.arange(-45, 45, 2.0), [3.0]), 2, axis=0)
+    crumbs[::2] += 0.01
+    giant = [6, 0, 1] + np.random.default_rng(2).normal(0, 0.02, (600, 3))
+    broken = np.where(np.random.default_rng(3).random(some.shape) < 0.2, np.nan, some)
+    sides = {
+        "no point": (some[:0], some[:0]),
+        "one point": (some[:1], some[:1]),
+        "two points": (some[:2], some[:2]),
+        "eight points, the fewest that are enough": (some[:8], some[:8]),
+        "no simulated point": (some, some[:0]),
+        "all points equal": (np.full((50, 3), 5.0), np.full((50, 3), 5.0)),
+        "every point several times": (np.repeat(some, 3, axis=0), np.repeat(some, 2, axis=0)),
+        "points a rounding apart": (np.vstack([some, np.nextafter(some, 99)]), some),
+        "on a line": (line, line[::2] + [0, 0.1, 0]),
+        "on a vertical line": ((line - line[0]) * [0, 0, 1] + [5, 5, 0], (line[::2] - line[0]) * [0, 0, 1] + [5, 5, 0]),
+        "in a plane": (plane, plane[:-9]),
+        "a lattice, all distances tied": (lattice, lattice[:-7]),
+        "one giant community": (giant, giant[:-50]),
+        "2025 tiny communities": (crumbs, crumbs[:-3]),
+        "fewer points than graph.k": (some[:12], some[:10]),
+        "nothing but road on the real side": (road(300) * [1, 1, 0] - [0, 0, 1.7], street()),
+        "the simulated side out of reach": (some, some + [60, 0, 0]),
+        "a fifth of the coordinates NaN": (broken, some),
+        "a fifth of the coordinates infinite": (np.where(np.isnan(broken), np.inf, some), some),
+        "nothing but NaN": (some * np.nan, some),
+        "a street at 1e6 m (projected)": (street() + [1e6, 1e6, 0], drifted(street()) + [1e6, 1e6, 0]),
+        "one point at 1e9 m": (np.vstack([some, [9e8, 0, 0]]), some),
+        "one point at 1e300 m": (np.vstack([some, [1e300, 0, 0]]), some),
+        "the largest float64 of either sign": (np.sign(some - cloud(1)) * np.finfo(np.float64).max, some),
+        "two scales, 1 and 1e-200": (np.vstack([some, some * 1e-200]), some),
+    }
+    for exponent in (300, 40, 12, -10, -50, -162, -200, -310):
+        sides[f"a cloud times 1e{exponent}"] = (some * 10.0**exponent, some[:-9] * 10.0**exponent)
+    return sides

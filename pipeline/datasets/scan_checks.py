@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
-from ...stages.clean import as_ros, clean_scan
+from ...stages.clean import CleanResult, as_ros, clean_scan, too_few_left
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.sensing.frames import FRAMES_VERSION, can_move, check_frames
 from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
@@ -202,7 +202,7 @@ def inspect_scan(
         warnings=[
             f"{path}: {text}" for text in (*implausible(own, side, settings.min_range_m), *_not_finite(scan.points))
         ],
-        fault=None if len(clean.points) >= MIN_OBJECT_POINTS else _too_few_left(path, len(clean.points), clean.dropped),
+        fault=_too_few(path, clean, settings),
     )
     return facts, scan
 
@@ -308,18 +308,19 @@ def settings_key(side: str, T_real_sim: tuple[float, ...] | None, settings: Inpu
     return key_of(side, T_real_sim, settings.model_dump(mode="json"))
 
 
+def _too_few(path: Path, clean: CleanResult, settings: InputSettings) -> str | None:
+    """Why too little of a scan is left after cleaning; None if there is enough."""
+    n_left = len(clean.points)
+    if n_left >= MIN_OBJECT_POINTS:
+        return None
+    return f"{path}: {too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings)}"
+
+
 def _not_finite(points: FloatArray) -> list[str]:
     share = 1.0 - float(np.isfinite(points).all(axis=1).mean())
     if share <= _MOST_NOT_FINITE:
         return []
     return [f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped; is the export whole?"]
-
-
-def _too_few_left(path: Path, n_left: int, dropped: dict[str, int]) -> str:
-    why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items() if n) or "no more in the file"
-    if not n_left:
-        return f"{path}: no point is left after cleaning ({why})"
-    return f"{path}: {n_left} points are left after cleaning ({why}), at least {MIN_OBJECT_POINTS} are needed"
 
 
 def _marks_and_keys(facts: Mapping[str, ScanFacts]) -> tuple[list[list[list[int]]], list[str]]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import GROUND
-from ...stages.clean import clean_scan
-from ...stages.ground import GroundResult, remove_ground
+from ...stages.clean import clean_scan, too_few_left
+from ...stages.ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
 from ..stage import SCAN, Context, Facts, Grain, Made, Stage
 
 _LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
@@ -21,6 +22,8 @@ def make_ground(context: Context) -> Made:
     T = np.array(context.T_real_sim).reshape(3, 4) if side == "sim" and context.T_real_sim else None
     with context.step("clean"):
         clean = clean_scan(scan.points, own, frame=own.frame_of(side), T_real_sim=T)
+    if len(clean.points) < MIN_OBJECT_POINTS:
+        raise StageError(too_few_left(len(clean.points), MIN_OBJECT_POINTS, clean.dropped, own))
     shared = _cut(context.facts("ground", "real")) if context.needs_real else None
     with context.step("ground"):
         cut = remove_ground(clean.points, context.settings.ground, shared)

@@ -1,0 +1,197 @@
+"""Scans of which hardly anything can be said: a score within its bounds, a null with a reason, or one line."""
+
+import json
+import re
+
+import degenerate
+import numpy as np
+import pytest
+from degenerate import ARRAYS, FURTHER, OPEN, PAGE, SCENES, outcome
+
+from fidpipe import evaluate_pair
+from fidpipe.schemas.errors import FidpipeError, ScanError
+from fidpipe.schemas.tables import PAIRS
+from runs import command, run, tables
+from scenes import cloud, drifted, street
+
+MOST_OBJECTS = "2025 tiny communities"
+SLOW = pytest.mark.slow
+EXTRAS = {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
+LINES = set(PAGE.read_text(encoding="utf-8").splitlines())
+
+
+@pytest.mark.parametrize("scene", [pytest.param(name, marks=SLOW if name in FURTHER else ()) for name in SCENES])
+def test_the_page_says_what_becomes_of_a_scene(scene):
+    assert degenerate.row(scene) in LINES, "run python tests/degenerate.py, and say why in CHANGELOG.md"
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_the_page_says_what_becomes_of_an_array(name):
+    assert degenerate.array_row(name) in LINES, "run python tests/degenerate.py, and say why in CHANGELOG.md"
+
+
+def test_the_page_has_no_other_row():
+    rows = {line.split("|")[1].strip() for line in LINES if line.startswith("|")}
+    assert rows == {*SCENES, *ARRAYS, "scene", "array", "---"}
+
+
+@SLOW
+@pytest.mark.parametrize(
+    "settings",
+    [
+        OPEN | EXTRAS,
+        {"preset": "reference"} | OPEN | EXTRAS,
+        {"input": OPEN["input"]},
+        {"input": OPEN["input"], "ground": {"loss": "total"}},
+        {"input": OPEN["input"], "ground": {"shared": True}},
+        {"input": OPEN["input"], "ground": {"method": "patchwork"}},
+        OPEN | {"communities": {"backend": "python-louvain"}},
+        OPEN | {"graph": {"edges": "intersection", "k": 3}},
+        OPEN | {"graph": {"k": 1, "tau_m": 0}},
+        OPEN | {"matching": {"method": "optimal"}},
+        OPEN | {"selection": {"t": 100}},
+    ],
+    ids=lambda settings: json.dumps({group: settings[group] for group in settings if group != "input"}),
+)
+def test_under_other_settings_every_scene_has_an_outcome_too(settings, capfd):
+    pytest.importorskip("pypatchworkpp")
+    outcomes = {name: outcome(*scene, settings) for name, scene in SCENES.items() if name != MOST_OBJECTS}
+    assert sum(not words.startswith("refused") for words in outcomes.values()) > 10
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """All scenes as files whose points have an intensity that is NaN and one of two labels."""
+    folder = tmp_path_factory.mktemp("data") / "degenerate"
+    for i, scene in enumerate(own for name, own in SCENES.items() if name != MOST_OBJECTS):
+        for side, points in zip(("real", "sim"), scene, strict=True):
+            rows = np.empty(len(points), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8"), ("intensity", "f4"), ("label", "U4")])
+            rows["x"], rows["y"], rows["z"] = points.T
+            rows["intensity"], rows["label"] = np.nan, np.where(np.arange(len(points)) % 7 < 4, "tree", "wall")
+            (folder / side).mkdir(parents=True, exist_ok=True)
+            np.save(folder / side / f"{i:03}.npy", rows)
+    return folder
+
+
+@SLOW
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--preset", "paper"],
+        ["--preset", "reference", "--set", "communities.reference=labels", "--set", "metrics.baselines=all"],
+    ],
+    ids=["paper", "reference, labels, baselines"],
+)
+def test_a_run_over_all_scenes_scores_what_can_be_and_names_the_rest(files, tmp_path, words):
+    out = tmp_path / "run"
+    openly = ["--set", "input.min_range_m=0", "--set", "input.max_range_m=1e9", "--set", "ground.method=none"]
+    ended = command("run", files, "--out", out, *openly, *words)
+    assert ended.returncode == 3
+    assert not re.search(r"Traceback|\w+Warning|\.py:\d", ended.stdout + ended.stderr)
+    found = tables(out)
+    for path, table in found.items():
+        for name in table.schema.names:
+            values = table.column(name).to_pylist()
+            known = [value for value in values if value is not None]
+            assert name == "intensity" or not degenerate.fault_of("", name, known), (path, name)
+            assert name == "intensity" or all(value == value for value in known), (path, name)
+    scenes = [name for name in SCENES if name != MOST_OBJECTS]
+    settings = OPEN | {"preset": words[1]}
+    for name, row in zip(scenes, found["pairs.parquet"].to_pylist(), strict=True):
+        if "communities.reference=labels" in words:
+            assert row["status"] == "scored" or row["reason"], name
+        else:
+            assert _without_names(row) == _in_memory(*SCENES[name], settings), name
+
+
+@SLOW
+def test_a_finished_run_of_all_scenes_is_shown_and_reported(files, tmp_path):
+    assert run(files, tmp_path / "run").failures
+    for words in (["show"], ["report"], ["status"], ["gate", "--max", "r_lambda.mean=1"], ["export", "--ply"]):
+        ended = command(words[0], tmp_path / "run", *words[1:])
+        assert ended.returncode == 0, ended.stderr
+        assert not re.search(r"Traceback|\w+Warning", ended.stdout + ended.stderr), words
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"z": "c16"}, "column z: complex128 values found, one real number a row wanted"),
+        ({"x": "?"}, "column x: bool values found"),
+        ({"y": ("f8", 2)}, r"column y: float64 values of shape \(20, 2\) found"),
+        ({"intensity": "c8"}, "column intensity: complex64 values found"),
+    ],
+)
+def test_a_column_of_no_real_numbers_is_refused_by_its_name(tmp_path, columns, words):
+    kinds = {"x": "f8", "y": "f8", "z": "f8", "intensity": "f4"} | columns
+    rows = np.ones(20, dtype=[(name, *(kind if isinstance(kind, tuple) else (kind,))) for name, kind in kinds.items()])
+    for side in ("real", "sim"):
+        (tmp_path / side).mkdir()
+        np.save(tmp_path / side / "a.npy", rows)
+    ended = command("check", tmp_path)
+    assert ended.returncode == 1
+    assert re.search(words, " ".join(ended.stdout.split()))
+    assert "Warning" not in ended.stderr
+
+
+def test_records_in_rows_and_columns_are_refused(tmp_path):
+    for side in ("real", "sim"):
+        (tmp_path / side).mkdir()
+        np.save(tmp_path / side / "a.npy", np.ones((6, 10), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8")]))
+    assert "values of shape (6, 10) found" in " ".join(command("check", tmp_path).stdout.split())
+
+
+def test_labels_that_are_infinite_are_text(tmp_path):
+    rows = np.zeros(60, dtype=[("x", "f8"), ("y", "f8"), ("z", "f8"), ("label", "f8")])
+    rows["x"], rows["y"], rows["z"] = cloud().T
+    rows["label"][:30] = np.inf
+    for side in ("real", "sim"):
+        (tmp_path / side).mkdir()
+        np.save(tmp_path / side / "a.npy", rows)
+    run(tmp_path, tmp_path / "run")  # a warning is an error
+    assert set(tables(tmp_path / "run")["ground/a.real.parquet"].column("label").to_pylist()) == {"inf", "0.0"}
+
+
+def test_arrays_are_read_whatever_their_kind_and_left_as_they_are():
+    points = street()
+    wanted = evaluate_pair(points, drifted(points)).summary
+    frozen = np.asfortranarray(points)
+    frozen.flags.writeable = False
+    assert evaluate_pair(frozen, np.repeat(drifted(points), 2, axis=0)[::2]).summary == wanted
+    half = np.float16(points)
+    assert evaluate_pair(half, half).summary["n_identical"] > 3
+    assert (half == np.float16(points)).all()
+
+
+def test_masked_points_are_dropped():
+    points = street()
+    mask = np.zeros_like(points, dtype=bool)
+    mask[::9, 1] = True
+    wanted = evaluate_pair(points[~mask.any(axis=1)], points).summary
+    masked = evaluate_pair(np.ma.masked_array(points, mask), points).summary
+    assert masked.pop("n_real_raw") == wanted.pop("n_real_raw") + mask.sum()
+    assert masked == wanted
+
+
+def test_no_imaginary_part_is_dropped():
+    with pytest.raises(ScanError, match=r"sim: complex128 values found, real numbers wanted; convert .* sim\.real$"):
+        evaluate_pair(street(), street() + 0j)
+
+
+def test_what_cleaning_dropped_is_told_with_what_may_be_done():
+    with pytest.raises(FidpipeError, match=r"real: no point is left .*\(60 too far\); raise input.max_range_m \(now 100\)"):
+        evaluate_pair(cloud() + 1e6, cloud())
+
+
+def _without_names(row):
+    return {name: value for name, value in row.items() if name not in ("pair_id", "reason")}
+
+
+def _in_memory(real, sim, settings):
+    """The row of a pair, without names and reasons."""
+    try:
+        with pytest.MonkeyPatch.context():
+            return _without_names(evaluate_pair(real, sim, settings).summary)
+    except FidpipeError:
+        return _without_names(dict.fromkeys(PAIRS.schema.names) | {"status": "failed"})
