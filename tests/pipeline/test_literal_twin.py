@@ -1,11 +1,16 @@
 """Whole runs under every setting that matters, each number computed again by the literal twin."""
 
+import re
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.verify.verify import verify_run
 from fidpipe.schemas.settings import load
+from fidpipe.stages.literal import method
 from runs import run
 from scenes import box, drifted, moved, rigid, street, write_bin
 
@@ -150,3 +155,45 @@ def test_real_pairs(real_data, tmp_path, preset, real, sim, every, words):
         write_bin(tmp_path / "data" / side / "pair.bin", read_scan(real_data / name).points[::every])
     result = agree(tmp_path / "data", tmp_path / "run", load(None, words, preset=preset), n_objects=12)
     assert result.n_drawn == 12
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def published(text):
+    """Mean and deviation of each score in the row of a table of the README or of a page of the documentation."""
+    lines = [
+        line for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")) for line in page.read_text().splitlines()
+    ]
+    row = next(line for line in lines if line.startswith(f"| {text}"))
+    return [(float(mean), float(std)) for mean, std in re.findall(r"([0-9.]+) ± ([0-9.]+)", row)]
+
+
+def by_hand(folder, name):
+    """Match rate and mean CDC of a pair, from its stored points and which community each belongs to."""
+    objects = {}
+    for side in ("real", "sim"):
+        points = pd.read_parquet(folder / "ground" / f"{name}.{side}.parquet").query("~is_ground")
+        labels = pd.read_parquet(folder / "communities" / f"{name}.{side}.parquet").community_id.to_numpy()
+        xyz = points[["x", "y", "z"]].to_numpy()
+        objects[side] = [xyz[labels == i] for i in range(labels.max() + 1)]
+    centroids = {side: np.array([method.describe(own).centroid for own in objects[side]]) for side in objects}
+    matches = method.match_greedy(centroids["real"], centroids["sim"], 5.0)
+    cdc, _ = method.mean_and_std([method.cdc(objects["real"][i], objects["sim"][j]) for i, j, _ in matches])
+    return len(matches) / max(map(len, objects.values())), cdc
+
+
+@pytest.mark.real_data
+def test_the_published_figures_of_kitti_are_those_of_the_literal_twin(real_data, tmp_path):
+    out = tmp_path / "run"
+    assert not run(real_data / "kitti_twin", out, workers=2).failures
+    result = verify_run(out, 30)
+    assert result.passed, result.mismatches
+    assert (result.n_pairs, result.n_scans) == (5, 5)
+    pairs = pd.read_parquet(out / "pairs.parquet")
+    rates, cdcs = zip(*(by_hand(out, name) for name in pairs.pair_id), strict=True)
+    np.testing.assert_allclose(rates, pairs.match_rate, rtol=1e-12)
+    np.testing.assert_allclose(cdcs, pairs.cdc_mean, rtol=1e-9)
+    # Spectra of all objects take minutes: those of the drawn ones agree, and so do means with their objects.
+    own = [method.mean_and_std(values) for values in (rates, cdcs, pairs.r_lambda_mean, pairs.r_gap_mean)]
+    np.testing.assert_allclose(own, published("KITTI sequence 00 and a twin meshed"), atol=0.0005)
