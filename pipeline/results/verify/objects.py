@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from ....schemas.columns import SIDES
-from ....schemas.metrics import OBJECT_METRICS
+from ....schemas.metrics import BASELINES, OBJECT_METRICS
 from ....stages.arrays import FloatArray
 from ....stages.literal import baselines, method
 from .comparisons import INFLUENCE, LENGTH_M, SPECTRUM, Comparisons, Place, point_names
@@ -18,6 +18,8 @@ from .stored import StoredPair, object_name
 #: Larger objects are left out where dense matrices of all their nodes would be needed.
 MOST_NODES = 3000
 _FEWEST_FOR_SPECTRA = 3
+#: Baselines that need the graphs or the aligned nodes of an object.
+_OF_OBJECTS = ("emd", "netlsd", "r_h")
 _ALONE = {"real": "missing", "sim": "hallucinated"}
 
 
@@ -151,6 +153,7 @@ def check_baselines(pair: StoredPair, comparisons: Comparisons) -> None:
     if not pair.settings.metrics.baselines:
         return
     stored = {(row["real_id"], row["baseline"]): row for row in pair.rows("baselines")}
+    _compare_baseline_names(pair, comparisons)
     settings = pair.settings.metrics.model_dump()
     limits = {"netlsd": settings["heat_max_nodes"], "emd_mean_m": settings["emd_max_points"]}
 
@@ -185,6 +188,26 @@ def check_baselines(pair: StoredPair, comparisons: Comparisons) -> None:
     if pair.drawn.whole_sides:
         real, sim = (pair.sides[side].points for side in SIDES)
         compare(None, dict(baselines.of_points(real, sim, settings)), "")
+
+
+def _compare_baseline_names(pair: StoredPair, comparisons: Comparisons) -> None:
+    """Whether every object has a row of each distance, and the whole scans of those that need points alone."""
+    wanted = [metric for metric in BASELINES if metric.method in pair.settings.metrics.baselines]
+    made = [
+        (str(row["real_id"]), str(row["sim_id"]), metric.column)
+        for row in pair.matching
+        if row["status"] == "matched"
+        for metric in wanted
+    ]
+    made += [("None", "None", metric.column) for metric in wanted if metric.method not in _OF_OBJECTS]
+    stored = [(str(row["real_id"]), str(row["sim_id"]), row["baseline"]) for row in pair.rows("baselines")]
+    for name, kept, own in zip(
+        ("real_id", "sim_id", "baseline"),
+        zip(*sorted(stored), strict=True),
+        zip(*sorted(made), strict=True),
+        strict=True,
+    ):
+        comparisons.compare(pair.place("baselines"), name, kept, own)
 
 
 def check_seeds(pair: StoredPair, comparisons: Comparisons) -> None:

@@ -181,6 +181,7 @@ def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
         stored = pair.rows("objects", side)
         sizes = np.bincount(own.labels, minlength=len(stored))
         place = pair.place("objects", side)
+        comparisons.compare(place, "community_id", [row["community_id"] for row in stored], list(range(len(sizes))))
         comparisons.compare(
             place,
             "n_points",

@@ -1,0 +1,199 @@
+"""Whole runs under every setting that matters, each number computed again by the literal twin."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.schemas.settings import load
+from fidpipe.stages.literal import method
+from runs import run
+from scenes import box, drifted, moved, rigid, street, write_bin
+
+pytestmark = pytest.mark.slow
+
+ALONE = [
+    "graph.k=1",
+    "graph.k=12",
+    "graph.k=2000",
+    "graph.tau_m=0",
+    "graph.tau_m=1.5",
+    "graph.edges=intersection",
+    "graph.ties=coordinates",
+    "communities.seed=7",
+    "communities.backend=python-louvain",
+    "matching.delta_m=0.4",
+    "matching.delta_m=60",
+    "matching.method=optimal",
+    "selection.t=0.05",
+    "selection.t=30",
+    "ground.method=none",
+    "ground.method=patchwork",
+    "ground.shared=true",
+    "ground.loss=total",
+    "ground.prior_m=0",
+    "ground.prior_m=1.1",
+    "ground.max_variance_loss=0.0001",
+    "input.exclude_box=5 -3 -9 11 6 9",
+    "input.include_box=-14 -14 -3 12 12 5",
+    "input.max_range_m=12",
+    "metrics.baselines=all",
+    "stability.seeds=2",
+]
+REFERENCE = [
+    "communities.reach_m=0.25",
+    "communities.reach_m=30",
+    "communities.min_points=1",
+    "communities.min_points=60",
+    "communities.reference=labels",
+    "communities.reference=instances",
+    "communities.seed=3",
+    "graph.ties=point_id",
+    "graph.edges=intersection",
+    "ground.shared=true",
+]
+CHOICES = {
+    "graph.k": (3, 25, 90),
+    "graph.tau_m": (0, 0.2, 0.8),
+    "graph.edges": ("union", "intersection"),
+    "graph.ties": ("point_id", "coordinates"),
+    "communities.seed": (0, 5),
+    "communities.objects": ("independent", "reference"),
+    "communities.reach_m": (0.4, 1.0, 3.0),
+    "communities.min_points": (1, 8, 25),
+    "matching.delta_m": (1.0, 5.0, 40.0),
+    "matching.method": ("greedy", "optimal"),
+    "selection.t": (0.2, 1.0, 6.0),
+    "ground.loss": ("removed", "total"),
+    "ground.shared": ("true", "false"),
+    "ground.prior_m": (0.0, 0.3),
+}
+
+
+def labelled(path, points):
+    """Writes a scan with a class and a thing for each point: quadrants are classes, those with high points things."""
+    write_bin(path, points)
+    classes = (points[:, 0] > 0) + 2 * (points[:, 1] > 0) + 1
+    things = np.where(points[:, 2] > -0.5, classes, 0)
+    (things << 16 | classes).astype("<u4").tofile(path.with_suffix(".label"))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """A street, a simulation of it that lacks some and has a box more, in a frame of its own; all with labels."""
+    folder = tmp_path_factory.mktemp("twin") / "street"
+    real = np.vstack([street(seed=5), np.repeat(box([6, -4, 1], [1, 1, 1], 10, seed=1), 2, axis=0)])
+    sim = np.vstack([drifted(real, seed=6), box([-16, -15, 2], [2, 2, 2], 50)])
+    T = rigid(20, [1.0, -0.5, 0.1])
+    seen = moved(sim - T[:, 3], np.column_stack([T[:, :3].T, np.zeros(3)]))
+    labelled(folder / "real.bin", real)
+    labelled(folder / "sim.bin", seen)
+    cell = " ".join(repr(float(value)) for value in T.ravel())
+    (folder / "pairs.csv").write_text(f"pair_id,real,sim,T_real_sim\nturned,real.bin,sim.bin,{cell}\n")
+    return folder
+
+
+def agree(dataset, out, settings, n_objects=None):
+    """Runs and verifies; gives what was verified."""
+    outcome = run(dataset, out, settings)
+    assert not outcome.failures
+    result = verify_run(out, n_objects)
+    assert result.passed, result.mismatches
+    assert result.n_scans == result.n_pairs > 0
+    assert not any("cannot" in what for what in result.not_compared)
+    return result
+
+
+@pytest.mark.parametrize("word", ["input.min_range_m=2.5", *ALONE])
+def test_each_side_by_itself_under_one_setting_after_the_other(dataset, tmp_path, word):
+    if word == "ground.method=patchwork":
+        pytest.importorskip("pypatchworkpp")
+    result = agree(dataset, tmp_path / "run", load(None, [word]))
+    is_told = any("patchwork" in what for what in result.not_compared)
+    assert is_told == (word == "ground.method=patchwork")
+
+
+@pytest.mark.parametrize("word", ["input.min_range_m=2.5", *REFERENCE])
+def test_objects_of_the_real_side_under_one_setting_after_the_other(dataset, tmp_path, word):
+    agree(dataset, tmp_path / "run", load(None, [word], preset="reference"))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_settings_drawn_at_random_together(dataset, tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    words = [f"{name}={rng.choice(values)}" for name, values in CHOICES.items()]
+    agree(dataset, tmp_path / "run", load(None, words))
+
+
+@pytest.mark.parametrize("word", ["input.sim_flip_y=true", "graph.ties=coordinates"])
+def test_scans_with_many_equal_distances(tmp_path, word):
+    grid = np.array([[x, y, z] for x in range(4) for y in range(4) for z in range(4)], dtype=float)
+    for side, n in (("real", 64), ("sim", 58)):
+        scene = np.vstack([grid[:n] * 0.5 + [6, 4, -1], grid * 0.5 + [-8, 3, 0], grid[:30] + [3, -9, 0]])
+        write_bin(tmp_path / "grid" / side / "000.bin", scene)
+    result = agree(tmp_path / "grid", tmp_path / "run", load(None, [word, "ground.method=none", "graph.k=6"]))
+    assert any("equally near" in what for what in result.not_compared)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("preset", ["paper", "reference"])
+@pytest.mark.parametrize(
+    ("real", "sim", "every", "words"),
+    [
+        ("kitti_twin/real/000004.bin", "kitti_twin/sim/000004.bin", 4, []),
+        ("kitti_twin/real/000002.bin", "kitti_twin/sim/000002.bin", 4, ["graph.k=30", "matching.method=optimal"]),
+        ("rellis/vel000104.bin", "rellis/000104.bin", 3, ["graph.edges=intersection", "selection.t=3"]),
+        ("rellis/vel000104.bin", "rellis/000104.bin", 5, ["ground.shared=true", "graph.tau_m=1"]),
+    ],
+)
+def test_real_pairs(real_data, tmp_path, preset, real, sim, every, words):
+    for side, name in (("real", real), ("sim", sim)):
+        write_bin(tmp_path / "data" / side / "pair.bin", read_scan(real_data / name).points[::every])
+    result = agree(tmp_path / "data", tmp_path / "run", load(None, words, preset=preset), n_objects=12)
+    assert result.n_drawn == 12
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def published(text):
+    """Mean and deviation of each score in the row of a table of the README or of a page of the documentation."""
+    lines = [
+        line for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")) for line in page.read_text().splitlines()
+    ]
+    row = next(line for line in lines if line.startswith(f"| {text}"))
+    return [(float(mean), float(std)) for mean, std in re.findall(r"([0-9.]+) ± ([0-9.]+)", row)]
+
+
+def by_hand(folder, name):
+    """Match rate and mean CDC of a pair, from its stored points and which community each belongs to."""
+    objects = {}
+    for side in ("real", "sim"):
+        points = pd.read_parquet(folder / "ground" / f"{name}.{side}.parquet").query("~is_ground")
+        labels = pd.read_parquet(folder / "communities" / f"{name}.{side}.parquet").community_id.to_numpy()
+        xyz = points[["x", "y", "z"]].to_numpy()
+        objects[side] = [xyz[labels == i] for i in range(labels.max() + 1)]
+    centroids = {side: np.array([method.describe(own).centroid for own in objects[side]]) for side in objects}
+    matches = method.match_greedy(centroids["real"], centroids["sim"], 5.0)
+    cdc, _ = method.mean_and_std([method.cdc(objects["real"][i], objects["sim"][j]) for i, j, _ in matches])
+    return len(matches) / max(map(len, objects.values())), cdc
+
+
+@pytest.mark.real_data
+def test_the_published_figures_of_kitti_are_those_of_the_literal_twin(real_data, tmp_path):
+    out = tmp_path / "run"
+    assert not run(real_data / "kitti_twin", out, workers=2).failures
+    result = verify_run(out, 30)
+    assert result.passed, result.mismatches
+    assert (result.n_pairs, result.n_scans) == (5, 5)
+    pairs = pd.read_parquet(out / "pairs.parquet")
+    rates, cdcs = zip(*(by_hand(out, name) for name in pairs.pair_id), strict=True)
+    np.testing.assert_allclose(rates, pairs.match_rate, rtol=1e-12)
+    np.testing.assert_allclose(cdcs, pairs.cdc_mean, rtol=1e-9)
+    # Spectra of all objects take minutes: those of the drawn ones agree, and so do means with their objects.
+    own = [method.mean_and_std(values) for values in (rates, cdcs, pairs.r_lambda_mean, pairs.r_gap_mean)]
+    np.testing.assert_allclose(own, published("KITTI sequence 00 and a twin meshed"), atol=0.0005)
