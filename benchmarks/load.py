@@ -51,7 +51,7 @@ def read(path):
 def install_reader(folder):
     """A package with a reader of `.trap`, which crashes at the reading that the file's name ends with."""
     about = folder / "fidpipe_trap-1.0.dist-info"
-    about.mkdir(parents=True)
+    about.mkdir(parents=True, exist_ok=True)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: fidpipe-trap\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[fidpipe.readers]\ntrap = fidpipe_trap\n")
     (folder / "fidpipe_trap.py").write_text(READER)
@@ -172,7 +172,8 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
             weigh("synth", data, "--pairs", min(N_FILES, n_pairs), "--points", points, "--workers", WORKERS)
         poisoned = poison(repeated(data, n_pairs, listed))
         install_reader(folder / f"site{n_pairs}")
-        environment = {**os.environ, "PYTHONPATH": str(folder / f"site{n_pairs}")}
+        paths = [str(folder / f"site{n_pairs}"), os.environ.get("PYTHONPATH")]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
         words = ("run", listed, "--out", out, "--workers", WORKERS)
         harmed = Harmed(words, float(seconds_between_kills), folder / "errors.txt", environment)
         found = judge(out, listed, poisoned)

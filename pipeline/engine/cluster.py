@@ -7,6 +7,7 @@ the machine).
 from __future__ import annotations
 
 import asyncio
+import atexit
 import hashlib
 import logging
 import os
@@ -41,6 +42,9 @@ _CONNECT_TIMEOUT_S = 10
 
 
 _FIRST_WORKER_TIMEOUT_S = 60
+
+
+_STARTS = 3
 
 
 _STOP_S = 2.0
@@ -209,6 +213,26 @@ class DaskPool:
         import distributed
 
         if address is None:
+            self._start_cluster(n_workers)
+        try:
+            self._client = distributed.Client(
+                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
+            )
+            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
+        except (OSError, TimeoutError) as error:
+            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
+
+    def _start_cluster(self, n_workers: int) -> None:
+        """Starts a cluster on this machine; one whose worker is killed while it starts is started again.
+
+        Raises
+        ------
+        RunError
+            That happens each time.
+        """
+        import distributed
+
+        for _ in range(_STARTS):
             try:
                 with prefork.interrupts_afterwards():
                     self._cluster = distributed.LocalCluster(
@@ -222,16 +246,18 @@ class DaskPool:
                         silence_logs=logging.CRITICAL,
                         preload=[prefork.WORKER_START],
                     )
+                return
+            except RuntimeError as error:
+                fault = error
             except BaseException:
-                prefork.kill_workers()
+                if self._cluster is None:
+                    prefork.kill_workers()
+                    atexit.unregister(distributed.deploy.spec.close_clusters)  # it asserts that all of it was there
                 raise
-        try:
-            self._client = distributed.Client(
-                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
-            )
-            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
-        except (OSError, TimeoutError) as error:
-            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
+        raise RunError(
+            f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory short?); "
+            "run the same command again, or with --workers 1"
+        ) from fault
 
     async def _stop_workers(self) -> None:
         """Ends the worker processes in the middle of whatever they are doing."""

@@ -99,6 +99,20 @@ def test_a_killed_worker_costs_a_run_nothing(dataset, finished, tmp_path, tally,
     assert temporary_files(out) == []
 
 
+def test_a_worker_that_is_killed_while_it_starts_is_started_again(dataset, finished, tmp_path, tally):
+    out = tmp_path / "run"
+    started = start(dataset, out)
+    assert started.wait_for(started.workers)
+    begun = time.monotonic()
+    started.workers()[0].kill()
+    code, errors = started.end()
+    assert (code, "Traceback" in errors) == (0, False), errors
+    tally.add(
+        "kill -9 of a worker while it starts (the same run goes on)", n_lost(out, finished), time.monotonic() - begun
+    )
+    assert_same_tables(out, finished)
+
+
 @pytest.mark.parametrize("n_signals", [1, 2])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
 @pytest.mark.parametrize("seed", range(times(1, 5)))
