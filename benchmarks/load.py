@@ -3,10 +3,10 @@
     python benchmarks/load.py [N_PAIRS] [POINTS] [SECONDS_BETWEEN_KILLS] [FIGURE]   by default 5000 pairs of 300 points
 
 One pair in a hundred is poison: a file that is cut off, one of three points, one whose reader (of another package)
-crashes the interpreter while files are read, or in a stage. While the command works on two workers of this machine, one
-of them is killed every minute, and the memory of all processes is noted every two seconds. Pairs repeat some hundred
-scenes, so that every row can be compared with that of its first like. Then `status`, and a second run, which has only
-the poison to do.
+crashes the interpreter while files are read, or in a stage. While the command works on four workers of this machine,
+one of them is killed every minute, and the memory of all processes is noted every two seconds. Pairs repeat some
+hundred scenes, so that every row can be compared with that of its first like. Then `status`, and a second run, which
+has only the poison to do.
 """
 
 import json
@@ -25,7 +25,7 @@ import psutil
 from measure import FIDPIPE, MIB, machine, repeated, scratch, weigh
 
 N_FILES = 180
-WORKERS = 2
+WORKERS = 4
 ONE_IN = 100
 SECONDS_BETWEEN_SAMPLES = 2.0
 

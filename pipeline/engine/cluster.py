@@ -56,6 +56,9 @@ _KILL_S = 0.2
 _SECONDS_BETWEEN_LOOKS = 1.0
 
 
+_GIVEN_UP_S = 5.0
+
+
 _WITHOUT_WORKERS_S = 600.0
 
 
@@ -139,6 +142,7 @@ class DaskPool:
         self._libraries = {} if address is None else libraries
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked, self._had_workers = -_SECONDS_BETWEEN_LOOKS, monotonic()
+        self._looked_after, self._dead_since = monotonic(), dict[Any, float]()
         try:
             self._start(n_workers, address)
             if address is not None:
@@ -273,12 +277,34 @@ class DaskPool:
             The scheduler is lost, or has had no worker for long.
         """
         while True:
+            self._look_after_workers()
             with suppress(queue.Empty):
                 return self._done.get(timeout=_SECONDS_BETWEEN_LOOKS)
             if self._workers_now():
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
                 raise RunError(self._lost(f"no worker has been there for {_WITHOUT_WORKERS_S:.0f} s"))
+
+    def _look_after_workers(self) -> None:
+        """Starts workers of this machine anew that nobody else does: dask gives up one that dies while it starts."""
+        now = monotonic()
+        if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
+            return
+        self._looked_after = now
+        for name, nanny in list(self._cluster.workers.items()):
+            if nanny.is_alive():
+                self._dead_since.pop(name, None)
+            elif now - self._dead_since.setdefault(name, now) > _GIVEN_UP_S:
+                del self._dead_since[name]
+                self._cluster.sync(self._give_up, name)
+        if len(self._cluster.workers) < len(self._cluster.worker_spec):
+            self._cluster.scale(len(self._cluster.worker_spec))  # those that are not there are started
+
+    async def _give_up(self, name: Any) -> None:
+        """Ends what is left of a worker."""
+        nanny = self._cluster.workers.pop(name, None)
+        if nanny is not None:
+            await asyncio.gather(nanny.close(timeout=_KILL_S), return_exceptions=True)
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
         """What the scheduler knows of its workers, by address; asked once in a while."""
