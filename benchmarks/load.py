@@ -3,10 +3,10 @@
     python benchmarks/load.py [N_PAIRS] [POINTS] [SECONDS_BETWEEN_KILLS] [FIGURE]   by default 5000 pairs of 300 points
 
 One pair in a hundred is poison: a file that is cut off, one of three points, one whose reader (of another package)
-crashes the interpreter while files are read, or in a stage. While the command works on two workers of this machine, one
-of them is killed every minute, and the memory of all processes is noted every two seconds. Pairs repeat some hundred
-scenes, so that every row can be compared with that of its first like. Then `status`, and a second run, which has only
-the poison to do.
+crashes the interpreter while files are read, or in a stage. While the command works on four workers of this machine,
+one of them is killed every minute, and the memory of all processes is noted every two seconds. Pairs repeat some
+hundred scenes, so that every row can be compared with that of its first like. Then `status`, and a second run, which
+has only the poison to do.
 """
 
 import json
@@ -25,7 +25,7 @@ import psutil
 from measure import FIDPIPE, MIB, machine, repeated, scratch, weigh
 
 N_FILES = 180
-WORKERS = 2
+WORKERS = 4
 ONE_IN = 100
 SECONDS_BETWEEN_SAMPLES = 2.0
 
@@ -51,7 +51,7 @@ def read(path):
 def install_reader(folder):
     """A package with a reader of `.trap`, which crashes at the reading that the file's name ends with."""
     about = folder / "fidpipe_trap-1.0.dist-info"
-    about.mkdir(parents=True)
+    about.mkdir(parents=True, exist_ok=True)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: fidpipe-trap\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[fidpipe.readers]\ntrap = fidpipe_trap\n")
     (folder / "fidpipe_trap.py").write_text(READER)
@@ -172,7 +172,8 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
             weigh("synth", data, "--pairs", min(N_FILES, n_pairs), "--points", points, "--workers", WORKERS)
         poisoned = poison(repeated(data, n_pairs, listed))
         install_reader(folder / f"site{n_pairs}")
-        environment = {**os.environ, "PYTHONPATH": str(folder / f"site{n_pairs}")}
+        paths = [str(folder / f"site{n_pairs}"), os.environ.get("PYTHONPATH")]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
         words = ("run", listed, "--out", out, "--workers", WORKERS)
         harmed = Harmed(words, float(seconds_between_kills), folder / "errors.txt", environment)
         found = judge(out, listed, poisoned)

@@ -7,6 +7,7 @@ the machine).
 from __future__ import annotations
 
 import asyncio
+import atexit
 import hashlib
 import logging
 import os
@@ -43,6 +44,9 @@ _CONNECT_TIMEOUT_S = 10
 _FIRST_WORKER_TIMEOUT_S = 60
 
 
+_STARTS = 3
+
+
 _STOP_S = 2.0
 
 
@@ -50,6 +54,9 @@ _KILL_S = 0.2
 
 
 _SECONDS_BETWEEN_LOOKS = 1.0
+
+
+_GIVEN_UP_S = 5.0
 
 
 _WITHOUT_WORKERS_S = 600.0
@@ -135,6 +142,7 @@ class DaskPool:
         self._libraries = {} if address is None else libraries
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked, self._had_workers = -_SECONDS_BETWEEN_LOOKS, monotonic()
+        self._looked_after, self._dead_since = monotonic(), dict[Any, float]()
         try:
             self._start(n_workers, address)
             if address is not None:
@@ -209,6 +217,26 @@ class DaskPool:
         import distributed
 
         if address is None:
+            self._start_cluster(n_workers)
+        try:
+            self._client = distributed.Client(
+                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
+            )
+            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
+        except (OSError, TimeoutError) as error:
+            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
+
+    def _start_cluster(self, n_workers: int) -> None:
+        """Starts a cluster on this machine; one whose worker is killed while it starts is started again.
+
+        Raises
+        ------
+        RunError
+            That happens each time.
+        """
+        import distributed
+
+        for _ in range(_STARTS):
             try:
                 with prefork.interrupts_afterwards():
                     self._cluster = distributed.LocalCluster(
@@ -222,16 +250,18 @@ class DaskPool:
                         silence_logs=logging.CRITICAL,
                         preload=[prefork.WORKER_START],
                     )
+                return
+            except RuntimeError as error:
+                fault = error
             except BaseException:
-                prefork.kill_workers()
+                if self._cluster is None:
+                    prefork.kill_workers()
+                    atexit.unregister(distributed.deploy.spec.close_clusters)  # it asserts that all of it was there
                 raise
-        try:
-            self._client = distributed.Client(
-                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
-            )
-            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
-        except (OSError, TimeoutError) as error:
-            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
+        raise RunError(
+            f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory short?); "
+            "run the same command again, or with --workers 1"
+        ) from fault
 
     async def _stop_workers(self) -> None:
         """Ends the worker processes in the middle of whatever they are doing."""
@@ -247,12 +277,34 @@ class DaskPool:
             The scheduler is lost, or has had no worker for long.
         """
         while True:
+            self._look_after_workers()
             with suppress(queue.Empty):
                 return self._done.get(timeout=_SECONDS_BETWEEN_LOOKS)
             if self._workers_now():
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
                 raise RunError(self._lost(f"no worker has been there for {_WITHOUT_WORKERS_S:.0f} s"))
+
+    def _look_after_workers(self) -> None:
+        """Starts workers of this machine anew that nobody else does: dask gives up one that dies while it starts."""
+        now = monotonic()
+        if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
+            return
+        self._looked_after = now
+        for name, nanny in list(self._cluster.workers.items()):
+            if nanny.is_alive():
+                self._dead_since.pop(name, None)
+            elif now - self._dead_since.setdefault(name, now) > _GIVEN_UP_S:
+                del self._dead_since[name]
+                self._cluster.sync(self._give_up, name)
+        if len(self._cluster.workers) < len(self._cluster.worker_spec):
+            self._cluster.scale(len(self._cluster.worker_spec))  # those that are not there are started
+
+    async def _give_up(self, name: Any) -> None:
+        """Ends what is left of a worker."""
+        nanny = self._cluster.workers.pop(name, None)
+        if nanny is not None:
+            await asyncio.gather(nanny.close(timeout=_KILL_S), return_exceptions=True)
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
         """What the scheduler knows of its workers, by address; asked once in a while."""

@@ -105,7 +105,7 @@ def set_trap(dataset, what, nth):
 
 
 DIED_READING = r"the worker process died while it read the files, and again when it did so alone \(a crash of"
-DIED_IN_STAGE = "stage ground, real: the worker process died, and again when the pair ran alone (.*out of memory"
+DIED_IN_STAGE = "stage ground, real: the worker process died, and again when the pair ran alone \\(.*out of memory"
 OUT_OF_TIME = f"not finished after {LIMIT_S} s of work in reading its files; a larger --pair-timeout gives it more"
 OUT_OF_TIME_IN_STAGE = f"not finished after {LIMIT_S} s of work in stage ground, real; a larger --pair-timeout"
 IN_LITTLE_MEMORY = ("--set", "machine.memory_gib=1.5")

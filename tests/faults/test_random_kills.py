@@ -99,6 +99,41 @@ def test_a_killed_worker_costs_a_run_nothing(dataset, finished, tmp_path, tally,
     assert temporary_files(out) == []
 
 
+def test_a_worker_that_is_killed_while_it_starts_is_started_again(dataset, finished, tmp_path, tally):
+    out = tmp_path / "run"
+    started = start(dataset, out)
+    assert started.wait_for(started.workers)
+    begun = time.monotonic()
+    started.workers()[0].kill()
+    code, errors = started.end()
+    assert (code, "Traceback" in errors) == (0, False), errors
+    tally.add(
+        "kill -9 of a worker while it starts (the same run goes on)", n_lost(out, finished), time.monotonic() - begun
+    )
+    assert_same_tables(out, finished)
+
+
+def test_workers_that_are_killed_each_time_they_start_are_started_until_they_stay(dataset, finished, tmp_path, tally):
+    out, begun, killed = tmp_path / "run", time.monotonic(), set()
+    started = start(dataset, out)
+    assert started.wait_for((out / "ground").exists)  # the cluster is there as a whole
+    while len(killed) < times(4, 10) and started.process.poll() is None:
+        for worker in started.workers():
+            if worker.pid not in killed:
+                with suppress(psutil.NoSuchProcess):
+                    worker.kill()
+                killed.add(worker.pid)
+        time.sleep(0.2)
+    code, errors = started.end()
+    assert "Traceback" not in errors
+    if code == 3:  # the same pair had lost its worker twice
+        assert "the worker process died, and again when the pair ran alone" in errors
+    else:
+        assert code == 0, errors
+    assert_resumes(dataset, out, finished)
+    tally.add("kill -9 of every worker that starts, over and over", n_lost(out, finished), time.monotonic() - begun)
+
+
 @pytest.mark.parametrize("n_signals", [1, 2])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
 @pytest.mark.parametrize("seed", range(times(1, 5)))

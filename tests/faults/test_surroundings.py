@@ -1,0 +1,240 @@
+"""What changes around a run: its dataset, the clock, a second run, the scheduler, a disk that is full or read-only."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from runs import FIDPIPE, assert_same_tables, command, run
+from scenes import drifted, street, write_bin, write_dataset
+from tries import Started, assert_no_process, assert_resumes, lines_of, n_lost, temporary_files, times
+
+pytestmark = pytest.mark.slow
+
+FAKETIME = [*Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1")]
+N_PAIRS = 4
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "streets"
+    run(dataset, out)
+    return out
+
+
+def other_scan(path):
+    write_bin(path, drifted(street(30), seed=99))
+
+
+def cut_off(path):
+    path.write_bytes(path.read_bytes()[:-7])
+
+
+def take_away(path):
+    path.unlink()
+
+
+CHANGES = {
+    "another scan": (other_scan, "003.bin: the file changed while the run was using it; run the same command again"),
+    "cut off": (cut_off, "003.bin: .*bytes"),
+    "taken away": (take_away, "003.bin: .*(No such file|not found|missing)"),
+}
+
+
+@pytest.mark.parametrize("change", times(["another scan"], CHANGES))
+def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(dataset, tmp_path, tally, change):
+    data, out = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run"
+    harm, reason = CHANGES[change]
+    started = Started("run", data, "--out", out, "--workers", 1)
+    assert started.wait_for((out / "ground" / "000.real.parquet").exists)
+    started.process.send_signal(signal.SIGSTOP)  # so that it changes in the middle, whatever else the machine does
+    harm(data / "sim" / "003.bin")
+    started.process.send_signal(signal.SIGCONT)
+    code, errors = started.end()
+    assert code == 3, errors
+    (told,) = [line for line in lines_of(errors) if "pair 003" in line]
+    assert re.search(reason, told), told
+    assert "Traceback" not in errors
+    fresh = tmp_path / "fresh"
+    run(data, fresh)
+    code = 3 if change != "another scan" else 0
+    assert_resumes(data, out, fresh, tally, f"a scan of the dataset changes during the run ({change})", code=code)
+
+
+def test_scans_that_change_and_change_back_between_two_runs_change_nothing(dataset, finished, tmp_path, tally):
+    data, out = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run"
+    run(data, out)
+    kept = (data / "sim" / "003.bin").read_bytes()
+    other_scan(data / "sim" / "003.bin")
+    run(data, out)
+    (data / "sim" / "003.bin").write_bytes(kept)
+    os.utime(data / "sim" / "003.bin", (0, 0))  # older than all that was made of it
+    assert_resumes(data, out, finished, tally, "a scan changes between runs, and back")
+
+
+@pytest.mark.skipif(not FAKETIME, reason="no libfaketime here (apt install libfaketime)")
+def test_a_clock_that_is_set_back_changes_nothing(dataset, finished, tmp_path, tally):
+    now, out = tmp_path / "now", tmp_path / "run"
+    now.write_text("+10d\n")
+    clock = {
+        "LD_PRELOAD": str(FAKETIME[0]),
+        "FAKETIME_TIMESTAMP_FILE": str(now),
+        "FAKETIME_NO_CACHE": "1",
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+    }
+    started = Started("run", dataset, "--out", out, "--workers", 2, **clock)
+    assert started.wait_for((out / "ground" / "000.real.parquet").exists)
+    now.write_text("-3650d\n")
+    code, errors = started.end()
+    assert (code, "Traceback" in errors) == (0, False), errors
+    assert_same_tables(out, finished)
+    tally.add("the clock is set back by ten years in the middle of a run", n_lost(out, finished))
+    again = command("run", dataset, "--out", out, "--workers", 1, env={**os.environ, **clock})
+    assert again.returncode == 0, again.stderr
+    assert " 0 jobs done" in " " + again.stdout + again.stderr
+    assert_resumes(dataset, out, finished, tally, "the clock was ahead, and is right again")
+
+
+def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(dataset, finished, tmp_path, tally):
+    data, out = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run"
+    run(data, out)
+    for i, path in enumerate(sorted([*out.rglob("*.parquet"), *data.rglob("*.bin")])):
+        os.utime(path, (0, 0) if i % 2 else (4e9, 4e9))
+    assert run(data, out).n_made == 0
+    assert_resumes(data, out, finished, tally, "times of files in 1970 and 2096")
+
+
+@pytest.mark.parametrize("attempt", range(times(1, 5)))
+def test_of_runs_begun_at_once_on_one_folder_one_works_and_the_others_say_so(
+    dataset, finished, tmp_path, tally, attempt
+):
+    out = tmp_path / "run"
+    started = [Started("run", dataset, "--out", out, "--workers", 1 + i % 2) for i in range(3)]
+    ended = [each.end() for each in started]
+    assert sorted({code for code, _ in ended} | {0}) in ([0], [0, 1])
+    for code, errors in ended:
+        if code:
+            refused = "another fidpipe is writing here; wait for it, or give another --out"
+            assert [refused in line for line in lines_of(errors)] == [True], errors
+    assert {code for code, _ in ended} >= {0}
+    assert_resumes(dataset, out, finished, tally, "three runs begun at once on one folder")
+
+
+def test_a_scheduler_that_is_killed_is_named_and_the_run_goes_on_without_it(dataset, finished, tmp_path, tally):
+    out, file = tmp_path / "run", tmp_path / "scheduler.json"
+    dask, own = str(Path(FIDPIPE).with_name("dask")), {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    options = ["--scheduler-file", file, "--host", "127.0.0.1", "--no-dashboard"]
+    scheduler = subprocess.Popen([dask, "scheduler", *options, "--port", "0"], cwd=tmp_path, **own)
+    worker = subprocess.Popen(
+        [dask, "worker", *options, "--nworkers", "2", "--nthreads", "1"], cwd=tmp_path, start_new_session=True, **own
+    )
+    try:
+        end = time.monotonic() + 120
+        while not (file.exists() and file.read_text()):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        started = Started("run", dataset, "--out", out, "--scheduler", address)
+        assert started.wait_for((out / "ground" / "000.real.parquet").exists)
+        scheduler.kill()
+        begun = time.monotonic()
+        code, errors = started.end()
+        assert time.monotonic() - begun < 90
+        assert code == 1, errors
+        assert "Traceback" not in errors
+        assert lines_of(errors)[-1].startswith(f"error: scheduler {address}: "), errors
+        assert "run the same command again: it goes on where it stopped" in lines_of(errors)[-1]
+    finally:
+        for process in (scheduler, worker):
+            process.terminate()
+            process.wait(60)
+    assert_resumes(dataset, out, finished, tally, "kill -9 of the scheduler")
+
+
+@pytest.fixture
+def file_system(tmp_path):
+    """A file system of its own that can be made read-only; skipped where nothing may be mounted."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", folder]
+    if shutil.which("mount") is None or subprocess.run(words, check=False, capture_output=True).returncode:
+        pytest.skip("no file system may be mounted here")
+    yield folder
+    subprocess.run(["umount", folder], check=False)
+
+
+def remount(folder, how):
+    return subprocess.run(["mount", "-o", f"remount,{how}", folder], check=False, capture_output=True).returncode == 0
+
+
+def test_a_file_system_that_becomes_read_only_ends_a_run_with_a_line(dataset, finished, file_system, tally):
+    out = file_system / "run"
+    assert command("run", dataset, "--out", out, "--workers", 1, "--pairs", "00[01]").returncode == 0
+    assert remount(file_system, "ro")
+    refused = command("run", dataset, "--out", out, "--workers", 1)
+    assert refused.returncode == 1
+    assert len(lines_of(refused.stderr)) == 1
+    assert "Read-only file system" in refused.stderr
+    for words in (("status", out), ("show", out), ("show", out, "000")):
+        assert command(*words).returncode == 0
+    assert remount(file_system, "rw")
+    assert_resumes(dataset, out, finished, tally, "the file system of a run is read-only")
+
+
+def fill(disk, free):
+    """Leaves so many bytes on a disk."""
+    left = shutil.disk_usage(disk).free - free
+    (disk / "ballast").write_bytes(bytes(max(0, left)))
+
+
+STAGES = ["ground", "graph", "communities", "matching", "selection", "metrics", "coverage"]
+
+
+@pytest.mark.parametrize("stage", times(["graph"], STAGES))
+def test_a_disk_that_is_full_in_a_stage_is_named_and_the_run_goes_on_where_there_is_room(
+    dataset, finished, file_system, tally, stage
+):
+    out = file_system / "run"
+    assert command("run", dataset, "--out", out, "--workers", 1).returncode == 0
+    first = (out / stage / "000.parquet", out / stage / "000.real.parquet")
+    size = max(path.stat().st_size for path in first if path.exists())
+    for path in (out / stage).iterdir():
+        path.unlink()
+    fill(file_system, max(0, size // 4096 - 1) * 4096)
+    stopped = command("run", dataset, "--out", out, "--workers", 1)
+    assert (stopped.returncode, len([of for of in lines_of(stopped.stderr) if "error:" in of])) == (1, 1), (
+        stopped.stderr
+    )
+    told = next(of for of in lines_of(stopped.stderr) if "error:" in of)
+    assert "No space left on device" in told or "database or disk is full" in told
+    assert "make room, then run the same command again" in told
+    assert "Traceback" not in stopped.stderr
+    (file_system / "ballast").unlink()
+    assert_resumes(dataset, out, finished, tally, f"the disk is full in stage {stage}")
+
+
+def test_a_read_only_folder_of_a_run_that_works_ends_it_with_a_line(dataset, finished, file_system, tally):
+    out = file_system / "run"
+    started = Started("run", dataset, "--out", out, "--workers", 2)
+    assert started.wait_for((out / "ground" / "000.real.parquet").exists)
+    subprocess.run(["mount", "-o", "remount,ro", file_system], check=False, capture_output=True)
+    code, errors = started.end()
+    remount(file_system, "rw")
+    if code:  # a file system with files that are being written cannot always be made read-only
+        assert code == 1, errors
+        assert "Traceback" not in errors
+        assert "Read-only file system" in errors or "readonly database" in errors, errors
+    assert_no_process(started)
+    assert_resumes(dataset, out, finished, tally, "the file system becomes read-only in the middle of a run")
+    assert temporary_files(out) == []
