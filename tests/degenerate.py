@@ -53,9 +53,7 @@ _MATCHES = ("n_matched", "n_communities_real", "n_communities_sim")
 def outcome(real, sim, settings):
     """What becomes of a pair, in the words of the page; a result must keep what `faults_of` looks at."""
     try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "the simulated scan")  # our own, of another frame
-            result = evaluate_pair(real, sim, settings)
+        result = evaluated(real, sim, settings)
     except FidpipeError as error:
         assert str(error).isprintable(), error  # one line
         return f"refused: {str(error).partition(';')[0]}"
@@ -66,6 +64,13 @@ def outcome(real, sim, settings):
     words = ", ".join(f"{n} {kind}" for n, kind in kinds if n)
     scores = ", ".join(f"{name} {_number(summary[f'{name}_mean'])}" for name in ("cdc", "r_lambda"))
     return f"{n_matched} of {max(n_objects)} matched{words and f' ({words})'}; {scores}"
+
+
+def evaluated(real, sim, settings):
+    """The result of a pair, without our own warning that the sides lie in two frames."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the simulated scan")
+        return evaluate_pair(real, sim, settings)
 
 
 def faults_of(result):

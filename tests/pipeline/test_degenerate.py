@@ -3,12 +3,13 @@
 import json
 import re
 
-import degenerate
 import numpy as np
 import pytest
-from degenerate import ARRAYS, FURTHER, OPEN, PAGE, SCENES, outcome
 
+import degenerate
+from degenerate import ARRAYS, FURTHER, OPEN, PAGE, SCENES, outcome
 from fidpipe import evaluate_pair
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import FidpipeError, ScanError
 from fidpipe.schemas.tables import PAIRS
 from runs import command, run, tables
@@ -66,7 +67,9 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("data") / "degenerate"
     for i, scene in enumerate(own for name, own in SCENES.items() if name != MOST_OBJECTS):
         for side, points in zip(("real", "sim"), scene, strict=True):
-            rows = np.empty(len(points), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8"), ("intensity", "f4"), ("label", "U4")])
+            rows = np.empty(
+                len(points), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8"), ("intensity", "f4"), ("label", "U4")]
+            )
             rows["x"], rows["y"], rows["z"] = points.T
             rows["intensity"], rows["label"] = np.nan, np.where(np.arange(len(points)) % 7 < 4, "tree", "wall")
             (folder / side).mkdir(parents=True, exist_ok=True)
@@ -110,7 +113,7 @@ def test_a_finished_run_of_all_scenes_is_shown_and_reported(files, tmp_path):
     assert run(files, tmp_path / "run").failures
     for words in (["show"], ["report"], ["status"], ["gate", "--max", "r_lambda.mean=1"], ["export", "--ply"]):
         ended = command(words[0], tmp_path / "run", *words[1:])
-        assert ended.returncode == 0, ended.stderr
+        assert ended.returncode == (4 if words[0] == "gate" else 0), ended.stderr  # some pairs failed
         assert not re.search(r"Traceback|\w+Warning", ended.stdout + ended.stderr), words
 
 
@@ -126,31 +129,23 @@ def test_a_finished_run_of_all_scenes_is_shown_and_reported(files, tmp_path):
 def test_a_column_of_no_real_numbers_is_refused_by_its_name(tmp_path, columns, words):
     kinds = {"x": "f8", "y": "f8", "z": "f8", "intensity": "f4"} | columns
     rows = np.ones(20, dtype=[(name, *(kind if isinstance(kind, tuple) else (kind,))) for name, kind in kinds.items()])
-    for side in ("real", "sim"):
-        (tmp_path / side).mkdir()
-        np.save(tmp_path / side / "a.npy", rows)
-    ended = command("check", tmp_path)
-    assert ended.returncode == 1
-    assert re.search(words, " ".join(ended.stdout.split()))
-    assert "Warning" not in ended.stderr
+    np.save(tmp_path / "a.npy", rows)
+    with pytest.raises(ScanError, match=words):
+        read_scan(tmp_path / "a.npy")
 
 
 def test_records_in_rows_and_columns_are_refused(tmp_path):
-    for side in ("real", "sim"):
-        (tmp_path / side).mkdir()
-        np.save(tmp_path / side / "a.npy", np.ones((6, 10), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8")]))
-    assert "values of shape (6, 10) found" in " ".join(command("check", tmp_path).stdout.split())
+    np.save(tmp_path / "a.npy", np.ones((6, 10), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8")]))
+    with pytest.raises(ScanError, match=r"values of shape \(6, 10\) found"):
+        read_scan(tmp_path / "a.npy")
 
 
 def test_labels_that_are_infinite_are_text(tmp_path):
     rows = np.zeros(60, dtype=[("x", "f8"), ("y", "f8"), ("z", "f8"), ("label", "f8")])
     rows["x"], rows["y"], rows["z"] = cloud().T
     rows["label"][:30] = np.inf
-    for side in ("real", "sim"):
-        (tmp_path / side).mkdir()
-        np.save(tmp_path / side / "a.npy", rows)
-    run(tmp_path, tmp_path / "run")  # a warning is an error
-    assert set(tables(tmp_path / "run")["ground/a.real.parquet"].column("label").to_pylist()) == {"inf", "0.0"}
+    np.save(tmp_path / "a.npy", rows)
+    assert set(read_scan(tmp_path / "a.npy").labels) == {"inf", "0.0"}  # a warning is an error
 
 
 def test_arrays_are_read_whatever_their_kind_and_left_as_they_are():
@@ -180,7 +175,9 @@ def test_no_imaginary_part_is_dropped():
 
 
 def test_what_cleaning_dropped_is_told_with_what_may_be_done():
-    with pytest.raises(FidpipeError, match=r"real: no point is left .*\(60 too far\); raise input.max_range_m \(now 100\)"):
+    with pytest.raises(
+        FidpipeError, match=r"real: no point is left .*\(60 too far\); raise input.max_range_m \(now 100\)"
+    ):
         evaluate_pair(cloud() + 1e6, cloud())
 
 
@@ -191,7 +188,6 @@ def _without_names(row):
 def _in_memory(real, sim, settings):
     """The row of a pair, without names and reasons."""
     try:
-        with pytest.MonkeyPatch.context():
-            return _without_names(evaluate_pair(real, sim, settings).summary)
+        return _without_names(degenerate.evaluated(real, sim, settings).summary)
     except FidpipeError:
         return _without_names(dict.fromkeys(PAIRS.schema.names) | {"status": "failed"})
