@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
@@ -28,7 +27,7 @@ from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, finished_record
-from ..storage.tables import table_name
+from ..storage.tables import read_bounded, table_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -225,15 +224,14 @@ class FinishedRun:
         """
         name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
         record = self.store.ledger.job_of_file(name)
+        path = self.folder / name
         try:
-            content = (self.folder / name).read_bytes() if record is not None else b""
-        except FileNotFoundError:
-            content = b""
+            content = record.files[name].read(path) if record is not None else None
         except OSError as error:
             raise RunError(f"run {self.folder}: {name} cannot be read ({error.strerror or error})") from error
-        if record is None or not record.files[name].is_content(content):
+        if content is None:
             raise self._damaged(name)
-        return pq.read_table(pa.BufferReader(content), columns=columns, use_threads=False)
+        return read_bounded(path, content, columns)
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:

@@ -55,6 +55,7 @@ class RunFolder(TableFolder):
         lock = FileLock(self.folder / _LOCK)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            self.refuse_links()
             lock.acquire(timeout=0)
             self.token_path.write_text(self.token)
         except Timeout:
@@ -76,6 +77,15 @@ class RunFolder(TableFolder):
                 self.ledger.commit()
         finally:
             lock.release()
+
+    def refuse_links(self) -> None:
+        """Raises `RunError` where something in the folder is a link: a run reads and writes its own files alone."""
+        with os.scandir(self.folder) as entries:
+            link = next((entry.name for entry in entries if entry.is_symlink()), None)
+        if link is not None:
+            raise RunError(
+                f"run {self.folder}: {link} is a symbolic link, files of its own are wanted; remove the link"
+            )
 
     def read_table(self, table: str, pair_id: str, part: str = "", columns: list[str] | None = None) -> pa.Table:
         """A table of a finished job, or a table of the whole run where `pair_id` is "".
@@ -110,11 +120,13 @@ class RunFolder(TableFolder):
             (self.folder / name).unlink()
         for name in _OF_OLDER_VERSIONS:
             path = self.folder / name
-            rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
         return n_whole
 
     def _open_ledger(self, *, is_writable: bool) -> Ledger:
         """The ledger; if it may not know every finished job, with those that the footers of their files tell of."""
+        if self.folder.is_dir():
+            self.refuse_links()
         ledger = Ledger(self.folder / LEDGER, is_writable=is_writable)
         if ledger.is_complete:
             return ledger
@@ -139,5 +151,5 @@ class RunFolder(TableFolder):
             if (self.folder / table).is_dir():
                 for entry in os.scandir(self.folder / table):
                     name = f"{table}/{entry.name}"
-                    if entry.is_file() and not ledger.knows_file(name):
+                    if not entry.is_dir(follow_symlinks=False) and not ledger.knows_file(name):
                         yield name

@@ -10,8 +10,9 @@ import hashlib
 import sqlite3
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -20,7 +21,7 @@ import orjson
 
 from ...schemas.errors import RunError
 from .files import disk_full
-from .tables import JobName, JobRecord, StoredFile
+from .tables import JobRecord, job_record
 
 LEDGER = "ledger.sqlite"
 _VERSION = 2
@@ -36,6 +37,9 @@ CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB, hash TEXT) WITHOUT 
 CREATE TABLE state (name TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;
 PRAGMA user_version = {_VERSION};
 """
+
+
+_SCHEMA = "SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY type, name"
 
 
 class Ledger:
@@ -90,8 +94,7 @@ class Ledger:
 
     def jobs(self, pair_id: str) -> dict[tuple[str, str], JobRecord]:
         """The finished jobs of a pair, by stage and part; those of the whole run under ""."""
-        records = (_job_record(entry) for entry in self._job_entries(pair_id))
-        return {(record.stage, record.part): record for record in records}
+        return {(record.stage, record.part): record for record in self._records(pair_id)}
 
     def job_of_file(self, name: str) -> JobRecord | None:
         """The finished job that made a file, by its name relative to the run."""
@@ -111,8 +114,8 @@ class Ledger:
     def put_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
         """Adds finished jobs of a pair, in place of those of the same names; those of the whole run under ""."""
         added = {record.name: record for record in records}
-        kept = [entry for entry in self._job_entries(pair_id) if _name(entry) not in added]
-        self._put_entries(pair_id, [*kept, *map(asdict, added.values())])
+        kept = [record for record in self._records(pair_id) if record.name not in added]
+        self._put_records(pair_id, [*kept, *added.values()])
         for record in added.values():
             for name in record.files:
                 self._change("INSERT OR REPLACE INTO files VALUES (?, ?)", name, pair_id)
@@ -123,19 +126,23 @@ class Ledger:
 
     def drop_job(self, record: JobRecord) -> None:
         """Forgets a finished job."""
-        kept = [entry for entry in self._job_entries(record.pair_id) if _name(entry) != record.name]
-        self._put_entries(record.pair_id, kept)
+        kept = [other for other in self._records(record.pair_id) if other.name != record.name]
+        self._put_records(record.pair_id, kept)
         for name in record.files:
             self._change("DELETE FROM files WHERE name = ?", name)
 
-    def _job_entries(self, pair_id: str) -> list[dict[str, Any]]:
+    def _records(self, pair_id: str) -> list[JobRecord]:
+        """The finished jobs of a pair; none of an entry that is not as this ledger writes them."""
         row = self._db.execute("SELECT entry, hash FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
-        entries: list[dict[str, Any]] = orjson.loads(row[0]) if row is not None and _agrees(*row) else []
-        return entries
+        try:
+            records = [job_record(entry) for entry in orjson.loads(row[0])] if row and _agrees(*row) else []
+        except (ValueError, TypeError):
+            return []
+        return [record for record in records if record.pair_id == pair_id]
 
-    def _put_entries(self, pair_id: str, entries: list[dict[str, Any]]) -> None:
-        if entries:
-            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?, ?)", pair_id, entries)
+    def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
+        if records:
+            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?, ?)", pair_id, [asdict(record) for record in records])
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
 
@@ -165,10 +172,11 @@ class Ledger:
 
     def _entry(self, question: str, name: str) -> dict[str, Any] | None:
         row = self._db.execute(question, (name,)).fetchone()
-        if row is None or not _agrees(*row):
+        try:
+            entry = orjson.loads(row[0]) if row is not None and _agrees(*row) else None
+        except ValueError:
             return None
-        entry: dict[str, Any] = orjson.loads(row[0])
-        return entry
+        return entry if isinstance(entry, dict) else None
 
     def _put(self, order: str, name: str, facts: Any) -> None:
         entry = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
@@ -256,6 +264,8 @@ def _check(db: sqlite3.Connection) -> None:
         raise sqlite3.DatabaseError("a ledger of another version")
     if db.execute("PRAGMA quick_check(1)").fetchone()[0] != "ok":
         raise sqlite3.DatabaseError("a damaged ledger")
+    if db.execute(_SCHEMA).fetchall() != _own_schema():  # views and triggers of others would run with our statements
+        raise sqlite3.DatabaseError("a ledger with other tables")
 
 
 def _is_complete(db: sqlite3.Connection) -> bool:
@@ -263,20 +273,15 @@ def _is_complete(db: sqlite3.Connection) -> bool:
     return row is not None and row[0] == "1"
 
 
+@cache
+def _own_schema() -> list[tuple[str, ...]]:
+    with closing(_in_memory()) as db:
+        return db.execute(_SCHEMA).fetchall()
+
+
 def _hash(entry: bytes) -> str:
     return hashlib.blake2b(entry, digest_size=8).hexdigest()
 
 
-def _agrees(entry: bytes, check: str) -> bool:
-    return _hash(entry) == check
-
-
-def _name(entry: Mapping[str, Any]) -> JobName:
-    return entry["stage"], entry["pair_id"], entry["part"]
-
-
-def _job_record(entry: dict[str, Any]) -> JobRecord:
-    entry["files"] = {name: StoredFile(**file) for name, file in entry["files"].items()}
-    entry["steps"] = tuple((step, seconds) for step, seconds in entry["steps"])
-    entry["reads"] = tuple(entry["reads"])
-    return JobRecord(**entry)
+def _agrees(entry: object, check: object) -> bool:
+    return isinstance(entry, bytes) and _hash(entry) == check

@@ -7,10 +7,12 @@ wanted key, small facts, seconds by step, so that the tables are the truth and t
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import re
+import stat
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -18,9 +20,11 @@ from urllib.parse import quote
 import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import TypeAdapter
 
-from ...schemas.errors import RunError
+from ...schemas.errors import OversizeError, RunError
 from ...schemas.tables import TABLES
+from .bounds import check_pages
 from .files import hash_file, key_of, write_whole
 
 _TOKEN = ".writer"
@@ -34,6 +38,9 @@ _ENCODINGS = {
     pa.bool_(): "PLAIN",
 }
 
+#: What a table of a run may be called: `TABLE.parquet`, or `TABLE/FILE.parquet`; nothing that leads out of the folder.
+_TABLE_NAME = re.compile(r"[a-z0-9_]+(\.parquet|/[A-Za-z0-9][^/\0]*)")
+
 JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, a part of an experiment, or "" for one job of a pair)
 
 
@@ -46,9 +53,14 @@ class StoredFile:
     mtime_ns: int
     ctime_ns: int
 
-    def is_content(self, content: bytes) -> bool:
-        """Whether this is what was written."""
-        return len(content) == self.size and hashlib.sha256(content).hexdigest() == self.sha256
+    def read(self, path: Path) -> bytes | None:
+        """What was written; None where the file is gone, another one, or a link. Raises `OSError` as reading does."""
+        try:
+            content = b"" if path.is_symlink() else path.read_bytes()
+        except FileNotFoundError:
+            return None
+        is_own = len(content) == self.size and hashlib.sha256(content).hexdigest() == self.sha256
+        return content if is_own else None
 
 
 @dataclass(frozen=True)
@@ -74,10 +86,18 @@ class JobRecord:
     steps: tuple[tuple[str, float], ...] = ()
     made_by: str = ""
 
+    def __post_init__(self) -> None:
+        wrong = [name for name in self.files if not _TABLE_NAME.fullmatch(name)]
+        if wrong:
+            raise ValueError(f"{wrong[0]!r} is no name of a table of a run")
+
     @property
     def name(self) -> JobName:
         """What the job is called."""
         return self.stage, self.pair_id, self.part
+
+
+_JOB_RECORD = TypeAdapter(JobRecord)
 
 
 def plain_facts(facts: dict[str, Any]) -> dict[str, Any]:
@@ -192,12 +212,12 @@ class TableFolder:
         RunError
             The file is not what was stored.
         """
-        content = path.read_bytes()
-        if not stored.is_content(content):
+        content = stored.read(path)
+        if content is None:
             raise RunError(f"{path}: the file changed while the run was using it; run the same command again")
         schema = TABLES[table]
         dictionaries = schema.same if columns is None else [name for name in schema.same if name in columns]
-        rows = pq.read_table(pa.BufferReader(content), columns=columns, read_dictionary=dictionaries, use_threads=False)
+        rows = read_bounded(path, content, columns, read_dictionary=dictionaries)
         return rows if columns is not None else schema.check(rows.cast(schema.schema))
 
     def check_token(self) -> None:
@@ -208,6 +228,23 @@ class TableFolder:
             token = ""
         if token != self.token:
             raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+
+
+def read_bounded(path: Path, content: bytes, columns: list[str] | None = None, **options: Any) -> pa.Table:
+    """The rows of a Parquet file that was read, if it does not unpack to far more than it is long.
+
+    Parameters
+    ----------
+    options : of `pyarrow.parquet.ParquetFile`
+
+    Raises
+    ------
+    OversizeError
+        It would.
+    """
+    check_pages(path, io.BytesIO(content), lambda name: columns is None or name in columns)
+    file = pq.ParquetFile(pa.BufferReader(content), **options)
+    return file.read(columns, use_threads=False)
 
 
 def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
@@ -222,24 +259,31 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
     """
     path = folder / name
     try:
-        status, content = path.stat(), path.read_bytes()
-        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
-        footer = file.metadata.metadata or {}
+        status = path.lstat()
+        if not stat.S_ISREG(status.st_mode):
+            return None
+        content = path.read_bytes()
+        metadata = pq.read_metadata(pa.BufferReader(content))
+        footer = metadata.metadata or {}
         job, key, table = (footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table"))
         if footer.get(b"fidpipe.check") != key_of(key, job).encode():
             return None
-        rows = file.read(use_threads=False)
+        rows = read_bounded(path, content, page_checksum_verification=True)
         TABLES[table].check(rows)
-        if _row_counts(file.metadata) != {rows.num_rows}:
+        if _row_counts(metadata) != {rows.num_rows}:
             return None
-    except (OSError, ValueError, KeyError, pa.ArrowException):
+        own = orjson.loads(job)
+        names = tuple(own["files"])
+        stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
+        record = job_record(own | {"key": key, "files": {name: asdict(stored)}})
+    except (OSError, ValueError, KeyError, TypeError, OversizeError, pa.ArrowException):
         return None
-    own = orjson.loads(job)
-    names = tuple(own.pop("files"))
-    stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
-    steps = tuple((step, seconds) for step, seconds in own.pop("steps"))
-    record = JobRecord(**own | {"reads": tuple(own["reads"]), "key": key, "files": {name: stored}, "steps": steps})
     return (record, names) if name in names else None
+
+
+def job_record(entry: object) -> JobRecord:
+    """A finished job from plain values, as `dataclasses.asdict` gives them; `ValueError` where they are none."""
+    return _JOB_RECORD.validate_python(entry)
 
 
 def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
@@ -257,7 +301,7 @@ def _row_counts(metadata: pq.FileMetaData) -> set[int]:
 
 
 def is_as_stored(path: str, stored: StoredFile, *, by_content: bool = False) -> bool:
-    """Whether a file is as it was written.
+    """Whether a file is as it was written, and not a link to another.
 
     Parameters
     ----------
@@ -265,10 +309,10 @@ def is_as_stored(path: str, stored: StoredFile, *, by_content: bool = False) -> 
         written. A disk that loses a bit changes no times
     """
     try:
-        status = os.stat(path)  # noqa: PTH116 (a hundred thousand of them; a Path costs more than the call)
+        status = os.lstat(path)  # (a hundred thousand of them; a Path costs more than the call)
     except FileNotFoundError:
         return False
-    if status.st_size != stored.size:
+    if status.st_size != stored.size or not stat.S_ISREG(status.st_mode):
         return False
     if not by_content and (status.st_mtime_ns, status.st_ctime_ns) == (stored.mtime_ns, stored.ctime_ns):
         return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ....schemas.errors import ScanError
-from .bounds import BoundedFile
+from ...storage.bounds import BoundedFile
 from .scan import Scan, refused_unless, scan_from_columns
 
 _LONGEST_HEADER_BYTES, _MOST_COLUMNS = 2**20, 1000  # a column costs pandas a thousand bytes, whatever is in it

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .bounds import BoundedFile, check_promise, check_unpacked
+from ...storage.bounds import BoundedFile, check_promise, check_unpacked
 from .scan import Scan, refused_unless, scan_from_columns
 
 _N_RECORDS_AT, _RECORD_HEAD_BYTES = 100, 54  # LAS Specification 1.4 R15, tables 3 and 7

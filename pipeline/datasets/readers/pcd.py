@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .bounds import BoundedFile, check_promise, check_unpacked
+from ...storage.bounds import BoundedFile, check_promise, check_unpacked
 from .scan import Scan, refused_unless, scan_from_columns
 
 _HEADER_LINES, _MOST_COLUMNS = 10, 1000
@@ -57,7 +57,7 @@ def _check_head(path: Path) -> None:
         check_promise(path, head.points, point_bytes)
     elif n_unpacked != head.points * point_bytes or n_packed > path.stat().st_size:
         raise ScanError(
-            f"{path}: {n_unpacked} bytes packed in {n_packed} found, {point_bytes} wanted for each of {head.points} points"
+            f"{path}: {n_unpacked} bytes packed in {n_packed} found, {head.points} points of {point_bytes} bytes wanted"
         )
     else:
         check_unpacked(path, n_unpacked)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .bounds import BoundedFile
+from ...storage.bounds import BoundedFile
 from .scan import Scan, refused_unless, scan_from_columns
 
 

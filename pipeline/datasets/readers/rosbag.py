@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from .bounds import BoundedPath, Unpacker
+from ...storage.bounds import BoundedPath, Unpacker
 from .frames import Address, frame_number
 from .scan import Scan, refused_unless, scan_from_columns
 
@@ -129,7 +129,7 @@ def _bounded(file: Path) -> Iterator[None]:
 
 
 def _allows(action: int, what: str | None, name: str | None, _: str | None, view: str | None) -> int:
-    """Whether a statement on a bag's database may run: what reads its tables, and nothing that the file itself defines."""
+    """Whether a statement on a bag's database may run: reads of its tables, nothing that the file defines."""
     import apsw
 
     allowed = {apsw.SQLITE_SELECT, apsw.SQLITE_READ}

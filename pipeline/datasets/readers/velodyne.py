@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from .bounds import BoundedFile
+from ...storage.bounds import BoundedFile
 from .frames import Address, frame_number
 from .scan import Scan, refused_unless, scan_from_columns
 
