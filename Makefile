@@ -98,10 +98,10 @@ test-pythons: setup
 		place=.cache/python-$$version; \
 		if [ $$version = lowest ]; then \
 			$(BIN)/uv venv --quiet --clear --python $(firstword $(PYTHONS)) $$place && \
-			$(BIN)/uv pip install --quiet --python $$place --resolution lowest-direct '.[all,dev]'; \
+			$(BIN)/uv pip install --quiet --compile-bytecode --python $$place --resolution lowest-direct '.[all,dev]'; \
 		else \
 			$(BIN)/uv venv --quiet --clear --python $$version $$place && \
-			$(BIN)/uv pip install --quiet --python $$place --require-hashes --requirement $(LOCK) && \
+			$(BIN)/uv pip install --quiet --compile-bytecode --python $$place --require-hashes --requirement $(LOCK) && \
 			$(BIN)/uv pip install --quiet --python $$place --no-deps --no-build-isolation .; \
 		fi && $$place/bin/pytest $(TESTS) || exit 1; \
 	done

@@ -109,7 +109,7 @@ def try_extras(folder):
 def try_sdist(folder):
     """Installed from source; the tests in the archive run on it."""
     bin_ = environment(folder / "from-source")
-    install(bin_, "--require-hashes", "--requirement", HOUSE / "requirements.lock")
+    install(bin_, "--compile-bytecode", "--require-hashes", "--requirement", HOUSE / "requirements.lock")
     install(bin_, "--no-deps", "--no-build-isolation", sdist(folder))
     [source] = (folder / "source").iterdir()
     told = run(
