@@ -166,13 +166,13 @@ def check_communities(pair: StoredPair, comparisons: Comparisons) -> None:
             continue
         n_real, sizes = int(real.labels.max()) + 1, np.bincount(labels)
         for community in pair.drawn_ids(side):
-            found = [method.nearest_real(real.points, own.points[i]) for i in own.members(community)]
-            for i, (nearest, apart_m) in zip(own.members(community).tolist(), found, strict=True):
-                is_alone = (
-                    community >= n_real and apart_m > settings.reach_m and sizes[community] >= settings.min_points
-                )
+            for i in own.members(community).tolist():
+                apart = method.distances(real.points, own.points[i])
+                near = real.labels[apart <= apart.min() * (1 + 1e-12)]  # of several, if equally near but for rounding
+                is_alone = community >= n_real and sizes[community] >= settings.min_points
+                is_right = community in near or (is_alone and apart.min() > settings.reach_m)
                 name = f"community_id of point {own.point_ids[i]}"
-                comparisons.compare(place, name, community, community if is_alone else int(real.labels[nearest]))
+                comparisons.compare(place, name, community, community if is_right else int(near[0]))
 
 
 def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
