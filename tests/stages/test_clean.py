@@ -1,6 +1,8 @@
 import numpy as np
+import pytest
 
-from fidpipe.schemas.settings import InputSettings
+from fidpipe.schemas.errors import SettingsError
+from fidpipe.schemas.settings import InputSettings, load
 from fidpipe.stages.clean import clean_scan
 from scenes import rigid
 from textbook import clean as textbook_clean
@@ -67,3 +69,11 @@ def test_agrees_with_the_textbook_on_a_dirty_scan(rng):
     assert result.point_ids.tolist() == ids
     np.testing.assert_allclose(result.points, points, atol=1e-12)
     assert sum(result.dropped.values()) + len(ids) == 800
+
+
+def test_a_range_that_float64_does_not_hold_is_too_far():
+    scan = np.array([[5.0, 0, 0], [1e200, 0, 0], [np.finfo(float).max] * 3, [np.inf, 0, 0]])
+    dropped = clean_scan(scan, InputSettings(max_range_m=1e9)).dropped
+    assert (dropped["too_far"], dropped["not_finite"]) == (2, 1)
+    with pytest.raises(SettingsError, match=r"input.max_range_m: 1e\+300 found; .* less than or equal to"):
+        load(None, ["input.max_range_m=1e300"])

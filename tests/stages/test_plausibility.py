@@ -25,3 +25,8 @@ def test_an_implausible_scan_is_warned_of(change, warning):
 def test_the_widest_gap_is_found_across_the_seam():
     angles = np.radians(np.arange(-60, 61, 5))
     assert widest_azimuth_gap_deg(np.column_stack([-np.cos(angles), np.sin(angles), angles])) == pytest.approx(240)
+
+
+def test_a_reach_beyond_all_measure_is_told_in_short():
+    (text, *_) = implausible(street() * 1e300)
+    assert text.startswith("coordinates reach 2e+301 m; ")
