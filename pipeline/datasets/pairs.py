@@ -17,6 +17,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, ScanError
+from ...schemas.settings import FARTHEST_M
 from ...stages.arrays import FloatArray
 from .readers import formats, is_scan_path, stem_of, suffix_of
 from .readers.scan import LONGEST_LABEL
@@ -278,19 +279,21 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
     Raises
     ------
     DatasetError
-        There are not 12 numbers, or R is no rotation.
+        There are not 12 numbers, R is no rotation, or t is beyond a million kilometres.
     """
     if len(numbers) != 12:
         raise DatasetError(f"{where}: {name} has {len(numbers)} numbers, 12 are wanted ([R | t] row by row)")
     motion = numbers.reshape(3, 4)
     rotation = motion[:, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is no rotation
         off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
         raise DatasetError(
             f"{where}: {name} is no rigid motion (R R^T is off the identity by {off:.2g}, "
             f"at most {_ROTATION_TOLERANCE:g} is taken for rounding)"
         )
+    if (shift_m := float(np.abs(motion[:, 3]).max())) > FARTHEST_M:
+        raise DatasetError(f"{where}: {name} moves by {shift_m:g} m, at most {FARTHEST_M:g} m is wanted")
     if np.linalg.det(rotation) < 0:
         hint = (
             'set input.sim_frame = "carla" for a left-handed simulator'

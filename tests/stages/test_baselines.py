@@ -194,3 +194,12 @@ def test_a_transport_that_the_solver_could_not_finish_is_null_with_its_reason(ca
     exact, kept, _ = earth_moved(car, car[:90] + [1, 0, 0], 50)
     assert (exact.value, exact.reason) == (None, "the network simplex ended without the optimum")
     assert kept.value == pytest.approx(1)
+
+
+@pytest.mark.parametrize("exponent", [-310, -165, -162, -155, -150, 8])
+def test_at_the_ends_of_float64_a_distance_is_a_number_or_null_with_a_reason(rng, exponent):
+    real = rng.normal(0, 1, (60, 3)) * 10.0**exponent
+    for sim in (real[:-7] * 1.01, np.vstack([real, [[1e9, 0, 0]]])):
+        for baseline in compare_points(real, sim, ALL):
+            assert baseline.reason if baseline.value is None else np.isfinite(baseline.value), baseline
+            assert baseline.name not in ("dcd", "f_score", "icp_fitness") or 0 <= (baseline.value or 0) <= 1, baseline

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from fidpipe.schemas.settings import InputSettings
+from fidpipe.schemas.errors import SettingsError
+from fidpipe.schemas.settings import InputSettings, load
 from fidpipe.stages.clean import as_ros, clean_scan
 from fidpipe.stages.literal import method
 from scenes import rigid
@@ -89,3 +90,11 @@ def test_boxes_of_the_ego_vehicle_are_in_the_own_frame_and_kept_ones_are_not():
     scan = np.array([[10.0, 0, 0], [0, 10, 0], [0, -10, 0]])  # right, ahead, behind
     result = clean_scan(scan, settings, frame="nuscenes")
     np.testing.assert_array_equal(result.points, [[10, 0, 0]])
+
+
+def test_a_range_that_float64_does_not_hold_is_too_far():
+    scan = np.array([[5.0, 0, 0], [1e200, 0, 0], [np.finfo(float).max] * 3, [np.inf, 0, 0]])
+    dropped = clean_scan(scan, InputSettings(max_range_m=1e9)).dropped
+    assert (dropped["too_far"], dropped["not_finite"]) == (2, 1)
+    with pytest.raises(SettingsError, match=r"input.max_range_m: 1e\+300 found; .* less than or equal to"):
+        load(None, ["input.max_range_m=1e300"])

@@ -122,3 +122,26 @@ def test_a_single_point_has_no_shape():
 def test_the_majority_names_an_object_and_the_alphabet_breaks_ties():
     labels = np.array([0, 0, 0, 1, 1, 2], np.int32)
     assert majority_labels(labels, ["car", "wall", "car", "wall", "car", None]) == ["car", "car", None]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("exponent", [-50, -200, -310])
+def test_where_no_edge_has_a_length_the_connected_pieces_are_the_communities(three_boxes, backend, exponent):
+    points, _ = three_boxes
+    edges = build_graph(points * 10.0**exponent, GraphSettings(k=8))
+    assert not edges.length_m.any()
+    apart = Edges(*(ends[edges.src < 60] for ends in (edges.src, edges.dst, edges.length_m)))
+    apart = Edges(*(ends[apart.dst < 60] for ends in (apart.src, apart.dst, apart.length_m)))
+    partition = find_communities(90, apart, CommunitySettings(backend=backend))
+    assert np.bincount(partition.labels).tolist() == [60] + [1] * 30
+    assert partition.modularity == 0.0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("exponent", [-36, -20, 8])
+def test_communities_do_not_depend_on_the_unit(three_boxes, backend, exponent):
+    points, edges = three_boxes
+    own = CommunitySettings(backend=backend)
+    labels = find_communities(len(points), edges, own).labels
+    scaled = Edges(edges.src, edges.dst, edges.length_m * np.float32(10.0**exponent))
+    assert len(np.unique(find_communities(len(points), scaled, own).labels)) == len(np.unique(labels))

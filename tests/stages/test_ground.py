@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 import pytest
 
@@ -106,3 +108,16 @@ def test_patchwork_takes_the_road():
     assert cut.is_ground[:20000].mean() > 0.9
     assert cut.is_ground[20000:].mean() < 0.1
     assert cut.threshold_m is None
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e-310, 1e8])
+def test_scans_whose_variance_is_no_number_have_an_axis(rng, scale):
+    cut = remove_ground(rng.normal(0, 1, (60, 3)) * scale, GroundSettings(method="none"))
+    assert np.linalg.norm(cut.axis) == pytest.approx(1)
+
+
+def test_patchwork_writes_nothing_to_the_standard_output(capfd):
+    pytest.importorskip("pypatchworkpp")
+    remove_ground(street(), GroundSettings(method="patchwork"))
+    os.write(1, b"results go on")
+    assert capfd.readouterr() == ("results go on", "")

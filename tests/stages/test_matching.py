@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -50,3 +52,13 @@ def test_of_equally_near_centroids_the_smaller_id_is_taken():
 def test_the_match_rate_counts_the_side_that_has_more():
     matching = match_communities(np.zeros((1, 3)), np.array([[1.0, 0, 0], [50, 0, 0], [70, 0, 0]]), MatchingSettings())
     assert matching.match_rate == pytest.approx(1 / 3)
+
+
+def test_thousands_of_objects_are_matched_one_row_at_a_time():
+    places = np.random.default_rng(0).uniform(0, 1e4, (4000, 3))
+    tracemalloc.start()
+    matching = match_communities(places, places[::-1], MatchingSettings())
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert (matching.sim_ids == np.arange(4000)[::-1][matching.real_ids]).all()
+    assert peak_bytes < 8 * 4000**2 / 10  # no matrix of all distances

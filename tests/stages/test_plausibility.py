@@ -42,3 +42,8 @@ def test_near_hits_are_told_with_what_the_present_settings_leave_of_them():
 def test_the_widest_gap_is_found_across_the_seam():
     angles = np.radians(np.arange(-60, 61, 5))
     assert widest_azimuth_gap_deg(np.column_stack([-np.cos(angles), np.sin(angles), angles])) == pytest.approx(240)
+
+
+def test_a_reach_beyond_all_measure_is_told_in_short():
+    (text, *_) = implausible(street() * 1e300)
+    assert text.startswith("coordinates reach 2e+301 m; ")
