@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
 import scipy.linalg
@@ -50,9 +51,9 @@ def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
 
     def one_way(xs: FloatArray, ys: FloatArray) -> float:
         nearest = [int(distances(ys, x).argmin()) for x in xs]
-        terms = []
+        count, terms = Counter(nearest), []
         for x, j in zip(xs, nearest, strict=True):
-            weight = min(1.0, len(xs) / len(ys) / nearest.count(j))
+            weight = min(1.0, len(xs) / len(ys) / count[j])
             terms.append(1 - weight * math.exp(-alpha * (math.dist(x, ys[j]) / size_m) ** 2))
         return math.fsum(terms) / len(terms)
 

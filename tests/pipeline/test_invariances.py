@@ -12,12 +12,13 @@ from hypothesis.extra import numpy as arrays
 
 import pools
 from fidpipe.pipeline.evaluate import evaluate_pair
+from fidpipe.pipeline.storage.tables import TableFolder
 from fidpipe.schemas.settings import GraphSettings, MatchingSettings, load
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.literal import method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.method import compare, partition
-from runs import assert_same_tables, run
+from runs import assert_same_tables, no_temporary_files, run
 from scenes import drifted, moved, rigid, street, write_dataset
 
 
@@ -84,6 +85,7 @@ def test_on_a_lattice_of_ties_the_matching_is_that_of_the_literal_twin(real, sim
         assert optimal.distance_m.sum() <= greedy.distance_m.sum() + 1e-12
 
 
+@pytest.mark.slow
 @tried(8)
 @given(scene=seeds, order_real=seeds, order_sim=seeds)
 def test_under_the_preset_reference_the_order_of_rows_changes_nothing(scene, order_real, order_sim):
@@ -96,6 +98,7 @@ def test_under_the_preset_reference_the_order_of_rows_changes_nothing(scene, ord
         assert b[name] == (pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value), name
 
 
+@pytest.mark.slow
 @tried(8)
 @given(scene=seeds, order_real=seeds, order_sim=seeds)
 def test_under_any_preset_the_order_of_rows_changes_neither_coverage_nor_displacement(scene, order_real, order_sim):
@@ -108,6 +111,7 @@ def test_under_any_preset_the_order_of_rows_changes_neither_coverage_nor_displac
         assert b[name] == pytest.approx(a[name], rel=1e-9, abs=1e-9), name
 
 
+@pytest.mark.slow
 @tried(12)
 @given(
     scene=seeds,
@@ -142,6 +146,7 @@ def undisturbed(dataset, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 @tried(5)
 @given(order=st.permutations(["000", "001", "002"]))
 def test_the_order_of_pairs_changes_no_table(dataset, undisturbed, order):
@@ -153,6 +158,7 @@ def test_the_order_of_pairs_changes_no_table(dataset, undisturbed, order):
         assert_same_tables(Path(folder) / "run", undisturbed)
 
 
+@pytest.mark.slow
 @tried(6)
 @given(n_workers=st.integers(1, 9))
 def test_the_number_of_workers_changes_no_table(dataset, undisturbed, n_workers):
@@ -161,30 +167,36 @@ def test_the_number_of_workers_changes_no_table(dataset, undisturbed, n_workers)
         assert_same_tables(Path(folder) / "run", undisturbed)
 
 
-class StoppedPool(pools.WatchedPool):
-    """Ctrl-C at the n-th result."""
+def stopped_at(n, is_written):
+    """What writes the tables of a job, and at the n-th one is stopped, before or after it has written."""
+    write_job, calls = TableFolder.write_job, []
 
-    def __init__(self, n):
-        super().__init__()
-        self._left = n
-
-    def next_done(self):
-        self._left -= 1
-        if self._left < 0:
+    def write(self, record, tables):
+        calls.append(record.name)
+        if len(calls) == n and not is_written:
             raise KeyboardInterrupt
-        return super().next_done()
+        files = write_job(self, record, tables)
+        if len(calls) == n:
+            raise KeyboardInterrupt
+        return files
+
+    return write
 
 
-@tried(10)
-@given(stops=st.lists(st.integers(0, 8), min_size=1, max_size=4))
+@pytest.mark.slow
+@tried(6)
+@given(stops=st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=3))
 def test_a_run_that_is_stopped_again_and_again_ends_in_the_same_tables(dataset, undisturbed, stops):
     with tempfile.TemporaryDirectory() as folder:
-        n_stopped = 0
-        for n in stops:
-            try:
-                run(dataset, Path(folder) / "run", pool=StoppedPool(n))
-            except KeyboardInterrupt:
-                n_stopped += 1
-        assert n_stopped, "the first stop comes before the first result that ends the run"
-        run(dataset, Path(folder) / "run")
-        assert_same_tables(Path(folder) / "run", undisturbed)
+        out, n_stopped = Path(folder) / "run", 0
+        for n, is_written in stops:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(TableFolder, "write_job", stopped_at(n, is_written))
+                try:
+                    run(dataset, out)
+                except KeyboardInterrupt:
+                    n_stopped += 1
+        assert n_stopped
+        run(dataset, out)
+        assert_same_tables(out, undisturbed)
+        assert no_temporary_files(out)

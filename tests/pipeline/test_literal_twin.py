@@ -187,7 +187,7 @@ def by_hand(folder, name):
 def test_the_published_figures_of_kitti_are_those_of_the_literal_twin(real_data, tmp_path):
     out = tmp_path / "run"
     assert not run(real_data / "kitti_twin", out, workers=2).failures
-    result = verify_run(out, 30)
+    result = verify_run(out, 15)
     assert result.passed, result.mismatches
     assert (result.n_pairs, result.n_scans) == (5, 5)
     pairs = pd.read_parquet(out / "pairs.parquet")

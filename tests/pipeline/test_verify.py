@@ -192,6 +192,16 @@ def test_an_edited_mean_of_the_record_is_found(copy, name):
     assert (mismatch.table, mismatch.column) == ("run.json", f"summary.{name}.mean")
 
 
+def test_tables_of_another_version_of_a_stage_are_not_compared_and_that_is_said(copy):
+    record = orjson.loads((copy / "run.json").read_bytes())
+    record["stages"]["coverage"] -= 1
+    (copy / "run.json").write_bytes(orjson.dumps(record))
+    result = verify_run(copy, 2)
+    assert result.passed
+    assert "coverage of version 1 of its stage, which is 2 now" in result.not_compared
+    assert "coverage" not in {table.table for table in result.tables}
+
+
 def test_other_scans_are_not_taken_for_those_of_the_run(tmp_path):
     dataset = write_dataset(tmp_path / "streets", 2, n=40)
     run(dataset, tmp_path / "run")

@@ -22,6 +22,7 @@ from ....schemas.settings import Settings, parse
 from ....stages.literal.method import mean_and_std
 from ...datasets.pairs import Dataset, ScanPair, read_dataset
 from ...datasets.scan_checks import input_hashes
+from ...jobs import EXTRAS, STAGES
 from ...storage.files import hash_file
 from ...storage.record import unmatched_worst
 from ...storage.tables import table_name
@@ -50,6 +51,9 @@ _CHECKS: dict[str, Callable[[StoredPair, Comparisons], None]] = {
     "seeds": objects.check_seeds,
     "pairs": objects.check_pairs,
 }
+#: The stage that makes a table, where it has another name.
+_STAGE_OF = {"scan": "ground", "objects": "communities", "pairs": "metrics"}
+_VERSIONS = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
 
 PairDone = Callable[[int, int], None]
 
@@ -230,6 +234,11 @@ def _compare_pair(
     """Compares the tables of one pair; one that nothing can be computed from is a fault of its own."""
     pair = StoredPair(run, pair_id, settings, drawn, scans, label_names)
     for table, check in _CHECKS.items():
+        stage = _STAGE_OF.get(table, table)
+        version = run.record.stages.get(stage, _VERSIONS[stage])
+        if version != _VERSIONS[stage]:
+            comparisons.leave_out(f"{table} of version {version} of its stage, which is {_VERSIONS[stage]} now")
+            continue
         try:
             check(pair, comparisons)
         except (FidpipeError, LookupError, ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
