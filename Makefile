@@ -1,5 +1,6 @@
 # make run    sets up, makes a small synthetic dataset, evaluates it, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
+# make faults kills, fills, damages and misleads real runs in every way known, and counts what is lost
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
@@ -12,7 +13,7 @@ FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 	--config-settings editable_mode=strict
 
-.PHONY: run test check fast bench clean setup browser javascript
+.PHONY: run test check faults fast bench clean setup browser javascript
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -27,6 +28,10 @@ check: setup browser javascript
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
 	$(BIN)/pytest
+
+# Every fault, some hundred tries, an hour or so; the table of what was tried and lost: .cache/faults/faults.md
+faults: setup
+	FIDPIPE_FAULTS=all FIDPIPE_FAULTS_TABLE=.cache/faults $(BIN)/pytest -s tests/faults
 
 fast: setup
 	$(BIN)/pytest -m "not slow"

@@ -14,11 +14,15 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 import psutil
+import pytest
 
 from runs import FIDPIPE, assert_same_tables, command, tables
 
 ALL = os.environ.get("FIDPIPE_FAULTS") == "all"
 _OWN_FILES = {".lock", ".writer"}  # of a run's folder, beginning with a dot, that stay
+
+
+only_all = pytest.mark.skipif(not ALL, reason="only make faults tries it")
 
 
 def times(few, all_of_them):

@@ -13,7 +13,7 @@ import pytest
 
 from runs import FIDPIPE, assert_same_tables, command, run
 from scenes import drifted, street, write_bin, write_dataset
-from tries import Started, assert_no_process, assert_resumes, lines_of, n_lost, temporary_files, times
+from tries import Started, assert_no_process, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
 
 pytestmark = pytest.mark.slow
 
@@ -224,6 +224,7 @@ def test_a_disk_that_is_full_in_a_stage_is_named_and_the_run_goes_on_where_there
     assert_resumes(dataset, out, finished, tally, f"the disk is full in stage {stage}")
 
 
+@only_all
 def test_a_read_only_folder_of_a_run_that_works_ends_it_with_a_line(dataset, finished, file_system, tally):
     out = file_system / "run"
     started = Started("run", dataset, "--out", out, "--workers", 2)
