@@ -39,9 +39,10 @@ class _Fault:
 
 
 class Tally:
-    """What became of all tries, by fault."""
+    """What became of all tries, by fault; where a folder is named, a table of them stands in it after each try."""
 
-    def __init__(self):
+    def __init__(self, folder=None):
+        self._folder = folder
         self._faults = defaultdict(_Fault)
 
     def add(self, fault, lost=0, seconds=None):
@@ -49,8 +50,10 @@ class Tally:
         self._faults[fault].lost.append(lost)
         if seconds is not None:
             self._faults[fault].seconds.append(seconds)
+        if self._folder is not None:
+            self._write(self._folder)
 
-    def write(self, folder):
+    def _write(self, folder):
         """The table of all tries as JSON and as Markdown."""
         folder.mkdir(parents=True, exist_ok=True)
         rows = [

@@ -152,7 +152,7 @@ def test_a_scheduler_that_is_killed_is_named_and_the_run_goes_on_without_it(data
         code, errors = started.end()
         assert time.monotonic() - begun < 90
         assert code == 1, errors
-        assert "Traceback" not in errors
+        assert "Traceback" not in errors, errors
         assert lines_of(errors)[-1].startswith(f"error: scheduler {address}: "), errors
         assert "run the same command again: it goes on where it stopped" in lines_of(errors)[-1]
     finally:
@@ -234,7 +234,7 @@ def test_a_read_only_folder_of_a_run_that_works_ends_it_with_a_line(dataset, fin
     remount(file_system, "rw")
     if code:  # a file system with files that are being written cannot always be made read-only
         assert code == 1, errors
-        assert "Traceback" not in errors
+        assert "Traceback" not in errors, errors
         assert "Read-only file system" in errors or "readonly database" in errors, errors
     assert_no_process(started)
     assert_resumes(dataset, out, finished, tally, "the file system becomes read-only in the middle of a run")
