@@ -1,6 +1,7 @@
 # make run    sets up, makes a small synthetic dataset, evaluates it, verifies a sample, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
 # make docs   builds the documentation: build/docs/index.html
+# make faults kills, fills, damages and misleads real runs in every way known, and counts what is lost
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
@@ -14,7 +15,7 @@ LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test check fast docs bench clean setup browser javascript lock release-check test-pythons
+.PHONY: run test check faults fast docs bench clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -31,6 +32,10 @@ check: setup browser javascript
 	$(BIN)/lint-imports
 	$(SPHINX)
 	$(BIN)/pytest
+
+# Every fault, some hundred tries, an hour or so; the table of what was tried and lost: .cache/faults/faults.md
+faults: setup
+	FIDPIPE_FAULTS=all FIDPIPE_FAULTS_TABLE=.cache/faults $(BIN)/pytest -s tests/faults
 
 fast: setup
 	$(BIN)/pytest -m "not slow"

@@ -69,8 +69,6 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def tally():
-    """The count of what faults were tried and what was lost; written at the end where a folder is named for it."""
-    tally = Tally()
-    yield tally
-    if folder := os.environ.get("FIDPIPE_FAULTS_TABLE"):
-        tally.write(Path(folder))
+    """The count of what faults were tried and what was lost; a table of it where a folder is named for that."""
+    folder = os.environ.get("FIDPIPE_FAULTS_TABLE")
+    return Tally(Path(folder) if folder else None)

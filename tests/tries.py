@@ -14,11 +14,15 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 import psutil
+import pytest
 
 from runs import FIDPIPE, assert_same_tables, command, tables
 
 ALL = os.environ.get("FIDPIPE_FAULTS") == "all"
 _OWN_FILES = {".lock", ".writer"}  # of a run's folder, beginning with a dot, that stay
+
+
+only_all = pytest.mark.skipif(not ALL, reason="only make faults tries it")
 
 
 def times(few, all_of_them):
@@ -35,9 +39,10 @@ class _Fault:
 
 
 class Tally:
-    """What became of all tries, by fault."""
+    """What became of all tries, by fault; where a folder is named, a table of them stands in it after each try."""
 
-    def __init__(self):
+    def __init__(self, folder=None):
+        self._folder = folder
         self._faults = defaultdict(_Fault)
 
     def add(self, fault, lost=0, seconds=None):
@@ -45,8 +50,10 @@ class Tally:
         self._faults[fault].lost.append(lost)
         if seconds is not None:
             self._faults[fault].seconds.append(seconds)
+        if self._folder is not None:
+            self._write(self._folder)
 
-    def write(self, folder):
+    def _write(self, folder):
         """The table of all tries as JSON and as Markdown."""
         folder.mkdir(parents=True, exist_ok=True)
         rows = [

@@ -129,7 +129,8 @@ class DaskPool:
         import dask
         import distributed
 
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in ("distributed", "distributed.client"):  # dask gives the latter a level of its own
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
         if prefork.is_available():
             dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
@@ -191,7 +192,7 @@ class DaskPool:
                 each = f"{n_deaths} workers each time" if n_deaths > 1 else "a worker each time"
                 return handle, WorkerDied(f"{each}, the last one {error.last_worker.address}")
             if error is None:
-                raise RunError(self._lost(f"a task is {future.status}"))
+                raise RunError(self._lost(f"the connection is lost, or it gave up a task ({future.status})"))
             if not isinstance(error, FidpipeError):
                 self._check_versions()  # to a worker of another version what is sent makes no sense
             raise error

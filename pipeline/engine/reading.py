@@ -16,6 +16,7 @@ _FEW_PAIRS = 16  # whose files are read in this process
 _MOST_PAIRS_PER_BATCH = 32
 _LEAST_BATCHES = 8
 _BATCHES_PER_WORKER = 4
+_TRIES_ALONE = 2
 _DIED = (
     "the worker process died while it read the files, and again when it did so alone (a crash of the reader, or out of "
     "memory?)"
@@ -39,7 +40,7 @@ def read_files(
 
     Parameters
     ----------
-    pool : where they are read; pairs at which a worker dies are read once more, each alone
+    pool : where they are read; pairs at which a worker dies are read again, each alone
     limits : by pair_id, how long reading may take; {} for as long as it takes
     """
     n = max(1, min(_MOST_PAIRS_PER_BATCH, len(pairs) // _LEAST_BATCHES))
@@ -63,8 +64,11 @@ def read_files(
         else:
             yield from zip(part, read, strict=True)
     for pair in suspects:
-        submit([pair])
-        _, read = pool.next_done()
+        for _ in range(_TRIES_ALONE):  # once may be anybody's fault
+            submit([pair])
+            _, read = pool.next_done()
+            if not isinstance(read, WorkerDied):
+                break
         yield pair, _DIED if isinstance(read, WorkerDied) else read[0]
 
 

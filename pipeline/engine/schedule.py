@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -44,6 +44,7 @@ class Policy:
     batch_s : objects of together so many seconds go together
     bundle_s : small pairs of together so many seconds go together
     least_weight : and no more of them than one by this
+    tries_alone : a job fails at which the worker dies so often with nothing beside it; once may be anybody's fault
     """
 
     costs: CostModel = field(default_factory=CostModel)
@@ -53,6 +54,7 @@ class Policy:
     batch_s: float = 0.5
     bundle_s: float = 0.5
     least_weight: float = 1 / 16
+    tries_alone: int = 2
 
 
 class Watcher(Protocol):
@@ -78,6 +80,7 @@ class _Pair:
     plan: PairPlan
     failures: list[JobFailure] = field(default_factory=list)
     is_suspect: bool = False
+    deaths: Counter[JobId] = field(default_factory=Counter)
     n_waiting: int = 0
     scored: list[Handle] = field(default_factory=list)
     scoring: tuple[JobId, ...] = ()
@@ -189,8 +192,10 @@ class Schedule:
         if isinstance(result, WorkerDied):
             if self._is_alone and pair.is_suspect:
                 job = pair.ready[0]
-                reason = f"the worker process died, and again when the pair ran alone (out of memory?): {result.detail}"
-                pair.failures.append(JobFailure(*job.name, reason))
+                pair.deaths[job.name] += 1
+                if pair.deaths[job.name] >= self._policy.tries_alone:
+                    again = "the worker process died, and again when the pair ran alone (out of memory?)"
+                    pair.failures.append(JobFailure(*job.name, f"{again}: {result.detail}"))
             pair.is_suspect = True
         elif isinstance(result, BatchResult):
             self._watcher.batch_done(result)

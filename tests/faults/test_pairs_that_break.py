@@ -8,7 +8,7 @@ import pytest
 
 from runs import assert_same_tables, command
 from scenes import drifted, street, write_dataset
-from tries import Started, assert_resumes, lines_of, n_lost, temporary_files, times
+from tries import Started, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
 
 pytestmark = pytest.mark.slow
 
@@ -122,7 +122,7 @@ TRIES = [
     ("fill_memory", 1, IN_LITTLE_MEMORY, DIED_READING),
     ("fill_memory", 2, IN_LITTLE_MEMORY, DIED_IN_STAGE),
 ]
-FEW = [TRIES[0], TRIES[2]]
+FEW = TRIES[:1]
 FAULTS = {
     "crash": "a reader that crashes the interpreter",
     "hang": "a reader that never ends, the interpreter held",
@@ -156,6 +156,7 @@ def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
     assert_resumes(dataset, out, undisturbed, tally, f"{FAULTS[what]} ({'its files' if nth == 1 else 'a stage'})")
 
 
+@only_all
 def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_path, tally):
     out, trap = tmp_path / "run", set_trap(dataset, "hang", 1)
     try:
@@ -171,6 +172,7 @@ def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_p
     assert_resumes(dataset, out, undisturbed, tally, "a reader that never ends, then SIGTERM")
 
 
+@only_all
 def test_a_reader_of_another_package_gives_the_same_tables_in_a_worker_and_in_the_command(
     dataset, undisturbed, tmp_path
 ):

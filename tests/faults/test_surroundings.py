@@ -13,7 +13,7 @@ import pytest
 
 from runs import FIDPIPE, assert_same_tables, command, run
 from scenes import drifted, street, write_bin, write_dataset
-from tries import Started, assert_no_process, assert_resumes, lines_of, n_lost, temporary_files, times
+from tries import Started, assert_no_process, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
 
 pytestmark = pytest.mark.slow
 
@@ -152,7 +152,7 @@ def test_a_scheduler_that_is_killed_is_named_and_the_run_goes_on_without_it(data
         code, errors = started.end()
         assert time.monotonic() - begun < 90
         assert code == 1, errors
-        assert "Traceback" not in errors
+        assert "Traceback" not in errors, errors
         assert lines_of(errors)[-1].startswith(f"error: scheduler {address}: "), errors
         assert "run the same command again: it goes on where it stopped" in lines_of(errors)[-1]
     finally:
@@ -224,6 +224,7 @@ def test_a_disk_that_is_full_in_a_stage_is_named_and_the_run_goes_on_where_there
     assert_resumes(dataset, out, finished, tally, f"the disk is full in stage {stage}")
 
 
+@only_all
 def test_a_read_only_folder_of_a_run_that_works_ends_it_with_a_line(dataset, finished, file_system, tally):
     out = file_system / "run"
     started = Started("run", dataset, "--out", out, "--workers", 2)
@@ -233,7 +234,7 @@ def test_a_read_only_folder_of_a_run_that_works_ends_it_with_a_line(dataset, fin
     remount(file_system, "rw")
     if code:  # a file system with files that are being written cannot always be made read-only
         assert code == 1, errors
-        assert "Traceback" not in errors
+        assert "Traceback" not in errors, errors
         assert "Read-only file system" in errors or "readonly database" in errors, errors
     assert_no_process(started)
     assert_resumes(dataset, out, finished, tally, "the file system becomes read-only in the middle of a run")

@@ -111,7 +111,7 @@ def test_a_job_at_which_a_worker_dies_twice_fails_its_pair_alone(dataset, finish
     outcome = run(dataset, tmp_path / "run", pool=pool)
     reason = "stage matching: the worker process died, and again when the pair ran alone (out of memory?)"
     assert {pair_id: text.partition(": killed")[0] for pair_id, text in outcome.failures.items()} == {"001": reason}
-    assert pool.n_deaths == 2
+    assert pool.n_deaths == 3
     assert outcome.n_made == N_JOBS - JOBS_PER_PAIR  # nothing of the failed pair stays
     assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # what the dead worker wrote is nobody's
     assert run(dataset, tmp_path / "run").n_made == JOBS_PER_PAIR
