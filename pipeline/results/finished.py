@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
@@ -28,7 +27,7 @@ from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, read_run
-from ..storage.tables import table_name
+from ..storage.tables import read_bounded, table_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -227,9 +226,11 @@ class FinishedRun:
         """
         name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
         self.check_file(name)
+        path = self.folder / name
         try:
-            return pq.read_table(self.folder / name, columns=columns, use_threads=False, partitioning=None)
-        except (OSError, pa.ArrowInvalid) as error:
+            rows = read_bounded(path, path.read_bytes(), columns)
+            return rows if columns is not None else TABLES[table].check(rows)
+        except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise RunError(f"run {self.folder}: {name} cannot be read ({error}); run fidpipe run again") from error
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
@@ -267,7 +268,7 @@ def _as_read(schema: pa.Schema) -> pa.Schema:
 
 
 def _frame(table: pa.Table) -> pd.DataFrame:
-    frame: pd.DataFrame = table.to_pandas()
+    frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
     return frame
 
 

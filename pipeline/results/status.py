@@ -49,6 +49,8 @@ def run_status(folder: Path) -> RunStatus:
     record = read_run(folder)
     if not record:
         raise RunError(f"run {folder}: no run.json found; a folder written by fidpipe run is wanted")
+    if not {"dataset", "settings"} <= record.keys():
+        raise RunError(f"run {folder}: run.json is damaged, it names no dataset or no settings; run it again")
     if "experiment" in record:
         raise RunError(
             f"run {folder}: was written by fidpipe {record['experiment']}, which goes on when it is run again; "
