@@ -1,10 +1,12 @@
 # make run    sets up, makes a small synthetic dataset, evaluates it, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
+# make fuzz   gives every reader 100,000 hostile inputs (hours; INPUTS=1000 for fewer), then has atheris guide as many
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
 PYTHON ?= python3
 DATA ?= ../shared/data
+INPUTS ?= 100000
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache__/*' | sort)
@@ -12,7 +14,7 @@ FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 	--config-settings editable_mode=strict
 
-.PHONY: run test check fast bench clean setup browser javascript
+.PHONY: run test check fast bench fuzz clean setup browser javascript
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -30,6 +32,11 @@ check: setup browser javascript
 
 fast: setup
 	$(BIN)/pytest -m "not slow"
+
+fuzz: setup
+	$(INSTALL) --editable '.[all,dev,fuzz]' || echo "no atheris for this Python: inputs are made, not guided"
+	$(BIN)/python tests/hostile/campaign.py --inputs $(INPUTS)
+	if $(BIN)/python -c 'import atheris'; then $(BIN)/python tests/hostile/guided.py --inputs $(INPUTS); fi
 
 bench: setup
 	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin

@@ -1,7 +1,7 @@
 """What one process of a campaign does: it makes hostile inputs by number, reads each, and says what went wrong.
 
-Called as `python tests/hostile/attack.py PLACE READER START STOP`. Each line on standard output is a finding as JSON, or
-the sums at the end. The number of the input at work stands in the file PLACE/number, for whoever watches.
+Called as `python tests/hostile/attack.py PLACE READER START STOP`. Each line on standard output is a finding as JSON,
+or the sums at the end. The number of the input at work stands in the file PLACE/number, for whoever watches.
 """
 
 import contextlib
@@ -84,11 +84,10 @@ class Watch:
             if self._is_outside(name) and (writes or not name.startswith(self._known)):
                 self.seen.append(f"opened {name}{' to write' if writes else ''}")
         elif event.startswith(_CHANGES) and values and isinstance(values[0], str | bytes):
-            if self._is_outside(os.fsdecode(values[0])):
-                self.seen.append(f"{event} {values[0]!r}")
+            self.seen += [f"{event} {values[0]!r}"] * self._is_outside(os.fsdecode(values[0]))
 
     def _is_outside(self, name):
-        return not os.path.abspath(name).startswith(self.folder)
+        return not os.path.normpath(Path.cwd() / name).startswith(self.folder)
 
     @contextlib.contextmanager
     def over(self, folder):
