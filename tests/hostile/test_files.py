@@ -243,6 +243,28 @@ def test_a_bag_s_database_runs_nothing_of_its_own(tmp_path):
         frames_of(path)
 
 
+@pytest.mark.parametrize("time", ["NULL", "'soon'", "-1", "1.5"])
+def test_a_frame_of_a_bag_without_a_time_is_refused(tmp_path, time):
+    path = written(tmp_path, "a.db3", whole("db3"))
+    with sqlite3.connect(path) as db:
+        db.executescript(
+            "ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id, topic_id, timestamp, data);"
+            f"INSERT INTO messages SELECT id, topic_id, {time}, data FROM old;"
+        )
+    db.close()
+    with pytest.raises(ScanError, match="a frame without a time found|not a whole ROS bag"):
+        frames_of(path)
+
+
+def test_a_message_is_one_line_whatever_a_topic_is_called(tmp_path):
+    path = written(
+        tmp_path, "a.bag", whole("bag").replace(b"sensor_msgs/PointCloud2", b"sensor_msgs\n\x0bPointCloud2"[:23])
+    )
+    with pytest.raises(ScanError) as refused:
+        frames_of(path)
+    assert len(str(refused.value).splitlines()) == 1
+
+
 def test_a_column_of_a_bag_that_makes_its_own_values_takes_no_memory(tmp_path):
     path = written(tmp_path, "a.db3", whole("db3"))
     with sqlite3.connect(path) as db:
