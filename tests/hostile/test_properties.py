@@ -11,7 +11,7 @@ import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fidpipe.pipeline.datasets.pairs import check_rigid, read_dataset, read_manifest
+from fidpipe.pipeline.datasets.pairs import check_rigid, read_dataset, read_label_names, read_manifest
 from fidpipe.pipeline.datasets.readers.frames import Address, address_of
 from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
 from fidpipe.pipeline.results.gate import parse_word, read_criteria
@@ -155,3 +155,17 @@ def test_any_bytes_are_a_thrift_struct_or_are_refused(content):
     except ValueError:
         return
     assert reader.place <= len(content)
+
+
+@pytest.mark.parametrize("opened", ["[" * 100_000, "{a=" * 100_000])
+def test_lists_in_lists_without_end_are_refused(tmp_path, opened):
+    (tmp_path / "a.toml").write_text(f"a = {opened}\n")
+    (tmp_path / "labels.toml").write_text(f"1 = {opened}\n")
+    for read in (
+        lambda: load(tmp_path / "a.toml"),
+        lambda: load(None, [f"graph.k={opened}"]),
+        lambda: read_criteria(tmp_path / "a.toml"),
+        lambda: read_label_names(tmp_path),
+    ):
+        with pytest.raises(FidpipeError):
+            read()
