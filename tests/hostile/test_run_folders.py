@@ -13,6 +13,7 @@ import pytest
 
 from fidpipe.pipeline.report.terminal.gate import junit_xml
 from fidpipe.pipeline.report.terminal.layout import csv_table, plain_table
+from fidpipe.pipeline.report.verdict import _last_criteria
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import Check
 from fidpipe.pipeline.results.status import run_status
@@ -223,3 +224,10 @@ def test_a_record_is_the_same_through_a_ledger(again):
         assert json.loads(json.dumps([asdict(record) for record in ledger.jobs(pair_id).values()])) == ledger_entries(
             again, pair_id
         )
+
+
+@pytest.mark.parametrize("criteria", ["5", "[5]", '[{"name": "a"}]', '[{"name": 1, "measure": [], "limit": "x"}]', "["])
+def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
+    path = tmp_path / "gate.json"
+    path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')
+    assert _last_criteria(path) is None
