@@ -3,10 +3,12 @@
 # make docs   builds the documentation: build/docs/index.html
 # make faults kills, fills, damages and misleads real runs in every way known, and counts what is lost
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
+# make fuzz   gives every reader 100,000 hostile inputs (hours; INPUTS=1000 for fewer), then has atheris guide as many
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
 PYTHON ?= python3
 DATA ?= ../shared/data
+INPUTS ?= 100000
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache__/*' | sort)
@@ -15,7 +17,7 @@ LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test check faults fast docs bench clean setup browser javascript lock release-check test-pythons
+.PHONY: run test check faults fast docs bench fuzz clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -42,6 +44,12 @@ fast: setup
 
 docs: setup
 	$(SPHINX)
+
+# atheris is not in the lock: it has wheels for few machines.
+fuzz: setup
+	$(PIP) --only-binary :all: 'atheris>=3.0' || echo "no atheris for this Python: inputs are made, not guided"
+	$(BIN)/python tests/hostile/campaign.py --inputs $(INPUTS)
+	if $(BIN)/python -c 'import atheris'; then $(BIN)/python tests/hostile/guided.py --inputs $(INPUTS); fi
 
 bench: setup
 	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin
@@ -90,7 +98,7 @@ LOCKED = $(BIN)/uv pip compile pyproject.toml --universal --generate-hashes --no
 	--custom-compile-command "make lock"
 
 lock: setup
-	$(LOCKED) --all-extras $(UPGRADE) --output-file $(LOCK)
+	$(LOCKED) --extra all --extra dev --extra docs $(UPGRADE) --output-file $(LOCK)
 	$(LOCKED) --extra all --constraint $(LOCK) --upgrade --output-file requirements-run.lock
 
 # Under each Python with the locked versions, and with the lowest versions that pyproject.toml allows. TESTS="-m ''" runs

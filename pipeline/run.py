@@ -5,6 +5,7 @@ Which stages there are stands in `jobs`, what one of them is in `stage`, what ea
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -189,7 +190,7 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
     before, made_by = record.get("dataset"), record.get("experiment", "run")
     if before and made_by != experiment:
         raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
-    if before and Path(before) != dataset.resolve() and Path(before).exists():
+    if before and Path(before) != dataset.resolve() and os.path.lexists(before):
         raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
 
 

@@ -6,6 +6,10 @@ from __future__ import annotations
 class FidpipeError(Exception):
     """A fault of the input or of a setting; the command prints its one line and exits with 1."""
 
+    def __str__(self) -> str:
+        """The message in one line, whatever the names in it are made of."""
+        return " ".join(super().__str__().splitlines())
+
 
 class SettingsError(FidpipeError):
     """A setting that does not exist or whose value is out of bounds."""

@@ -385,7 +385,7 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
             values = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError) as error:
             raise SettingsError(f"settings file {path}: cannot be read ({error})") from error
-        except tomllib.TOMLDecodeError as error:
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
     if preset is not None:
         values["preset"] = preset
@@ -431,7 +431,7 @@ def _toml_value(text: str) -> Any:
     """A TOML value if it is one, else the text itself: `greedy` needs no quotes."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return text
 
 

@@ -88,9 +88,9 @@ def _ignore_interrupts() -> None:
 
 
 def _complain(text: str) -> None:
-    from rich.console import Console
+    from ..terminal import Terminal, shown
 
-    Console(stderr=True, soft_wrap=True, highlight=False).print(text, markup=False, style="red")
+    Terminal(stderr=True, soft_wrap=True).print(shown(text), markup=False, style="red")
 
 
 def _version(wanted: bool) -> None:

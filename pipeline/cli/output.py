@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 def print_view(view: RenderableType) -> None:
     """Prints a view: as wide as the terminal, unwrapped into a file or a pipe."""
-    from rich.console import Console
+    from ..terminal import Terminal
 
-    Console(soft_wrap=not sys.stdout.isatty(), highlight=False).print(view)
+    Terminal(soft_wrap=not sys.stdout.isatty()).print(view)
 
 
 def print_outcome(result: RenderableType | JsonObject, failures: Mapping[str, str]) -> None:

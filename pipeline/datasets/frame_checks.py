@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from ...schemas.columns import SIDES
 from ...schemas.record import FrameSuspect
@@ -54,6 +55,9 @@ class FrameFacts:
         )
 
 
+_FRAME_FACTS = TypeAdapter(FrameFacts)
+
+
 def frames_name(pair: ScanPair) -> str:
     """What the comparison is called in a ledger: by both files, wherever the command is called."""
     return f"{pair.pair_id} frames {' '.join(str(path and path.absolute()) for path in (pair.real, pair.sim))}"
@@ -73,9 +77,11 @@ def recall_frames(
     marks, settings_keys : of both files as they are now
     """
     facts = known(frames_name(pair))
-    if facts is None or facts["marks"] != marks or facts["settings_keys"] != settings_keys:
+    try:
+        found = None if facts is None else _FRAME_FACTS.validate_python(facts)
+    except ValueError:  # not as this version writes them
         return None
-    return FrameFacts(marks, settings_keys, facts["check"] and FrameCheck(**facts["check"]))
+    return found if found and (found.marks, found.settings_keys) == (marks, settings_keys) else None
 
 
 def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:

@@ -163,6 +163,11 @@ def _files(folder: Path) -> list[Path]:
     ]
 
 
+def _is_text(name: str) -> bool:
+    """Whether a file's name is made of whole signs; bytes that are none come as halves of them."""
+    return not any("\ud800" <= sign <= "\udfff" for sign in name)
+
+
 def _frame_number(stem: str) -> int | None:
     """The last number in a file's stem, without leading zeros."""
     numbers = re.findall("[0-9]+", stem)
@@ -176,6 +181,8 @@ def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
             warnings.append(f"{path}: {_IGNORED}")
             continue
         stem = stem_of(path)
+        if not stem or not _is_text(stem):
+            raise DatasetError(f"{path}: a name of the pair in UTF-8 is wanted; rename the file")
         if stem in scans:
             raise DatasetError(
                 f"{folder}: {scans[stem].name} and {path.name} have the same stem {stem}; one of them is wanted"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
@@ -86,6 +87,9 @@ class ScanFacts:
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as `recall_scan` takes them back."""
         return asdict(self)
+
+
+_SCAN_FACTS = TypeAdapter(ScanFacts)
 
 
 @dataclass(frozen=True)
@@ -272,7 +276,10 @@ def recall_scan(
     path, facts = pair.path(side), known(input_name(pair, side))
     if path is None or facts is None:
         return None
-    known_facts = ScanFacts(**facts)
+    try:
+        known_facts = _SCAN_FACTS.validate_python(facts)
+    except ValueError:  # not as this version writes them
+        return None
     is_same_file = known_facts.marks == file_marks(path)
     is_same_reading = known_facts.settings_key == settings_key(side, pair.T_real_sim, settings)
     return known_facts if is_same_file and is_same_reading else None

@@ -51,7 +51,7 @@ def read_sensor(name: str) -> SensorModel:
         values = tomllib.loads(text) if path.suffix.lower() == ".toml" else _columns(text)
     except OSError as error:
         raise FidpipeError(f"sensor {path}: cannot be read ({error.strerror or error})") from error
-    except ValueError as error:  # TOML, CSV and unicode errors are ValueErrors
+    except (ValueError, RecursionError) as error:  # TOML, CSV and unicode errors are ValueErrors
         raise FidpipeError(f"sensor {path}: not a table of beams ({str(error).strip()})") from error
     return _sensor(path, values)
 

@@ -100,7 +100,7 @@ def _name_labels(path: Path, names: dict[int, str]) -> None:
     if path.exists():
         try:
             known = tomllib.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise DatasetError(f'{path}: lines such as 4 = "tree" are wanted ({error})') from error
     for number, name in names.items():
         if known.setdefault(str(number), name) != name:

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ..stage import OBJECTS, Grain
 from ..storage.tables import JobRecord
+from ..terminal import Terminal, shown
 from .costs import CostModel
 from .plan import PairPlan
 from .worker import BatchResult, JobFailure
@@ -42,7 +43,7 @@ class Reporter:
         seconds_between_lines: float = SECONDS_BETWEEN_LINES,
         seconds_of_silence: float = _SECONDS_OF_SILENCE,
     ) -> None:
-        self.console = console or Console(stderr=True, soft_wrap=True, highlight=False)
+        self.console = console or Terminal(stderr=True, soft_wrap=True)
         self._bar: Progress | None = None
         self._work = Work(0, 0.0, {})
         self._between, self._silence = seconds_between_lines, seconds_of_silence
@@ -57,11 +58,11 @@ class Reporter:
 
     def warn(self, text: str) -> None:
         """One line that asks for attention."""
-        self.console.print(f"warning: {text}", markup=False, style="yellow")
+        self.console.print(f"warning: {shown(text)}", markup=False, style="yellow")
 
     def fail(self, name: str, reason: str) -> None:
         """One line for what came to nothing."""
-        self.console.print(f"{name}: {reason}", markup=False, style="red")
+        self.console.print(shown(f"{name}: {reason}"), markup=False, style="red")
         with self._lock:
             self._work.n_failed += 1
             self._show()

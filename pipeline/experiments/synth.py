@@ -194,7 +194,7 @@ def _read_recipe(out: Path) -> dict[str, object] | None:
     """The recipe that a folder was made by; None if it is no synthetic dataset."""
     try:
         recipe = tomllib.loads((out / RECIPE).read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):  # TOML and unicode errors are ValueErrors
+    except (FileNotFoundError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
         return None
     return recipe if {"version", "seed", "sensor"} <= recipe.keys() else None
 

@@ -219,7 +219,7 @@ def _read_recipe(out: Path) -> dict[str, Any] | None:
     """The recipe that a folder was made by; None if it holds no twins."""
     try:
         recipe = tomllib.loads((out / RECIPE).read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):  # TOML and unicode errors are ValueErrors
+    except (FileNotFoundError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
         return None
     return recipe if {"version", "seed", "sensor", "inputs_sha256", "files"} <= recipe.keys() else None
 

@@ -9,6 +9,7 @@ import pandas as pd
 from ...schemas.metrics import METRIC
 from ..results.compare import recorded_times_s
 from ..results.quadrants import QUADRANTS
+from ..terminal import shown
 from .aggregates import (
     SCORES,
     Bins,
@@ -22,7 +23,6 @@ from .aggregates import (
     range_bins,
     stage_times,
 )
-from .look import shown
 from .results import RunResults
 
 _MOST_GROUPS = 10

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from html import escape
 
 from ..results.quadrants import QUADRANTS, UNKNOWN
-
-#: Signs that steer the text around them (controls, direction marks); as JavaScript also reads it.
-STEERING = r"[\u0000-\u001f\u007f-\u009f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff]"
+from ..terminal import shown
 
 #: Okabe and Ito, Color Universal Design (2008).
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
@@ -50,17 +47,6 @@ def of_theme(name: str) -> str:
 def on_page(colour: str) -> str:
     """A colour as a page has it: on black, blue is too dark and gives way to sky blue."""
     return of_theme("blue") if colour == BLUE else colour
-
-
-def shown(text: object) -> str:
-    r"""A text with its steering signs shown by their numbers.
-
-    Examples
-    --------
-    >>> shown("a\u202eb")
-    'a\\u202eb'
-    """
-    return re.sub(STEERING, lambda sign: f"\\u{ord(sign[0]):04x}", str(text))
 
 
 def shortened(text: str, most: int = 22) -> str:

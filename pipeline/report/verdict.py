@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
@@ -164,13 +165,14 @@ def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | 
     return False, [f"No: {met}.", *map(_sentence, why)]
 
 
+_CRITERIA = TypeAdapter(list[Criterion])
+
+
 def _last_criteria(path: Path) -> list[Criterion] | None:
     """The criteria that a gate wrote down; None where there are none that can be read."""
-    fields = Criterion.__dataclass_fields__
     try:
-        written = json.loads(path.read_text(encoding="utf-8"))["criteria"]
-        return [Criterion(**{name: one[name] for name in fields}) for one in written]
-    except (OSError, ValueError, KeyError, TypeError):
+        return _CRITERIA.validate_python(json.loads(path.read_text(encoding="utf-8"))["criteria"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 

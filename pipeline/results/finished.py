@@ -227,11 +227,13 @@ class FinishedRun:
         path = self.folder / name
         try:
             content = record.files[name].read(path) if record is not None else None
-        except OSError as error:
-            raise RunError(f"run {self.folder}: {name} cannot be read ({error.strerror or error})") from error
-        if content is None:
-            raise self._damaged(name)
-        return read_bounded(path, content, columns)
+            if content is None:
+                raise self._damaged(name)
+            rows = read_bounded(path, content, columns)
+            return rows if columns is not None else TABLES[table].check(rows)
+        except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+            cause = getattr(error, "strerror", None) or error
+            raise RunError(f"run {self.folder}: {name} cannot be read ({cause}); run fidpipe run again") from error
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
@@ -271,7 +273,7 @@ def _as_read(schema: pa.Schema) -> pa.Schema:
 
 
 def _frame(table: pa.Table) -> pd.DataFrame:
-    frame: pd.DataFrame = table.to_pandas()
+    frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
     return frame
 
 

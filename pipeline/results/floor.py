@@ -121,7 +121,7 @@ def read_recipe(run: Path) -> FloorRecipe | None:
     """The recipe of a floor; None where the folder is no run of `fidpipe floor`."""
     try:
         return FloorRecipe(**tomllib.loads((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):  # TOML and unicode errors are ValueErrors
+    except (OSError, ValueError, TypeError, RecursionError):  # TOML and unicode errors are ValueErrors
         return None
 
 

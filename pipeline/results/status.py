@@ -47,6 +47,8 @@ def run_status(folder: Path) -> RunStatus:
         The folder is no run.
     """
     record = finished_record(folder)
+    if not {"dataset", "settings"} <= record.keys():
+        raise RunError(f"run {folder}: run.json is damaged, it names no dataset or no settings; run it again")
     if "experiment" in record:
         raise RunError(
             f"run {folder}: was written by fidpipe {record['experiment']}, which goes on when it is run again; "

@@ -16,6 +16,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
@@ -59,8 +61,25 @@ LIBRARIES = (
 )
 
 
+class _AnyRecord(BaseModel):
+    """What is read of a record of whichever version, even where the run has not ended."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    fidpipe: str = ""
+    written: str = ""
+    dataset: str = ""
+    experiment: str = ""
+    settings: dict[str, dict[str, Any]] = {}
+    stages: dict[str, int] = {}
+    libraries: dict[str, str] = {}
+    pairs: dict[str, Any] = {}
+    summary: dict[str, dict[str, Any]] = {}
+    inputs: dict[str, dict[str, str]] = {}
+
+
 def library_versions(names: Iterable[str]) -> dict[str, str]:
-    """Installed versions by distribution name; of an extra that is not installed: absent."""
+    """Installed versions by distribution name; "absent" of one that is not installed."""
     return {name: _version(name) for name in names}
 
 
@@ -68,20 +87,34 @@ def library_versions(names: Iterable[str]) -> dict[str, str]:
 def _version(name: str) -> str:
     try:
         return version(name)
-    except PackageNotFoundError:
+    except (PackageNotFoundError, ValueError):
         return "absent"  # whatever calls it says what to install
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """The record of a run; {} where there is none yet, or none that is as it was written."""
+    """The record of a run; {} where there is none yet, or none that is as it was written.
+
+    Raises
+    ------
+    RunError
+        It is a link, or something in it is not of the type that any fidpipe gives it.
+    """
+    path = folder / RUN_JSON
+    if path.is_symlink():
+        raise RunError(f"run {folder}: {RUN_JSON} is a symbolic link, a file of its own is wanted; remove the link")
     try:
-        content = (folder / RUN_JSON).read_bytes()
+        content = path.read_bytes()
         seal = _SEAL.search(content)
         if seal and hashlib.sha256(content[: seal.start()]).hexdigest() != seal[1].decode():
             return {}
         record: dict[str, Any] = json.loads(content)
-    except (FileNotFoundError, ValueError):
+    except (FileNotFoundError, ValueError, RecursionError):
         return {}
+    try:
+        _AnyRecord.model_validate(record)
+    except ValidationError as error:
+        where = ".".join(map(str, error.errors()[0]["loc"])) or RUN_JSON
+        raise RunError(f"run {folder}: {RUN_JSON} is damaged at {where}; remove it, or give another --out") from error
     record.pop("sha256", None)
     return record
 
@@ -169,13 +202,16 @@ def replaced_results(before: Mapping[str, Any], changes: Iterable[str]) -> Previ
     """
     if not has_ended(before):
         return PreviousRun.recorded(before.get("previous"))
-    return PreviousRun(
-        written=before["written"],
-        fidpipe=before["fidpipe"],
-        n_pairs=before["pairs"]["scored"],
-        changes=tuple(changes),
-        means={name: score["mean"] for name, score in before["summary"].items()},
-    )
+    try:
+        return PreviousRun(
+            written=before["written"],
+            fidpipe=before["fidpipe"],
+            n_pairs=before["pairs"]["scored"],
+            changes=tuple(changes),
+            means={name: score["mean"] for name, score in before["summary"].items()},
+        )
+    except (KeyError, ValueError):  # of another version, which had other results
+        return None
 
 
 def has_same_summary(before: Mapping[str, Any], record: RunRecord) -> bool:
@@ -183,14 +219,14 @@ def has_same_summary(before: Mapping[str, Any], record: RunRecord) -> bool:
     if not has_ended(before):
         return False
     now = {name: score.as_dict() for name, score in record.summary.items()}
-    return all(now.get(name, score) == score for name, score in before["summary"].items())
+    return all(now.get(name, score) == score for name, score in before.get("summary", {}).items())
 
 
 def changed_inputs(before: Mapping[str, Any], hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     """In words, how many pairs have other scans than in the last record, or are new or gone."""
     if not has_ended(before):
         return []
-    old = before["inputs"]
+    old = before.get("inputs", {})
     counts = {
         "of other scans": sum(old[pair_id] != dict(own) for pair_id, own in hashes.items() if pair_id in old),
         "more": len(hashes.keys() - old.keys()),
@@ -317,12 +353,11 @@ def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[
     if not before:
         return []
     changes = [text for texts in changed_settings(before, settings).values() for text in texts]
-    for name, found in library_versions(before["libraries"]).items():
-        if found != before["libraries"][name]:
-            changes.append(f"{name} was {before['libraries'][name]}, is {found}")
-    changes += [
-        f"code of stage {stage} is new" for stage, own in stages.items() if before["stages"].get(stage, own) != own
-    ]
+    libraries, old_stages = before.get("libraries", {}), before.get("stages", {})
+    for name, found in library_versions(libraries).items():
+        if found != libraries[name]:
+            changes.append(f"{name} was {libraries[name]}, is {found}")
+    changes += [f"code of stage {stage} is new" for stage, own in stages.items() if old_stages.get(stage, own) != own]
     return changes
 
 
@@ -330,7 +365,7 @@ def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str,
     """By group, in words, which settings are other than in the record of the last run; only groups that changed."""
     changes = {}
     for group, values in settings.model_dump(mode="json").items():
-        old = before["settings"].get(group, {})
+        old = before.get("settings", {}).get(group, {})
         texts = [
             f"{group}.{name} was {old.get(name)}, is {value}"
             for name, value in values.items()

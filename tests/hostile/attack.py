@@ -1,7 +1,7 @@
 """What one process of a campaign does: it makes hostile inputs by number, reads each, and says what went wrong.
 
-Called as `python tests/hostile/attack.py PLACE READER START STOP`. Each line on standard output is a finding as JSON, or
-the sums at the end. The number of the input at work stands in the file PLACE/number, for whoever watches.
+Called as `python tests/hostile/attack.py PLACE READER START STOP`. Each line on standard output is a finding as JSON,
+or the sums at the end. The number of the input at work stands in the file PLACE/number, for whoever watches.
 """
 
 import contextlib
@@ -11,6 +11,7 @@ import os
 import random
 import resource
 import shutil
+import signal
 import struct
 import sys
 import tempfile
@@ -84,11 +85,10 @@ class Watch:
             if self._is_outside(name) and (writes or not name.startswith(self._known)):
                 self.seen.append(f"opened {name}{' to write' if writes else ''}")
         elif event.startswith(_CHANGES) and values and isinstance(values[0], str | bytes):
-            if self._is_outside(os.fsdecode(values[0])):
-                self.seen.append(f"{event} {values[0]!r}")
+            self.seen += [f"{event} {values[0]!r}"] * self._is_outside(os.fsdecode(values[0]))
 
     def _is_outside(self, name):
-        return not os.path.abspath(name).startswith(self.folder)
+        return not os.path.normpath(Path.cwd() / name).startswith(self.folder)
 
     @contextlib.contextmanager
     def over(self, folder):
@@ -156,12 +156,14 @@ def attack(place, name, start, stop):
             target.read(folder)
         shutil.rmtree(folder)
     watch = Watch()
+    ended = []  # whoever ends the process is told how far it came
+    signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
     own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (own + MOST_ADDRESSES, own + MOST_ADDRESSES))
     base = peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     sums = {"inputs": 0, "read": 0, "refused": 0, "slowest_s": 0.0, "slowest": -1}
     for number in count(start):
-        if number >= stop:
+        if number >= stop or ended:
             break
         files = make_input(target, seeds, name, number)
         folder = scratch / f"input{number}"

@@ -1,4 +1,4 @@
-"""One hostile input from a whole one: bits, lengths, numbers in text, lines and pieces are changed, cut or exchanged."""
+"""One hostile input from a whole one: bits, lengths, numbers in text, lines and pieces are changed or cut."""
 
 import re
 import struct

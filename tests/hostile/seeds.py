@@ -345,6 +345,34 @@ def _read_criteria(folder):
     return read_criteria(folder / "a.toml")
 
 
+def _run_folder():
+    """A small finished run."""
+    from runs import run
+    from scenes import write_dataset
+
+    def write(folder):
+        run(write_dataset(folder / "data", 1, n=20), folder / "run")
+        shutil.rmtree(folder / "data")
+
+    return [{name: content for name, content in _files(write).items() if not name.endswith(".lock")}]
+
+
+def _open_run(folder):
+    """What a run shows of itself; then its ledger made again from the footers of its tables."""
+    from fidpipe.pipeline.results.finished import FinishedRun, pair_facts, run_facts
+    from fidpipe.pipeline.storage.folder import RunFolder
+    from fidpipe.pipeline.storage.ledger import LEDGER
+    from fidpipe.schemas.errors import FidpipeError
+
+    with suppress(FidpipeError):
+        finished = FinishedRun(folder / "run")
+        run_facts(finished)
+        for row in finished.scored:
+            pair_facts(finished, row["pair_id"])
+    (folder / "run" / LEDGER).unlink()
+    return RunFolder(folder / "run").ledger.jobs("000")
+
+
 _PLY_WORDS = (
     b"element vertex 5\n",
     b"property list uchar int a\n",
@@ -377,5 +405,6 @@ TARGETS = {
     "pairs.csv": Target(_manifests, _dataset, hot="pairs", words=(b"real/../../x", b"#/points@1", b"pair_id", b"CON")),
     "poses and times": Target(_poses, _posed, hot="pose/", words=(b"Tr: ", b"#", b"1_0", b"nan")),
     "settings": Target(_settings, _load_settings, words=(b"[a]\n", b"preset = 5\n", b"[[graph]]\n", b"graph = 1\n")),
+    "run folder": Target(_run_folder, _open_run, hot="run/", words=(b"../", b"metrics/000.parquet", b"null", b"[]")),
     "criteria": Target(_criteria, _read_criteria, words=(b"[[criterion]]\n", b"[criterion]\n", b"max = nan\n")),
 }

@@ -211,7 +211,10 @@ def _times_ns(file: Path, marks: tuple[tuple[int, int], ...], topic: str) -> lis
     """When each frame of a topic was recorded, in order; reads the bag once."""
     with _opened(file) as bag:
         connections = [connection for connection in bag.connections if connection.topic == topic]
-        return [time_ns for _, time_ns, _ in bag.messages(connections)]
+        times_ns = [time_ns for _, time_ns, _ in bag.messages(connections)]
+        if not all(isinstance(time_ns, int) and time_ns >= 0 for time_ns in times_ns):
+            raise ScanError(f"{file}: a frame without a time found, one in nanoseconds is wanted for each")
+        return times_ns
 
 
 @cache

@@ -13,11 +13,12 @@ from ....schemas.metrics import METRIC, metric_of
 from ....stages.sensing.sensor import differences, sensor_lines
 from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
+from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits
 from ..alternatives import text_alternatives
 from ..camera import FRAME
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
-from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, STEERING, on_page
+from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, on_page
 from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults
 from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
 from ..terminal.run import preset_line

@@ -16,8 +16,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from ...terminal import shown
 from ..charts import TEMPLATE
-from ..look import THEMES, shortened, shown
+from ..look import THEMES, shortened
 
 
 def render(template: str, report: dict[str, Any], plotly_source: str = "", **words: Any) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cache
 
@@ -14,8 +15,11 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from ...terminal import shown
+
 #: A word that its column is too narrow for is shortened to no less than so many characters.
 _SHORTEST = 8
+_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 
 
 def plain_table(
@@ -95,11 +99,22 @@ def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) ->
 
 
 def csv_table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table as spreadsheets open it (RFC 4180, lines end with a line feed); floats in full, None is an empty cell."""
+    """A table as spreadsheets open it (RFC 4180, lines end with a line feed); floats in full, None is an empty cell.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe, unless it is a number.
+
+    Examples
+    --------
+    >>> print(csv_table(["pair"], [["=1+1"], ["-5"], [-0.5]]), end="")
+    pair
+    '=1+1
+    -5
+    -0.5
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(headings)
-    writer.writerows(rows)
+    writer.writerows([_in_spreadsheet(cell) for cell in row] for row in rows)
     return text.getvalue()
 
 
@@ -151,8 +166,16 @@ class _Words:
 
 def _in_markdown(value: object) -> str:
     """A cell; what would end it or its line is written otherwise."""
-    text = "" if value is None else number(value) if isinstance(value, float) else str(value)
+    text = "" if value is None else number(value) if isinstance(value, float) else shown(value)
     return " ".join(text.split()).replace("|", "\\|")
+
+
+def _in_spreadsheet(value: object) -> object:
+    """A cell; a text that begins a formula is marked as text (OWASP, CSV Injection)."""
+    if not isinstance(value, str):
+        return value
+    text = shown(value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
 
 
 def _cell(value: object, digits: int) -> Text:

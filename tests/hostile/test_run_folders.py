@@ -1,0 +1,233 @@
+"""Run folders made by others: nothing outside of one is read, written or removed, and what is damaged is named."""
+
+import io
+import json
+import shutil
+import sqlite3
+from dataclasses import asdict, replace
+
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fidpipe.pipeline.report.terminal.gate import junit_xml
+from fidpipe.pipeline.report.terminal.layout import csv_table, plain_table
+from fidpipe.pipeline.report.verdict import _last_criteria
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.gate import Check
+from fidpipe.pipeline.results.status import run_status
+from fidpipe.pipeline.storage import bounds
+from fidpipe.pipeline.storage.folder import RunFolder
+from fidpipe.pipeline.storage.ledger import LEDGER, _hash
+from fidpipe.pipeline.storage.record import read_run
+from fidpipe.pipeline.storage.tables import read_footer
+from fidpipe.pipeline.terminal import Terminal
+from fidpipe.schemas.errors import FidpipeError, OversizeError, RunError
+from runs import command, run
+
+ESCAPE = "\x1b]0;owned\x07\x1b[2J\u202eevil\x9b31m"
+
+
+def ledger_entries(folder, pair_id):
+    with sqlite3.connect(folder / LEDGER) as db:
+        return orjson.loads(db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()[0])
+
+
+def forged(folder, pair_id, entries):
+    """Puts entries into a ledger with the hash that belongs to them."""
+    entry = orjson.dumps(entries)
+    with sqlite3.connect(folder / LEDGER) as db:
+        db.execute("INSERT OR REPLACE INTO jobs VALUES (?, ?, ?)", (pair_id, entry, _hash(entry)))
+
+
+@pytest.mark.parametrize("name", ["../victim", "metrics/../../victim", "/etc/hostname", "metrics/.hidden", "run.json"])
+def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tmp_path, name):
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    entries = ledger_entries(again, "000")
+    for entry in entries:
+        entry["files"][name] = next(iter(entry["files"].values()))
+    forged(again, "000", entries)
+    assert RunFolder(again).ledger.jobs("000") == {}
+    assert not run(dataset, again).failures
+    assert victim.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"files": "metrics/000.parquet"},
+        {"files": {"metrics/000.parquet": {"size": "many"}}},
+        {"steps": [["read"]]},
+        {"pair_id": "001"},
+        {"facts": None},
+        {"reads": 5},
+    ],
+)
+def test_an_entry_that_no_fidpipe_writes_is_not_believed(again, change):
+    forged(again, "000", [entry | change for entry in ledger_entries(again, "000")])
+    assert RunFolder(again).ledger.jobs("000") == {}
+
+
+@pytest.mark.parametrize("content", [5, {}, [[]], [None], "text", [{"stage": 1}]])
+def test_an_entry_of_another_shape_is_not_believed(again, content):
+    forged(again, "000", content)
+    assert RunFolder(again).ledger.jobs("000") == {}
+
+
+def test_what_a_ledger_itself_would_run_is_not_run(again, dataset):
+    with sqlite3.connect(again / LEDGER) as db:
+        db.execute("CREATE TRIGGER evil AFTER INSERT ON state BEGIN DELETE FROM jobs; END")
+    assert not run(dataset, again).failures
+    with sqlite3.connect(again / LEDGER) as db:
+        assert db.execute("SELECT count(*) FROM sqlite_master WHERE type = 'trigger'").fetchone() == (0,)
+
+
+@pytest.mark.parametrize("name", ["metrics", "ledger.sqlite", ".writer", "run.json", "pairs.parquet", "report"])
+def test_a_link_in_a_run_folder_is_refused_and_what_it_leads_to_stays(again, dataset, tmp_path, name):
+    outside = tmp_path / "outside"
+    if (again / name).exists():
+        shutil.move(again / name, outside)
+    else:
+        outside.mkdir()
+    files = [outside] if outside.is_file() else [*outside.iterdir()]
+    before = {path: path.read_bytes() for path in files}
+    (again / name).symlink_to(outside)
+    for use in (lambda: run(dataset, again), lambda: FinishedRun(again), lambda: RunFolder(again).ledger):
+        with pytest.raises(RunError, match="is a symbolic link"):
+            use()
+            raise RunError("read_run alone reads run.json: is a symbolic link" if name == "run.json" else "not refused")
+    assert {path: path.read_bytes() for path in files} == before
+
+
+def test_a_table_that_is_a_link_is_damaged(again, tmp_path):
+    table = next((again / "metrics").glob("*.parquet"))
+    shutil.move(table, tmp_path / "outside.parquet")
+    table.symlink_to(tmp_path / "outside.parquet")
+    with pytest.raises(RunError, match="is damaged or gone"):
+        _ = FinishedRun(again).metrics
+    assert read_footer(again, f"metrics/{table.name}") is None
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[]",
+        b"5",
+        b'"text"',
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b'{"settings": 5}',
+        b'{"settings": {"graph": 5}}',
+        b'{"libraries": {"numpy": 5}}',
+        b'{"libraries": {"../x": "1"}, "wall_s": {}}',
+        b'{"dataset": 7}',
+        b'{"inputs": {"000": 3}, "wall_s": 1}',
+        b'{"wall_s": {}, "summary": {"cdc_mean": {}}, "pairs": {}, "written": "x", "fidpipe": "y"}',
+        b'{"dataset": "\\u0000", "settings": {}}',
+        b'{"experiment": {}}',
+    ],
+)
+def test_a_record_of_any_content_is_read_or_refused_in_one_line(again, dataset, content):
+    (again / "run.json").write_bytes(content)
+    for use in (read_run, FinishedRun, run_status, lambda folder: run(dataset, folder)):
+        try:
+            use(again)
+        except FidpipeError as error:
+            assert "\n" not in str(error)
+
+
+def replaced_table(folder, name, table):
+    """Puts a table in the place of another, and into the ledger as if a job had written it."""
+    content = io.BytesIO()
+    pq.write_table(table, content)
+    (folder / name).write_bytes(content.getvalue())
+    stored = (folder / name).stat()
+    record = RunFolder(folder).ledger.job_of_file(name)
+    import hashlib
+
+    files = record.files | {
+        name: replace(
+            record.files[name],
+            size=stored.st_size,
+            mtime_ns=stored.st_mtime_ns,
+            ctime_ns=stored.st_ctime_ns,
+            sha256=hashlib.sha256(content.getvalue()).hexdigest(),
+        )
+    }
+    others = [entry for entry in ledger_entries(folder, record.pair_id) if name not in entry["files"]]
+    forged(folder, record.pair_id, [*others, asdict(replace(record, files=files))])
+
+
+@pytest.mark.parametrize("kind", ["without a column", "with one more", "of other types", "empty of columns"])
+def test_a_table_of_other_columns_is_refused(again, kind):
+    name = "pairs.parquet"
+    table = pq.read_table(again / name)
+    other = {
+        "without a column": table.drop_columns(["status"]),
+        "with one more": table.append_column("more", pa.array([1] * len(table))),
+        "of other types": table.set_column(0, "pair_id", pa.array([1.5] * len(table))),
+        "empty of columns": pa.table({}),
+    }[kind]
+    replaced_table(again, name, other)
+    with pytest.raises(RunError, match=r"pairs\.parquet cannot be read"):
+        FinishedRun(again)
+
+
+def test_a_table_that_unpacks_to_very_much_is_refused(again, monkeypatch):
+    monkeypatch.setattr(bounds, "MOST_UNPACKED_BYTES", 0)
+    monkeypatch.setattr(bounds, "MOST_UNPACKED_A_BYTE", 0.01)
+    with pytest.raises(OversizeError, match="would unpack to"):
+        FinishedRun(again)
+
+
+def test_no_name_steers_the_terminal():
+    out = io.StringIO()
+    console = Terminal(file=out, width=100, force_terminal=True, color_system="truecolor")
+    console.print(plain_table("title", ("pair", "value"), [(ESCAPE, 1.0)]))
+    console.print(f"pair {ESCAPE}", markup=False, style="red")
+    for sign in ("\x1b]", "\x1b[2J", "\x07", "\u202e", "\x9b"):
+        assert sign not in out.getvalue()
+    assert "\\u001b]0;owned" in out.getvalue()
+    assert "\x1b[31m" in out.getvalue(), "colours of our own stay"
+
+
+def test_no_message_steers_the_terminal(tmp_path):
+    folder = tmp_path / f"a{ESCAPE}\n[red]forged line"
+    done = command("check", folder)
+    assert done.returncode == 1
+    assert "\x1b" not in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_no_cell_begins_a_formula():
+    names = ["=cmd|' /C calc'!A0", "+1+1", "-1+1", "@sum(A1)", "\t=1", "-5", "+2.5", "plain"]
+    text = csv_table(["pair"], [[name] for name in names])
+    cells = [line.strip('"') for line in text.splitlines()[1:]]
+    assert cells == ["'=cmd|' /C calc'!A0", "'+1+1", "'-1+1", "'@sum(A1)", "\\u0009=1", "-5", "+2.5", "plain"]
+
+
+def test_no_name_leaves_its_place_in_the_xml_of_ci():
+    from xml.etree import ElementTree
+
+    evil = f'"/><testcase name="forged"/>]]>{ESCAPE}'
+    root = ElementTree.fromstring(junit_xml("gate", {evil: [Check(evil, evil, "bound"), Check(evil, evil, "")]}))
+    assert [case.tag for suite in root for case in suite] == ["testcase", "testcase"]
+
+
+def test_a_record_is_the_same_through_a_ledger(again):
+    """What is believed of a whole ledger is all of it."""
+    ledger = RunFolder(again).ledger
+    for pair_id in ledger.pair_ids():
+        assert [asdict(record) for record in ledger.jobs(pair_id).values()]
+        assert json.loads(json.dumps([asdict(record) for record in ledger.jobs(pair_id).values()])) == ledger_entries(
+            again, pair_id
+        )
+
+
+@pytest.mark.parametrize("criteria", ["5", "[5]", '[{"name": "a"}]', '[{"name": 1, "measure": [], "limit": "x"}]', "["])
+def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
+    path = tmp_path / "gate.json"
+    path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')
+    assert _last_criteria(path) is None
