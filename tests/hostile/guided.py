@@ -2,7 +2,7 @@
 
     python tests/hostile/guided.py [--inputs 100000] [--readers pcd,ply] [--out .cache/hostile]
 
-It needs atheris (`pip install 'fidpipe[fuzz]'`), and sees Python's lines alone, not those of libraries in C++ or Rust.
+It needs atheris (`pip install atheris`), and sees Python's lines alone, not those of libraries in C++ or Rust.
 """
 
 import argparse
