@@ -19,7 +19,8 @@ from fidpipe.pipeline.storage.bounds import _Thrift
 from fidpipe.pipeline.storage.tables import file_stem, table_name
 from fidpipe.pipeline.terminal import Terminal, shown
 from fidpipe.schemas.errors import FidpipeError
-from fidpipe.schemas.settings import load, parse, to_toml
+from fidpipe.schemas.settings import load, parse
+from fidpipe.schemas.settings_text import to_toml
 
 settings.register_profile("here", deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
 settings.load_profile("here")

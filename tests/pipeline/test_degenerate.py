@@ -120,7 +120,7 @@ def test_a_finished_run_of_all_scenes_is_shown_and_reported(files, tmp_path):
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ({"z": "c16"}, "column z: complex128 values found, one real number a row wanted"),
+        ({"z": "c16"}, "column z: complex128 values found, one real number a row is wanted"),
         ({"x": "?"}, "column x: bool values found"),
         ({"y": ("f8", 2)}, r"column y: float64 values of shape \(20, 2\) found"),
         ({"intensity": "c8"}, "column intensity: complex64 values found"),

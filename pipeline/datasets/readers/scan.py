@@ -104,9 +104,12 @@ def scan_from_columns(
     """
     check_names(path, columns)
     by_name = {name.lower(): np.asarray(column) for name, column in columns.items() if name.lower() in KNOWN_COLUMNS}
-    shapes = sorted({column.shape for column in by_name.values()})
-    if len(shapes) > 1 or len(shapes[0]) != 1:
-        raise ScanError(f"{path}: columns of the shapes {shapes} found, one number a point is wanted in each")
+    for name, column in by_name.items():
+        if column.ndim != 1:
+            kind = f"{column.dtype} values of shape {column.shape}"
+            raise ScanError(f"{path}: column {name}: {kind} found, one real number a row is wanted")
+    if len(lengths := sorted({len(column) for column in by_name.values()})) > 1:
+        raise ScanError(f"{path}: columns of the lengths {lengths} found, one real number a row is wanted in each")
 
     def first(names: tuple[str, ...]) -> NDArray[Any] | None:
         return next((by_name[name] for name in names if name in by_name), None)
@@ -207,9 +210,8 @@ def label_path_of(path: Path, stem: str) -> Path:
 
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
-    if column.ndim != 1 or column.dtype.kind in _NO_NUMBERS:
-        shape = f" of shape {column.shape}" if column.ndim != 1 else ""
-        raise ScanError(f"{path}: column {name}: {column.dtype} values{shape} found, one real number a row wanted")
+    if column.dtype.kind in _NO_NUMBERS:
+        raise ScanError(f"{path}: column {name}: {column.dtype} values found, one real number a row is wanted")
     try:
         with np.errstate(over="ignore"):  # what float64 does not hold is infinite
             return column.astype(np.float64)
