@@ -116,12 +116,25 @@ class RunFolder(TableFolder):
         """Removes files that no finished job accounts for, half-written ones among them; gives how many were whole."""
         n_whole = 0
         for name in list(self._unknown_files(self.ledger)):
+            if self._is_known_by_its_job(name):
+                continue
             n_whole += not Path(name).name.startswith(".")
             (self.folder / name).unlink()
         for name in _OF_OLDER_VERSIONS:
             path = self.folder / name
             rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
         return n_whole
+
+    def _is_known_by_its_job(self, name: str) -> bool:
+        """Whether a finished job made a file that the ledger's list of files has lost; it is then put back there."""
+        told = None if Path(name).name.startswith(".") else read_footer(self.folder, name)
+        if told is None:
+            return False
+        record = self.ledger.jobs(told[0].pair_id).get((told[0].stage, told[0].part))
+        if record is None or name not in record.files:
+            return False
+        self.ledger.put_job(record)
+        return True
 
     def _open_ledger(self, *, is_writable: bool) -> Ledger:
         """The ledger; if it may not know every finished job, with those that the footers of their files tell of."""

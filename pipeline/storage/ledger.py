@@ -198,9 +198,10 @@ class Ledger:
             return _read_only(path) if path.exists() else _in_memory()
         db = _connect(path, timeout=_SECONDS_FOR_READERS)
         try:
-            if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
-                db.executescript(_TABLES)
-            _check(db)
+            with _damage_named():
+                if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
+                    db.executescript(_TABLES)
+                _check(db)
         except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
             db.close()
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
@@ -242,7 +243,8 @@ def _read_only(path: Path) -> sqlite3.Connection:
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         db = _connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
         try:
-            _check(db)
+            with _damage_named():
+                _check(db)
         except sqlite3.OperationalError:
             db.close()
             continue
@@ -262,10 +264,24 @@ def _check(db: sqlite3.Connection) -> None:
     """Raises `sqlite3.DatabaseError` where it is no ledger of this version, or damaged."""
     if db.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
         raise sqlite3.DatabaseError("a ledger of another version")
-    if db.execute("PRAGMA quick_check(1)").fetchone()[0] != "ok":
+    if db.execute("PRAGMA quick_check(1)").fetchone()[0] != "ok" or _definitions(db) != _definitions(_in_memory()):
         raise sqlite3.DatabaseError("a damaged ledger")
     if db.execute(_SCHEMA).fetchall() != _own_schema():  # views and triggers of others would run with our statements
         raise sqlite3.DatabaseError("a ledger with other tables")
+
+
+def _definitions(db: sqlite3.Connection) -> list[tuple[str, str]]:
+    """What defines each table."""
+    return db.execute("SELECT name, sql FROM sqlite_master ORDER BY name").fetchall()
+
+
+@contextmanager
+def _damage_named() -> Iterator[None]:
+    """Makes text that is none, in names or in what SQLite says of them, an error of the database."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise sqlite3.DatabaseError("a damaged ledger") from error
 
 
 def _is_complete(db: sqlite3.Connection) -> bool:

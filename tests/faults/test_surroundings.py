@@ -198,7 +198,7 @@ def fill(disk, free):
     (disk / "ballast").write_bytes(bytes(max(0, left)))
 
 
-STAGES = ["ground", "graph", "communities", "matching", "selection", "metrics", "coverage"]
+STAGES = ["ground", "graph", "communities", "matching", "selection", "metrics", "coverage", "surface"]
 
 
 @pytest.mark.parametrize("stage", times(["graph"], STAGES))
