@@ -229,6 +229,16 @@ class FinishedRun:
         path = self.folder / name
         try:
             rows = read_bounded(path, path.read_bytes(), columns)
+            absent = (
+                []
+                if columns is not None
+                else [own for own in TABLES[table].schema.names if own not in rows.schema.names]
+            )
+            if absent:
+                raise RunError(
+                    f"run {self.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe wrote "
+                    f"it; run it again with: {command_again(self.folder, self.record.dataset)}"
+                )
             return rows if columns is not None else TABLES[table].check(rows)
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise RunError(f"run {self.folder}: {name} cannot be read ({error}); run fidpipe run again") from error
