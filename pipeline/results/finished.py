@@ -236,8 +236,8 @@ class FinishedRun:
             )
             if absent:
                 raise RunError(
-                    f"run {self.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe wrote "
-                    f"it; run it again with: {command_again(self.folder, self.record.dataset)}"
+                    f"run {self.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe "
+                    f"wrote it; run it again with: {command_again(self.folder, self.record.dataset)}"
                 )
             return rows if columns is not None else TABLES[table].check(rows)
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
