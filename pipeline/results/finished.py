@@ -230,6 +230,13 @@ class FinishedRun:
             if content is None:
                 raise self._damaged(name)
             rows = read_bounded(path, content, columns)
+            if columns is None and (
+                absent := [own for own in TABLES[table].schema.names if own not in rows.schema.names]
+            ):
+                raise RunError(
+                    f"run {self.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe "
+                    f"wrote it; run it again with: {command_again(self.folder, self.record.dataset)}"
+                )
             return rows if columns is not None else TABLES[table].check(rows)
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             cause = getattr(error, "strerror", None) or error
