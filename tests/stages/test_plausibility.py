@@ -45,5 +45,5 @@ def test_the_widest_gap_is_found_across_the_seam():
 
 
 def test_a_reach_beyond_all_measure_is_told_in_short():
-    (text, *_) = implausible(street() * 1e300)
+    (text, *_) = implausible(street() * 1e300, "real", 2.5)
     assert text.startswith("coordinates reach 2e+301 m; ")
