@@ -362,15 +362,16 @@ def _open_run(folder):
     from fidpipe.pipeline.results.finished import FinishedRun, pair_facts, run_facts
     from fidpipe.pipeline.storage.folder import RunFolder
     from fidpipe.pipeline.storage.ledger import LEDGER
-    from fidpipe.schemas.errors import FidpipeError
 
-    with suppress(FidpipeError):
+    try:
         finished = FinishedRun(folder / "run")
         run_facts(finished)
         for row in finished.scored:
             pair_facts(finished, row["pair_id"])
-    (folder / "run" / LEDGER).unlink()
-    return RunFolder(folder / "run").ledger.jobs("000")
+    finally:
+        (folder / "run" / LEDGER).unlink()
+        jobs = RunFolder(folder / "run").ledger.jobs("000")
+    return jobs
 
 
 _PLY_WORDS = (

@@ -279,7 +279,10 @@ def test_short_names_stay_as_they_are_and_shortened_ones_differ():
 
 def test_markdown_and_csv_hold_what_a_name_may_hold():
     rows = [["a|b\nc", None, 0.5], ['=1,"', 2, None]]
-    assert markdown_table(["pair", "n", "CDC"], rows).splitlines()[2:] == ["| a\\|b\\u000ac |  | 0.500 |", '| =1," | 2 |  |']
+    assert markdown_table(["pair", "n", "CDC"], rows).splitlines()[2:] == [
+        "| a\\|b\\u000ac |  | 0.500 |",
+        '| =1," | 2 |  |',
+    ]
     assert csv_table(["pair", "n", "CDC"], rows) == 'pair,n,CDC\n"a|b\nc",,0.5\n"=1,""",2,\n'
 
 

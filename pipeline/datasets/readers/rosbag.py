@@ -5,7 +5,7 @@ A frame is a message of sensor_msgs/PointCloud2, or of velodyne_msgs/VelodyneSca
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
@@ -162,15 +162,28 @@ def _bound_unpacking() -> None:
 
             yield SimpleNamespace(read=read)
 
-    ros1.decompressors |= {
-        "bz2": lambda content: _UNPACKER.get()(content, bz2.BZ2File),
-        "lz4": lambda content: _UNPACKER.get()(content, LZ4FrameFile),
-    }
-    storage_mcap.DECOMPRESSORS |= {
-        "lz4": lambda content, _: _UNPACKER.get()(content, LZ4FrameFile),
-        "zstd": lambda content, _: _UNPACKER.get()(content, zstd.ZstdFile),
-    }
-    ros2.zstd = SimpleNamespace(open=opened, decompress=lambda content: _UNPACKER.get()(content, zstd.ZstdFile))
+    def unpacking(kind: Any, usual: Callable[..., Any]) -> Callable[..., Any]:
+        return _while_open(lambda content, *_: _UNPACKER.get()(content, kind), usual)
+
+    for unpackers, name, kind in (
+        (ros1.decompressors, "bz2", bz2.BZ2File),
+        (ros1.decompressors, "lz4", LZ4FrameFile),
+        (storage_mcap.DECOMPRESSORS, "lz4", LZ4FrameFile),
+        (storage_mcap.DECOMPRESSORS, "zstd", zstd.ZstdFile),
+    ):
+        unpackers[name] = unpacking(kind, unpackers[name])
+    ros2.zstd = SimpleNamespace(
+        open=_while_open(opened, zstd.open), decompress=unpacking(zstd.ZstdFile, zstd.decompress)
+    )
+
+
+def _while_open(bounded: Callable[..., Any], usual: Callable[..., Any]) -> Callable[..., Any]:
+    """`bounded` while a bag is open here, else `usual`: what else uses rosbags in this process keeps what it has."""
+
+    def either(*arguments: Any) -> Any:
+        return bounded(*arguments) if _UNPACKER.get(None) else usual(*arguments)
+
+    return either
 
 
 def _is_ros1(file: Path) -> bool:
