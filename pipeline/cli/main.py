@@ -30,7 +30,8 @@ app = typer.Typer(
     help="How faithful is this simulated LiDAR, and where does it fail?\n\n"
     "fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the "
     "geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.\n\n"
-    "Example: fidpipe run dataset/   (dataset/real/*.bin and dataset/sim/*.bin of the same names)",
+    "Example: fidpipe run dataset/, where dataset/real and dataset/sim hold files of the same names",
+    rich_markup_mode="markdown",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
