@@ -152,7 +152,7 @@ def draw(samples, path):
     for of, name in zip(sizes, ("command, with dask's scheduler", "larger worker", "all processes"), strict=True):
         axes.plot(minutes / 60, of, label=name, linewidth=1)
     axes.set(xlabel="minutes", ylabel="resident memory, MiB", ylim=(0, None))
-    axes.legend(loc="center right", frameon=False)
+    axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.5), frameon=False)
     figure.savefig(path, dpi=120)
 
 
