@@ -31,11 +31,15 @@ def commented_toml(settings: Settings) -> str:
 
     Examples
     --------
-    >>> print(commented_toml(Settings()).splitlines()[3])
+    >>> print(commented_toml(Settings()).splitlines()[5])
     preset = "paper"  # paper, reference
     """
     objects = "; ".join(f"{name}: {words}" for name, words in PRESET_OBJECTS.items())
-    lines = [*_comment(f"{_PRESET_MEANING}. {objects}"), _line("preset", preset_of(settings), ", ".join(PRESETS))]
+    lines = [
+        *_UNITS.splitlines(),
+        *_comment(f"{_PRESET_MEANING}. {objects}"),
+        _line("preset", preset_of(settings), ", ".join(PRESETS)),
+    ]
     for group, values in settings:
         model: type[BaseModel] = type(values)
         schema = model.model_json_schema()["properties"]

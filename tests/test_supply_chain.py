@@ -111,7 +111,7 @@ def guarded(tmp_path):
 
 
 def all_commands(dataset):
-    """Every kind of command once: made data, a run on two workers, and what is made of it."""
+    """Commands of every family: made data, a run on two workers, and what is made of it."""
     yield FIDPIPE, "synth", "made", "--pairs", "1"
     yield FIDPIPE, "check", dataset
     yield FIDPIPE, "run", dataset, "--out", "a", "--workers", "2"
@@ -121,6 +121,9 @@ def all_commands(dataset):
     yield FIDPIPE, "show", "a", "000"
     yield FIDPIPE, "gate", "a", "--max", "cdc.mean=2"
     yield FIDPIPE, "export", "a", "--ply", "--mcap"
+    yield FIDPIPE, "verify", "a", "--objects", "1"
+    yield FIDPIPE, "status", "a"
+    yield FIDPIPE, "settings"
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from .options import EXIT_PAIRS_FAILED, Assignments, Replace
+from .output import print_line
 
 
 def synth(
@@ -55,7 +56,7 @@ def synth(
             f"{sensor!r} is no sensor; one of {', '.join(SENSORS)} is wanted", param_hint="--sensor"
         )
     make_dataset(SynthRequest(out, pairs, seed, sensor, points, workers, replace), Reporter())
-    print(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
+    print_line(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
 
 
 def twin(
@@ -158,7 +159,7 @@ def twin(
         replace=replace,
     )
     outcome = make_twins(request, Reporter())
-    print(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
+    print_line(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
 
 
@@ -203,17 +204,17 @@ def pair(
     n_unpaired = write_dataset(out, *lines, pairing, kept, replace=replace)
     gaps_s = abs(pairing.gaps_s[kept])
     how = "given" if offset is not None else "found"
-    print(
+    print_line(
         f"{len(kept)} pairs in {out / 'pairs.csv'}, at most {gaps_s.max():.4f} s apart; simulated times "
         f"{pairing.offset_s:+.4f} s ({how})"
     )
     if pairing.others_s:
-        print(
+        print_line(
             f"{len(pairing.others_s)} other offsets pair as many, such as {pairing.others_s[0]:+.4f} s: "
             "if this is not the right one, name it with --offset"
         )
     if n_unpaired:
-        print(f"{n_unpaired} frames have no partner: {out / 'unpaired.csv'}")
+        print_line(f"{n_unpaired} frames have no partner: {out / 'unpaired.csv'}")
 
 
 def convert(
@@ -248,4 +249,4 @@ def convert(
 
     names = tuple(columns.replace(",", " ").split()) if columns else None
     files = write(source, out, to, names, replace=replace)
-    print(str(files[0]) if len(files) == 1 else f"{len(files)} files in {out}")
+    print_line(str(files[0]) if len(files) == 1 else f"{len(files)} files in {out}")

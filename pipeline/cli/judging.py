@@ -201,7 +201,9 @@ def compare(
 
 def verify(
     run: RunFolder,
-    objects: Annotated[int, typer.Option("--objects", min=1, help="How many objects are drawn.")] = 20,
+    objects: Annotated[
+        int | None, typer.Option("--objects", min=1, help="How many objects are drawn.", show_default="20")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another one draws others.")] = 0,
     all_: Annotated[
         bool, typer.Option("--all", help="Every object, every node's edges, both whole sides of every pair.")
@@ -222,6 +224,8 @@ def verify(
 
     fidpipe verify runs/dataset --all --json    every object; minutes a pair
     """
+    if all_ and objects is not None:
+        raise typer.BadParameter("--all is every object, --objects some; give one of the two")
     from ..engine.progress import SECONDS_BETWEEN_LINES, Reporter
     from ..report.terminal.verify import verify_view
     from ..results.verify.verify import verify_run
@@ -234,7 +238,7 @@ def verify(
             reporter.say(f"{n_done} of {n_pairs} pairs verified")
             last_line = monotonic()
 
-    result = verify_run(run, None if all_ else objects, seed, pair_done)
+    result = verify_run(run, None if all_ else objects or 20, seed, pair_done)
     print_json(result.as_dict()) if as_json else print_view(verify_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 

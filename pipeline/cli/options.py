@@ -44,7 +44,10 @@ RunFolder = Annotated[
 Workers = Annotated[
     int | None,
     typer.Option(
-        "--workers", min=1, help="Processes on this machine; 1 starts no cluster.", show_default="one per core"
+        "--workers",
+        min=1,
+        help="Processes on this machine; 1 starts none (but with --pair-timeout).",
+        show_default="one per core",
     ),
 ]
 Scheduler = Annotated[

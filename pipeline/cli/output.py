@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from ..terminal import shown
 from .options import EXIT_PAIRS_FAILED
 
 if TYPE_CHECKING:
@@ -35,6 +36,11 @@ def print_outcome(result: RenderableType | JsonObject, failures: Mapping[str, st
     """
     print_json(result) if isinstance(result, dict) else print_view(result)
     raise typer.Exit(EXIT_PAIRS_FAILED if failures else 0)
+
+
+def print_line(text: str) -> None:
+    """Prints a line; what could steer a terminal, in the name of a file, is shown by its number."""
+    print(shown(text))
 
 
 def print_text(text: str) -> None:

@@ -10,7 +10,7 @@ import typer
 
 from . import completion
 from .options import AsCsv, AsJson, AsMarkdown, Floor, RunFolder, check_formats
-from .output import print_json, print_text, print_view
+from .output import print_json, print_line, print_text, print_view
 
 
 def show(
@@ -116,9 +116,9 @@ def report(
 
     made = write_report(run, pairs, one_page_a_pair=folder, out=out, floor=floor)
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
-    print(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
+    print_line(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
     names = ", ".join(dict.fromkeys(path.stem for path in made.figures))
-    print(f"figures: {made.figures[0].parent} ({names}; PNG, SVG and PDF)")
+    print_line(f"figures: {made.figures[0].parent} ({names}; PNG, SVG and PDF)")
     if opens and not webbrowser.open(made.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {made.page} in one")
 
@@ -176,8 +176,8 @@ def export(
     if n_failed := finished.record.pairs.failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
     if made.mcap:
-        print(f"MCAP:   {made.mcap}, stamps {'of the dataset' if made.has_times else 'one second apart'}")
+        print_line(f"MCAP:   {made.mcap}, stamps {'of the dataset' if made.has_times else 'one second apart'}")
     if made.ply:
-        print(f"PLY:    {len(made.ply)} files in {folder}")
-    print(f"pairs:  {made.n_pairs}, {megabytes(made.n_bytes)}")
-    print(f"status: {LEGEND}")
+        print_line(f"PLY:    {len(made.ply)} files in {folder}")
+    print_line(f"pairs:  {made.n_pairs}, {megabytes(made.n_bytes)}")
+    print_line(f"status: {LEGEND}")

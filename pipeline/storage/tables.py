@@ -56,11 +56,13 @@ class StoredFile:
     def read(self, path: Path) -> bytes | None:
         """What was written; None where the file is gone, another one, or a link. Raises `OSError` as reading does."""
         try:
-            content = b"" if path.is_symlink() else path.read_bytes()
+            status = path.lstat()
+            if not stat.S_ISREG(status.st_mode) or status.st_size != self.size:
+                return None
+            content = path.read_bytes()
         except FileNotFoundError:
             return None
-        is_own = len(content) == self.size and hashlib.sha256(content).hexdigest() == self.sha256
-        return content if is_own else None
+        return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
 
 
 @dataclass(frozen=True)

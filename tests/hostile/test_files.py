@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign import campaign
 from rosbags.highlevel import AnyReader
 
+from campaign import campaign
 from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.storage import bounds

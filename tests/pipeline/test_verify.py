@@ -1,6 +1,7 @@
 """A sample of a finished run is computed again, and what does not agree is named."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -175,6 +176,30 @@ def test_a_flipped_bit_is_found_in_any_file(copy, name):
         assert name == "pairs.parquet", "the others are told beside what else is wrong"
         return
     assert any(mismatch.table == "files" and mismatch.column.endswith(name) for mismatch in result.mismatches)
+
+
+def test_no_flipped_bit_ends_verify_otherwise(copy):
+    file = copy / FILES["matching"]
+    whole = file.read_bytes()
+    for place in range(len(whole) - 600, len(whole), 7):  # the footer, which pyarrow would believe
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 32]) + whole[place + 1 :])
+        assert [mismatch.table for mismatch in verify_run(copy, 1).mismatches] == ["files"]
+
+
+def test_what_is_no_file_of_the_run_s_own_is_found(copy, tmp_path):
+    file = copy / FILES["metrics"]
+    elsewhere = file.rename(tmp_path / "metrics.parquet")
+    file.symlink_to(elsewhere)
+    assert any(mismatch.column.endswith(FILES["metrics"]) for mismatch in verify_run(copy, 1).mismatches)
+    file.unlink()
+    os.mkfifo(file)  # a read of it would never end
+    assert any(mismatch.column.endswith(FILES["metrics"]) for mismatch in verify_run(copy, 1).mismatches)
+
+
+def test_all_and_some_objects_are_not_asked_for_at_once(copy):
+    ended = command("verify", copy, "--all", "--objects", "5")
+    assert ended.returncode == 2
+    assert "give one of the two" in ended.stderr
 
 
 def test_a_file_that_is_gone_is_found(copy):
