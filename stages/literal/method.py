@@ -10,6 +10,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg
@@ -254,20 +255,31 @@ def describe(points: FloatArray) -> Description:
 Matches = list[tuple[int, int, float]]  #: real id, simulated id, distance of their centroids
 
 
-def match_greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> Matches:
+def match_greedy(
+    real: FloatArray,
+    sim: FloatArray,
+    delta_m: float,
+    stored: Mapping[int, int] = MappingProxyType({}),
+    rounding_m: float = 0,
+) -> Matches:
     """Algorithm 1: each real object takes the nearest centroid that is free, if it is nearer than delta.
 
     Parameters
     ----------
     real, sim : (a, 3), (b, 3) float64, metres, centroids by id
+    stored : matches that are taken where they are as near, and as near as delta, but for `rounding_m`
     """
     used, pairs = set(), []
     for i, p in enumerate(real):
-        free = [(math.dist(p, q), j) for j, q in enumerate(sim) if j not in used]
-        if free and min(free)[0] < delta_m:
-            d, j = min(free)
+        free = {j: math.dist(p, q) for j, q in enumerate(sim) if j not in used}
+        if not free:
+            break
+        j, own = min(free, key=lambda j: (free[j], j)), stored.get(i)
+        if own in free and free[own] <= free[j] + rounding_m:
+            j = own
+        if free[j] < delta_m + (-rounding_m if own is None else rounding_m):
             used.add(j)
-            pairs.append((i, j, d))
+            pairs.append((i, j, free[j]))
     return pairs
 
 

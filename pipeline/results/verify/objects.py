@@ -35,7 +35,8 @@ def check_matching(pair: StoredPair, comparisons: Comparisons) -> None:
         wanted = [(i, i) for i in range(len(real)) if n_sim[i] >= min(least, n_real[i])]
         hallucinated = list(range(len(real), len(sim)))
     elif settings.method == "greedy":
-        wanted = _greedy(real, sim, dict(matched), settings.delta_m)
+        found = method.match_greedy(real, sim, settings.delta_m, dict(matched), LENGTH_M)
+        wanted = [(i, j) for i, j, _ in found]
         hallucinated = sorted(set(range(len(sim))) - {j for _, j in wanted})
     else:
         wanted = sorted(matched)
@@ -52,24 +53,6 @@ def check_matching(pair: StoredPair, comparisons: Comparisons) -> None:
         apart = math.dist(real[row["real_id"]], sim[row["sim_id"]]) if both else None
         at = pair.place("matching", object_=object_name(row))
         comparisons.compare(at, "centroid_distance_m", row["centroid_distance_m"], apart, tolerance=LENGTH_M)
-
-
-def _greedy(real: FloatArray, sim: FloatArray, stored: dict[int, int], delta_m: float) -> list[tuple[int, int]]:
-    """The matches of Algorithm 1; of centroids that are equally near but for rounding the stored one."""
-    free, pairs = set(range(len(sim))), []
-    for i, centroid in enumerate(real):
-        apart = method.distances(sim, centroid)
-        nearest = min(free, key=lambda j: (apart[j], j), default=None)
-        if nearest is None:
-            break
-        own = stored.get(i)
-        is_as_near = own is not None and own in free and apart[own] <= apart[nearest] + LENGTH_M
-        chosen = own if own is not None and is_as_near else nearest
-        rounding = -LENGTH_M if own is None else LENGTH_M
-        if apart[chosen] < delta_m + rounding:
-            free.remove(chosen)
-            pairs.append((i, chosen))
-    return pairs
 
 
 def _compare_optimum(
