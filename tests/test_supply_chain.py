@@ -14,6 +14,7 @@ from packaging.utils import canonicalize_name
 
 from fidpipe.pipeline.storage.record import library_versions
 from licences import is_allowed, libraries, licence
+from release import LOOPBACK
 from runs import FIDPIPE
 
 HOUSE = Path(__file__).resolve().parents[1]
@@ -38,12 +39,6 @@ def _guard(event, arguments):
 
 sys.addaudithook(_guard)
 """
-#: Puts up the loopback device of a new network namespace, then becomes the command.
-LOOPBACK = (
-    "import fcntl, os, socket, struct, sys; "
-    "fcntl.ioctl(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0x8914, struct.pack('16sh14x', b'lo', 0x41)); "
-    "os.execv(sys.argv[1], sys.argv[1:])"
-)
 
 
 def locked(name):
