@@ -283,7 +283,7 @@ def test_markdown_and_csv_hold_what_a_name_may_hold():
         "| a\\|b\\u000ac |  | 0.500 |",
         '| =1," | 2 |  |',
     ]
-    assert csv_table(["pair", "n", "CDC"], rows) == 'pair,n,CDC\n"a|b\nc",,0.5\n"=1,""",2,\n'
+    assert csv_table(["pair", "n", "CDC"], rows) == 'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n'
 
 
 def test_a_pair_warns_where_r_lambda_stands_on_a_bad_alignment(finished):
