@@ -15,6 +15,8 @@ SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache_
 FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# As many processes as cores; a file of tests stays in one of them, the slow ones come first.
+AT_ONCE := --numprocesses auto --dist loadfile --no-loadscope-reorder
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
 .PHONY: run test check faults fast docs bench fuzz clean setup browser javascript lock release-check test-pythons
@@ -33,14 +35,14 @@ check: setup browser javascript
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
 	$(SPHINX)
-	$(BIN)/pytest
+	$(BIN)/pytest $(AT_ONCE)
 
 # Every fault, some hundred tries, an hour or so; the table of what was tried and lost: .cache/faults/faults.md
 faults: setup
 	FIDPIPE_FAULTS=all FIDPIPE_FAULTS_TABLE=.cache/faults $(BIN)/pytest -s tests/faults
 
 fast: setup
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest $(AT_ONCE) -m "not slow"
 
 docs: setup
 	$(SPHINX)
@@ -116,7 +118,7 @@ test-pythons: setup
 			$(BIN)/uv venv --quiet --clear --python $$version $$place && \
 			$(BIN)/uv pip install --quiet --compile-bytecode --python $$place --require-hashes --requirement $(LOCK) && \
 			$(BIN)/uv pip install --quiet --python $$place --no-deps --no-build-isolation .; \
-		fi && $$place/bin/pytest $(TESTS) || exit 1; \
+		fi && $$place/bin/pytest $(AT_ONCE) $(TESTS) || exit 1; \
 	done
 
 # Archives, clean installs, extras, the Dockerfile's steps: some minutes, wants the package index.

@@ -1,12 +1,13 @@
 """What all tests share: the real scans, one BLAS thread, and small datasets on disk."""
 
 import os
-import shutil
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Libraries read these when they are loaded, so the imports come after.
+import shutil
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -43,17 +44,34 @@ def by_reference(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def dataset(tmp_path_factory) -> Path:
-    """Two small pairs; modules that need others have a fixture of their own under this name."""
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
+def streets(tmp_path_factory):
+    """Folders of small pairs by their number and points a thing, each made once; not to be written to."""
+    return cache(lambda n_pairs, n: write_dataset(tmp_path_factory.mktemp("data") / "streets", n_pairs, n))
 
 
 @pytest.fixture(scope="session")
-def finished(dataset, tmp_path_factory) -> Path:
+def runs_of_streets(tmp_path_factory):
+    """Finished runs of these by their folder, each made once; not to be written to."""
+
+    @cache
+    def finished(dataset):
+        out = tmp_path_factory.mktemp("runs") / "streets"
+        run(dataset, out)
+        return out
+
+    return finished
+
+
+@pytest.fixture(scope="module")
+def dataset(request, streets) -> Path:
+    """Two small pairs, or as many and as large ones as the module says by N_PAIRS and N_POINTS."""
+    return streets(getattr(request.module, "N_PAIRS", 2), getattr(request.module, "N_POINTS", 150))
+
+
+@pytest.fixture(scope="module")
+def finished(dataset, runs_of_streets) -> Path:
     """The finished run of these; not to be written to."""
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
+    return runs_of_streets(dataset)
 
 
 @pytest.fixture

@@ -16,12 +16,8 @@ from fidpipe.pipeline.storage.ledger import Ledger
 from fidpipe.schemas.errors import DiskFullError
 from fidpipe.schemas.settings import Settings
 from runs import JOBS_PER_PAIR, assert_same_tables, command, run
-from scenes import write_dataset
 
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 3)
+N_PAIRS = 3
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])

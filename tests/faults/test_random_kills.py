@@ -9,26 +9,13 @@ from contextlib import suppress
 import psutil
 import pytest
 
-from runs import assert_same_tables, run
-from scenes import write_dataset
+from runs import assert_same_tables
 from tries import Started, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
 
 pytestmark = pytest.mark.slow
 
 N_PAIRS = 6
 INTERRUPTED = "interrupted; run the same command again to go on"
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
 
 
 @pytest.fixture(scope="module")

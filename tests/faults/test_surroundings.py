@@ -12,25 +12,13 @@ from pathlib import Path
 import pytest
 
 from runs import FIDPIPE, assert_same_tables, command, run
-from scenes import drifted, street, write_bin, write_dataset
+from scenes import drifted, street, write_bin
 from tries import Started, assert_no_process, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
 
 pytestmark = pytest.mark.slow
 
 FAKETIME = [*Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1")]
 N_PAIRS = 4
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
 
 
 def other_scan(path):

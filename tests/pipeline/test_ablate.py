@@ -29,7 +29,8 @@ from fidpipe.schemas.settings import load
 from fidpipe.stages import method
 from fidpipe.stages.statistics.parameter_choice import ParameterSet
 from runs import command, contents
-from scenes import write_dataset
+
+N_POINTS = 100
 
 SETTINGS = load(None, ["graph.k=12"])
 VALUES = {"k": (8, 12), "tau_m": (0.2,), "delta_m": (0.5, 5.0), "t": (0.5, 1.0)}
@@ -39,11 +40,6 @@ def ablated(dataset, out, *, workers=1, **options):
     options = {"settings": SETTINGS, "values": VALUES} | options
     request = AblateRequest(dataset, out, machines=Machines(workers), **options)
     return ablate_dataset(request, Reporter(Console(quiet=True)))
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2, n=100)
 
 
 @pytest.fixture(scope="module")

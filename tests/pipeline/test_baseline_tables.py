@@ -19,15 +19,11 @@ from fidpipe.schemas.record import BaselineSummary
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES
 from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, marks, run, run_twice
-from scenes import write_dataset
+
+N_PAIRS = 3
 
 ALL = load(None, ["metrics.baselines=all"])
 FEW = load(None, ["metrics.baselines=chamfer,emd"])
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets")
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from runs import JOBS_PER_PAIR, command
-from scenes import road, write_bin, write_dataset
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
+from scenes import road, write_bin
 
 
 def one_line(text):

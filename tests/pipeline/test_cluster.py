@@ -22,7 +22,6 @@ from fidpipe.pipeline.jobs import STAGES, metrics, selection
 from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
 from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, command, run
-from scenes import write_dataset
 
 pytestmark = pytest.mark.slow
 
@@ -32,18 +31,6 @@ N_PAIRS = 6
 LIMIT_S = 20.0  # a healthy pair takes far less, on a busy machine too
 ENDLESS_S = 900
 POISON_IN_METRICS = "002"
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
 
 
 class Cluster:

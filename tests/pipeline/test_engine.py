@@ -22,11 +22,6 @@ from scenes import write_dataset
 N_BASE = 7  # both sides of ground, graph and communities, and matching
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
-
-
 def probe(takes, make=None, gives="perturb_objects"):
     """A stage of an experiment that tells how many rows it sees."""
 

@@ -22,7 +22,9 @@ from fidpipe.pipeline.datasets import readers
 from fidpipe.pipeline.datasets.readers import Format, read_scan
 from fidpipe.schemas.errors import DatasetError, ScanError
 from runs import JOBS_PER_PAIR, command
-from scenes import drifted, street, write_bin, write_dataset
+from scenes import drifted, street, write_bin
+
+N_POINTS = 100
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -248,11 +250,6 @@ def test_an_example_touches_the_files_that_its_section_names_and_they_are_few(ti
     anchor = title.lower().replace(" ", "-")
     (row,) = [line for line in PAGE.splitlines() if line.startswith("|") and f"(#{anchor})" in line]
     assert int(re.search(r"\| (\d)", row)[1]) == len(files)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2, n=100)
 
 
 @pytest.fixture(scope="module")

@@ -18,17 +18,7 @@ from fidpipe.schemas.errors import SettingsError
 from runs import command, run
 from scenes import write_dataset
 
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("gate")
-    run(write_dataset(folder / "streets", 3), folder / "run")
-    return folder / "run"
-
-
-@pytest.fixture
-def copied(finished, tmp_path):
-    return shutil.copytree(finished, tmp_path / "run")
+N_PAIRS = 3
 
 
 @pytest.fixture(scope="module")
@@ -210,16 +200,16 @@ def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
     assert all("could not be computed: no pair" in why[measure] for measure in measures)
 
 
-def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(copied, tmp_path):
-    good = command("gate", copied, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0")
+def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp_path):
+    good = command("gate", again, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0")
     assert good.returncode == 0, good.stderr
     assert "all criteria are met" in good.stdout
     bad = command(
-        "gate", copied, "--max", "r_lambda.mean=0", "--junit", tmp_path / "a.xml", "--json", tmp_path / "a.json"
+        "gate", again, "--max", "r_lambda.mean=0", "--junit", tmp_path / "a.xml", "--json", tmp_path / "a.json"
     )
     assert bad.returncode == 4
     assert "FAIL" in bad.stdout
-    assert json.loads((copied / "gate.json").read_text())["passed"] is True
+    assert json.loads((again / "gate.json").read_text())["passed"] is True
     found = json.loads((tmp_path / "a.json").read_text())
     assert found["passed"] is False
     suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
@@ -247,12 +237,12 @@ def test_a_run_goes_on_in_a_folder_with_the_files_of_a_gate(tmp_path):
         (["--criteria", "nowhere.toml"], "cannot be read"),
     ],
 )
-def test_a_wrong_criterion_ends_with_one_line_and_no_files(copied, words, fault):
-    result = command("gate", copied, *words)
+def test_a_wrong_criterion_ends_with_one_line_and_no_files(again, words, fault):
+    result = command("gate", again, *words)
     assert result.returncode == 1
     assert fault in result.stderr
     assert len(result.stderr.splitlines()) == 1
-    assert not (copied / "gate.xml").exists()
+    assert not (again / "gate.xml").exists()
 
 
 def test_a_gate_without_criteria_is_wrong_usage(finished):

@@ -19,7 +19,10 @@ from fidpipe.stages.literal import method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.method import compare, partition
 from runs import assert_same_tables, no_temporary_files, run
-from scenes import drifted, moved, rigid, street, write_dataset
+from scenes import drifted, moved, rigid, street
+
+N_PAIRS = 3
+N_POINTS = 40
 
 
 def tried(n):
@@ -132,12 +135,6 @@ def test_a_rigid_motion_of_both_sides_changes_no_score(scene, angle_deg, shift_m
         if not name.startswith("median_range"):  # distances from the sensor do change
             # lengths are stored as float32: an edge may be rounded another way
             assert other[name] == pytest.approx(value, rel=1e-4, abs=1e-5), name
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    """Three small pairs."""
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 3, n=40)
 
 
 @pytest.fixture(scope="module")

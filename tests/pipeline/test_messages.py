@@ -14,17 +14,7 @@ from fidpipe.schemas.settings import Settings, load
 from runs import command, read_only, run
 from scenes import drifted, street, write_bin, write_dataset
 
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 1)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
+N_PAIRS = 1
 
 
 def one_error(result):

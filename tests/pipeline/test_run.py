@@ -17,10 +17,7 @@ from pools import WatchedPool
 from runs import FOLDERS, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets")
+N_PAIRS = 3
 
 
 @pytest.fixture(scope="module")

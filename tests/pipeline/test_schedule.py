@@ -12,7 +12,8 @@ from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import load
 from pools import GIB, DyingPool, WatchedPool
 from runs import JOBS_PER_PAIR, assert_same_tables, run
-from scenes import write_dataset
+
+N_PAIRS = 3
 
 LARGE_NODES = CostModel(bytes_per_node=2**22)
 N_JOBS = 3 * JOBS_PER_PAIR
@@ -27,18 +28,6 @@ class TooLargeAbove(CostModel):
 
     def object_bytes(self, n_keep):
         return 100 * GIB if n_keep > self.limit else 0
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 3)
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    run(dataset, out)
-    return out
 
 
 def fail(context):

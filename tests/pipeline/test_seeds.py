@@ -18,14 +18,8 @@ from fidpipe.schemas.record import SeedSummary
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import SEEDS
 from runs import assert_same_tables, changed_files, command, marks, run, run_twice
-from scenes import write_dataset
 
 THREE = load(None, ["stability.seeds=3"])
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", 2)
 
 
 @pytest.fixture(scope="module")

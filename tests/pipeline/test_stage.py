@@ -19,8 +19,9 @@ from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.columns import FLOAT64, column
 from fidpipe.schemas.tables import TABLES
 from runs import assert_same_tables, run
-from scenes import write_dataset
 from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
+
+N_POINTS = 100
 
 N_PAIRS = 2
 ALL_SPLIT = Policy(worth_splitting_s=0.0, batch_s=0.0)
@@ -81,11 +82,6 @@ def files(out):
 def made_again(out, before):
     """The tables whose files are not those of before."""
     return {path.parent.name for path, mtime in files(out).items() if before.get(path) != mtime}
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    return write_dataset(tmp_path_factory.mktemp("data") / "streets", N_PAIRS, n=100)
 
 
 @pytest.fixture(scope="module")
