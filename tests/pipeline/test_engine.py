@@ -112,14 +112,16 @@ def test_two_parts_of_one_name_are_refused(dataset, tmp_path):
         make_parts(dataset, tmp_path, [Part(SEES_GROUND, "a"), Part(SEES_GROUND, "a")], InProcess())
 
 
-@pytest.mark.parametrize("n_deaths", [1, 2, 3])
+@pytest.mark.parametrize("n_deaths", [1, 2, 3, 4])
 def test_a_file_at_which_the_worker_dies_fails_its_pair_alone(tmp_path, n_deaths):
     many = write_dataset(tmp_path / "streets", 17, n=40)
     pool = DyingPool(lambda jobs, name: ("005", "inspect", "") in jobs, n_deaths)
     outcome = run(many, tmp_path / "run", pool=pool, policy=Policy(bundle_s=10.0))
     assert pool.n_deaths == n_deaths
-    assert sum(row["status"] == "scored" for row in outcome.rows) == 17 - (n_deaths == 3)
-    if n_deaths == 3:
+    assert sum(row["status"] == "scored" for row in outcome.rows) == 17 - (n_deaths == 4)
+    own = Counter(jobs[0][0] for jobs in pool.batches if len(jobs) == 1 and jobs[0][1] == "inspect")
+    assert own == {"004": 1, "005": min(n_deaths, 3), "016": 1}  # the first was beside it, the last is left over
+    if n_deaths == 4:
         reason = "the worker process died while it read the files, and again when it did so alone (a crash of"
         assert list(outcome.failures) == ["005"]
         assert outcome.failures["005"].startswith(reason)
