@@ -190,7 +190,7 @@ class DaskPool:
             if isinstance(error, self._killed_worker):
                 n_deaths = error.allowed_failures + 1
                 each = f"{n_deaths} workers each time" if n_deaths > 1 else "a worker each time"
-                return handle, WorkerDied(f"{each}, the last one {error.last_worker.address}")
+                return handle, WorkerDied(f"{each}, the last one {error.last_worker.address}", n_deaths)
             if error is None:
                 raise RunError(self._lost(f"the connection is lost, or it gave up a task ({future.status})"))
             if not isinstance(error, FidpipeError):

@@ -17,7 +17,7 @@ _FEW_PAIRS = 16  # whose files are read in this process
 _MOST_PAIRS_PER_BATCH = 32
 _LEAST_BATCHES = 8
 _BATCHES_PER_WORKER = 4
-_TRIES_ALONE = 2
+_DEATHS_ALONE = 2  # one may be anybody's fault
 _DIED = (
     "the worker process died while it read the files, and again when it did so alone (a crash of the reader, or out of "
     "memory?)"
@@ -67,11 +67,15 @@ def read_files(
                 yield from zip(part, outcome, strict=True)
         left = lost
     for pair in left:
-        for _ in range(_TRIES_ALONE):  # once may be anybody's fault
+        n_deaths = 0
+        while n_deaths < _DEATHS_ALONE:
             [(_, outcome)] = read([[pair]])
             if not isinstance(outcome, WorkerDied):
+                yield pair, outcome[0]
                 break
-        yield pair, _DIED if isinstance(outcome, WorkerDied) else outcome[0]
+            n_deaths += outcome.n_deaths
+        else:
+            yield pair, _DIED
 
 
 def inspect_batch(

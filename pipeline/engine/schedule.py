@@ -46,7 +46,7 @@ class Policy:
     bundle_s : small pairs of together so many seconds go together
     least_weight : and no more of them than one by this
     losses_beside_others : a pair that lost its worker more often is tried with nothing beside it, job by job
-    tries_alone : a job fails at which the worker dies so often with nothing beside it; once may be anybody's fault
+    deaths_alone : a job fails at which so many workers die with nothing beside it; one may be anybody's fault
     """
 
     costs: CostModel = field(default_factory=CostModel)
@@ -57,7 +57,7 @@ class Policy:
     bundle_s: float = 0.5
     least_weight: float = 1 / 16
     losses_beside_others: int = 1
-    tries_alone: int = 2
+    deaths_alone: int = 2
 
 
 class Watcher(Protocol):
@@ -80,9 +80,9 @@ class Watcher(Protocol):
 class _Pair:
     """A pair that is being worked on.
 
-    is_lost : whether a worker died that had a batch of it, since it last went on
+    is_lost : whether the pool gave up a batch of it, since it last went on
     n_losses : how often that was so
-    deaths : by job, those of workers with nothing beside it
+    deaths : of workers, by the job that they died at with nothing beside it
     """
 
     plan: PairPlan
@@ -202,8 +202,8 @@ class Schedule:
             pair.is_lost = True
             if self._is_alone:
                 job = pair.ready[0]
-                pair.deaths[job.name] += 1
-                if pair.deaths[job.name] >= self._policy.tries_alone:
+                pair.deaths[job.name] += result.n_deaths
+                if pair.deaths[job.name] >= self._policy.deaths_alone:
                     again = "the worker process died, and again when the pair ran alone (out of memory?)"
                     pair.failures.append(JobFailure(*job.name, f"{again}: {result.detail}"))
         elif isinstance(result, BatchResult):

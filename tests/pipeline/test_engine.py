@@ -1,5 +1,7 @@
 """Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
 
+from collections import Counter
+
 import pytest
 from rich.console import Console
 

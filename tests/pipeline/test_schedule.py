@@ -137,6 +137,14 @@ def test_a_job_at_which_a_worker_dies_twice_fails_its_pair_alone(dataset, finish
     assert_same_tables(tmp_path / "run", finished)
 
 
+def test_a_pool_that_tries_four_workers_itself_is_asked_once_less(dataset, tmp_path):
+    pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs, n_deaths_each=4)
+    outcome = run(dataset, tmp_path / "run", pool=pool)
+    assert list(outcome.failures) == ["001"]
+    assert "again when the pair ran alone (out of memory?): killed by a test" in outcome.failures["001"]
+    assert pool.n_deaths == 4 * (2 + 1)
+
+
 def test_an_extra_at_which_a_worker_dies_twice_fails_alone(dataset, finished, tmp_path):
     pool = DyingPool(lambda jobs, name: ("001", "baselines", "") in jobs)
     outcome = run(dataset, tmp_path / "run", EXTRA, pool=pool)
