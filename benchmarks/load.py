@@ -122,6 +122,8 @@ class Harmed:
             sizes = {member.pid: member.memory_info().rss / MIB for member in (command, *family)}
         except psutil.NoSuchProcess:
             return []
+        if not sizes[command.pid]:  # it has ended
+            return []
         of_workers = [sizes[member.pid] for member in workers]
         seconds = time.monotonic() - self._begun
         self._samples.append((seconds, sizes[command.pid], max(of_workers, default=np.nan), sum(sizes.values())))
@@ -161,7 +163,7 @@ def draw(path):
     for column, name in NAMES.items():
         axes.plot(samples.seconds / 60, samples[column], label=name, linewidth=1)
     axes.set(xlabel="minutes", ylabel="resident memory, MiB", ylim=(0, None))
-    axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes.legend(loc="center", frameon=False)
     figure.savefig(path, dpi=120)
 
 
