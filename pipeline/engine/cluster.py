@@ -40,30 +40,15 @@ from .pool import (
 )
 
 _CONNECT_TIMEOUT_S = 10
-
-
 _FIRST_WORKER_TIMEOUT_S = 60
-
-
 _STARTS = 3
-
-
 _STOP_S = 2.0
-
-
 _KILL_S = 0.2
-
-
 _SECONDS_BETWEEN_LOOKS = 1.0
-
-
 _GIVEN_UP_S = 5.0
-
-
 _WITHOUT_WORKERS_S = 600.0
 
-
-#: Of a cluster on this machine: one death of a worker ends its tasks (they are tried again alone); one that is silent
+#: Of a cluster on this machine: one death of a worker ends its tasks (`schedule` tries them again); one that is silent
 #: is busy in a library; a busy event loop is no news; and what was sent is not kept, for it grows with the pairs.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,

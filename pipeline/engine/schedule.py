@@ -3,8 +3,8 @@
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
 only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. Parts
 of an experiment, which do not wait for each other, are always batches of their own. The pairs that a dying worker
-leaves behind are tried again apart from each other; one at which a worker dies again, with nothing beside it and job by
-job, so that only the guilty one fails.
+leaves behind are tried again, each in a batch of its own; one that loses its worker again, job by job with nothing
+beside it, so that only the guilty one fails.
 """
 
 from __future__ import annotations
