@@ -1,6 +1,7 @@
 """Does a large run hold out: are all pairs scored or named, does the memory stay flat, is the folder consistent?
 
     python benchmarks/load.py [N_PAIRS] [POINTS] [SECONDS_BETWEEN_KILLS] [FIGURE]   by default 5000 pairs of 300 points
+    python benchmarks/load.py draw FIGURE   again, from the samples that lie beside it as .csv
 
 One pair in a hundred is poison: a file that is cut off, one of three points, one whose reader (of another package)
 crashes the interpreter while files are read, or in a stage. While the command works on four workers of this machine,
@@ -28,6 +29,13 @@ N_FILES = 180
 WORKERS = 4
 ONE_IN = 100
 SECONDS_BETWEEN_SAMPLES = 2.0
+
+#: Whose resident memory is sampled, by column.
+NAMES = {
+    "command_mib": "command, with dask's scheduler",
+    "worker_mib": "largest worker",
+    "all_mib": "all processes",
+}
 
 READER = """
 import ctypes
@@ -77,23 +85,24 @@ def poison(listed):
 class Harmed:
     """The command while workers of it are killed and its memory is noted.
 
-    samples : rows of seconds, MiB of the command (with dask's scheduler in it), of the largest worker, of all processes
+    samples : a row each two seconds, of seconds since the start, and MiB; see `NAMES`
     """
 
     def __init__(self, words, seconds_between_kills, errors, environment):
-        self.samples, self.n_killed = [], 0
+        self._samples, self.n_killed = [], 0
         self._rng = random.Random(0)
         self._every_s = seconds_between_kills
         with errors.open("w") as file:
             self.process = subprocess.Popen(
                 [FIDPIPE, *map(str, words)], stdout=subprocess.DEVNULL, stderr=file, env=environment
             )
-            self._begun = time.monotonic()
+            self.begun, self._begun = time.time(), time.monotonic()
             watcher = threading.Thread(target=self._watch)
             watcher.start()
             self.code = self.process.wait()
         self.wall_s = time.monotonic() - self._begun
         watcher.join()
+        self.samples = pd.DataFrame(self._samples, columns=["seconds", *NAMES]).round(1)
 
     def _watch(self):
         next_kill = self._begun + self._every_s
@@ -113,9 +122,11 @@ class Harmed:
             sizes = {member.pid: member.memory_info().rss / MIB for member in (command, *family)}
         except psutil.NoSuchProcess:
             return []
+        if not sizes[command.pid]:  # it has ended
+            return []
         of_workers = [sizes[member.pid] for member in workers]
         seconds = time.monotonic() - self._begun
-        self.samples.append((seconds, sizes[command.pid], max(of_workers, default=np.nan), sum(sizes.values())))
+        self._samples.append((seconds, sizes[command.pid], max(of_workers, default=np.nan), sum(sizes.values())))
         return workers
 
 
@@ -142,25 +153,29 @@ def judge(out, listed, poisoned):
     }
 
 
-def draw(samples, path):
-    """The memory of command and workers over time."""
+def draw(path):
+    """The memory of command and workers over time, from the samples beside the figure."""
     mpl.use("agg")
     from matplotlib import pyplot as plt
 
-    minutes, *sizes = np.array(samples).T
+    samples = pd.read_csv(Path(path).with_suffix(".csv"))
     figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
-    for of, name in zip(sizes, ("command, with dask's scheduler", "larger worker", "all processes"), strict=True):
-        axes.plot(minutes / 60, of, label=name, linewidth=1)
+    for column, name in NAMES.items():
+        axes.plot(samples.seconds / 60, samples[column], label=name, linewidth=1)
     axes.set(xlabel="minutes", ylabel="resident memory, MiB", ylim=(0, None))
-    axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes.legend(loc="center", frameon=False)
     figure.savefig(path, dpi=120)
 
 
-def growth(samples, column):
-    """Mean of the second and of the last quarter of the samples, MiB."""
-    of = np.array(samples)[:, column]
-    n = len(of) // 4
-    return round(float(np.nanmean(of[n : 2 * n]))), round(float(np.nanmean(of[-n:])))
+def growth(sizes):
+    """Mean of the second and of the last quarter of the samples, and their largest, MiB."""
+    n = len(sizes) // 4
+    return round(sizes[n : 2 * n].mean()), round(sizes[-n:].mean()), round(sizes.max())
+
+
+def reading_s(out, begun):
+    """Seconds from the start of the command to the first table: what starting and reading all files takes."""
+    return min(path.stat().st_mtime for path in (out / "ground").iterdir()) - begun
 
 
 def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
@@ -176,7 +191,10 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
         words = ("run", listed, "--out", out, "--workers", WORKERS)
         harmed = Harmed(words, float(seconds_between_kills), folder / "errors.txt", environment)
-        found = judge(out, listed, poisoned)
+        if figure:
+            harmed.samples.to_csv(Path(figure).with_suffix(".csv"), index=False)
+            draw(figure)
+        found, first_s = judge(out, listed, poisoned), reading_s(out, harmed.begun)
         told = (folder / "errors.txt").read_text()
         size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
         left = [str(path) for path in out.rglob(".*") if path.name not in (".lock", ".writer")]
@@ -187,22 +205,19 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
         )
         again_s = time.monotonic() - begun
         found_again = judge(out, listed, poisoned)
-        samples = harmed.samples
-        if figure:
-            draw(samples, figure)
     print(json.dumps(found, indent=1))
     print(
-        f"exit code {harmed.code}, {harmed.wall_s:.0f} s wall, {harmed.n_killed} workers killed, load {os.getloadavg()}"
+        f"exit code {harmed.code}, {harmed.wall_s:.0f} s wall, {first_s:.0f} s of them until the first table", end=", "
     )
+    print(f"{harmed.n_killed} workers killed, load {os.getloadavg()}")
     print(f"tracebacks told: {told.count('Traceback')}; temporary files left: {left}; {size / 1e6:.0f} MB")
-    for column, name in ((1, "command with scheduler"), (2, "larger worker"), (3, "all processes")):
-        second, last = growth(samples, column)
-        print(f"memory of {name}: {second} MiB in the second quarter of the run, {last} in the last", end="; ")
-        print(f"at most {np.nanmax(np.array(samples)[:, column]):.0f}")
+    for column, name in NAMES.items():
+        second, last, most = growth(harmed.samples[column])
+        print(f"memory of {name}: {second} MiB in the second quarter of the run, {last} in the last; at most {most}")
     print(f"status: exit code {status.returncode}\n{status.stdout}")
     is_same = all(found_again[name] == of for name, of in found.items() if name != "reasons")  # those name the worker
     print(f"second run: exit code {again.returncode}, {again_s:.1f} s, the same: {is_same}")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    draw(sys.argv[2]) if sys.argv[1:2] == ["draw"] else main(*sys.argv[1:])

@@ -14,6 +14,7 @@ import os
 import queue
 import socket
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -39,30 +40,15 @@ from .pool import (
 )
 
 _CONNECT_TIMEOUT_S = 10
-
-
 _FIRST_WORKER_TIMEOUT_S = 60
-
-
 _STARTS = 3
-
-
 _STOP_S = 2.0
-
-
 _KILL_S = 0.2
-
-
 _SECONDS_BETWEEN_LOOKS = 1.0
-
-
 _GIVEN_UP_S = 5.0
-
-
 _WITHOUT_WORKERS_S = 600.0
 
-
-#: Of a cluster on this machine: one death of a worker ends its tasks (they are tried again alone); one that is silent
+#: Of a cluster on this machine: one death of a worker ends its tasks (`schedule` tries them again); one that is silent
 #: is busy in a library; a busy event loop is no news; and what was sent is not kept, for it grows with the pairs.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
@@ -135,6 +121,7 @@ class DaskPool:
         if prefork.is_available():
             dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._ended: list[Any] = []
         self._handles: dict[str, tuple[Handle, bool]] = {}
         self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
@@ -185,21 +172,21 @@ class DaskPool:
         """See `Pool`."""
         future = self._next_future()
         handle, keep = self._handles.pop(future.key)
-        if future.status != "finished":
-            error = future.exception() if future.status == "error" else None
-            if isinstance(error, self._killed_worker):
-                n_deaths = error.allowed_failures + 1
-                each = f"{n_deaths} workers each time" if n_deaths > 1 else "a worker each time"
-                return handle, WorkerDied(f"{each}, the last one {error.last_worker.address}")
-            if error is None:
-                raise RunError(self._lost(f"the connection is lost, or it gave up a task ({future.status})"))
-            if not isinstance(error, FidpipeError):
-                self._check_versions()  # to a worker of another version what is sent makes no sense
-            raise error
-        if keep:
-            return handle, None
-        result = future.result()
-        future.release()  # or it would be made again, and its files written again, if the worker that holds it dies
+        try:
+            result = None if keep and future.status == "finished" else future.result()
+        except self._killed_worker as error:
+            n_deaths = error.allowed_failures + 1
+            each = f"{n_deaths} workers each time" if n_deaths > 1 else "a worker each time"
+            return handle, WorkerDied(f"{each}, the last one {error.last_worker.address}", n_deaths)
+        except CancelledError as error:
+            raise RunError(self._lost("the connection is lost, or it gave up a task")) from error
+        except FidpipeError:
+            raise
+        except Exception:
+            self._check_versions()  # to a worker of another version what is sent makes no sense
+            raise
+        if not keep:
+            future.release()  # or it would be made again, and its files written again, if the worker that holds it dies
         return handle, result
 
     def close(self, *, now: bool = False) -> None:
@@ -270,7 +257,7 @@ class DaskPool:
         await asyncio.gather(*closing, return_exceptions=True)
 
     def _next_future(self) -> Any:
-        """The next task that has ended.
+        """The next task that has ended; one whose result went with its worker ends anew, for dask makes it again.
 
         Raises
         ------
@@ -280,7 +267,10 @@ class DaskPool:
         while True:
             self._look_after_workers()
             with suppress(queue.Empty):
-                return self._done.get(timeout=_SECONDS_BETWEEN_LOOKS)
+                self._ended.append(self._done.get(timeout=_SECONDS_BETWEEN_LOOKS))
+            for i, future in enumerate(self._ended):
+                if future.done():
+                    return self._ended.pop(i)
             if self._workers_now():
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:

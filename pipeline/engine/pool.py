@@ -24,9 +24,10 @@ class Handle:
 
 @dataclass(frozen=True)
 class WorkerDied:
-    """The outcome of a task whose worker process went away while it ran."""
+    """The outcome of a task whose worker process went away while it ran, so often that the pool gave it up."""
 
     detail: str
+    n_deaths: int = 1
 
 
 @dataclass(frozen=True)

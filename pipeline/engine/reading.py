@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
+from typing import Any
 
 from ...schemas.settings import InputSettings
 from ..datasets.pairs import ScanPair
@@ -16,7 +17,7 @@ _FEW_PAIRS = 16  # whose files are read in this process
 _MOST_PAIRS_PER_BATCH = 32
 _LEAST_BATCHES = 8
 _BATCHES_PER_WORKER = 4
-_TRIES_ALONE = 2
+_DEATHS_ALONE = 2  # one may be anybody's fault
 _DIED = (
     "the worker process died while it read the files, and again when it did so alone (a crash of the reader, or out of "
     "memory?)"
@@ -40,36 +41,41 @@ def read_files(
 
     Parameters
     ----------
-    pool : where they are read; pairs at which a worker dies are read again, each alone
+    pool : where they are read; pairs at which a worker dies are read again apart from each other, and where one dies
+        again, with nothing beside them
     limits : by pair_id, how long reading may take; {} for as long as it takes
     """
-    n = max(1, min(_MOST_PAIRS_PER_BATCH, len(pairs) // _LEAST_BATCHES))
-    left = iter([pairs[i : i + n] for i in range(0, len(pairs), n)])
-    handles = dict[Handle, Sequence[ScanPair]]()
-    suspects: list[ScanPair] = []
 
-    def submit(part: Sequence[ScanPair]) -> Handle:
-        own = {pair.pair_id: limits[pair.pair_id] for pair in part if pair.pair_id in limits}
-        return pool.submit(inspect_batch, part, settings, label_names, own)
+    def read(parts: Iterable[Sequence[ScanPair]]) -> Iterator[tuple[Sequence[ScanPair], Any]]:
+        waiting, handles = iter(parts), dict[Handle, Sequence[ScanPair]]()
+        while True:
+            for part in islice(waiting, max(0, _BATCHES_PER_WORKER * pool.n_workers - len(handles))):
+                own = {pair.pair_id: limits[pair.pair_id] for pair in part if pair.pair_id in limits}
+                handles[pool.submit(inspect_batch, part, settings, label_names, own)] = part
+            if not handles:
+                return
+            handle, outcome = pool.next_done()
+            yield handles.pop(handle), outcome
 
-    while True:
-        for part in islice(left, max(0, _BATCHES_PER_WORKER * pool.n_workers - len(handles))):
-            handles[submit(part)] = part
-        if not handles:
-            break
-        handle, read = pool.next_done()
-        part = handles.pop(handle)
-        if isinstance(read, WorkerDied):
-            suspects.extend(part)
-        else:
-            yield from zip(part, read, strict=True)
-    for pair in suspects:
-        for _ in range(_TRIES_ALONE):  # once may be anybody's fault
-            submit([pair])
-            _, read = pool.next_done()
-            if not isinstance(read, WorkerDied):
+    left: Sequence[ScanPair] = pairs
+    for n in dict.fromkeys((max(1, min(_MOST_PAIRS_PER_BATCH, len(pairs) // _LEAST_BATCHES)), 1)):
+        lost: list[ScanPair] = []
+        for part, outcome in read([left[i : i + n] for i in range(0, len(left), n)]):
+            if isinstance(outcome, WorkerDied):
+                lost.extend(part)
+            else:
+                yield from zip(part, outcome, strict=True)
+        left = lost
+    for pair in left:
+        n_deaths = 0
+        while n_deaths < _DEATHS_ALONE:
+            [(_, outcome)] = read([[pair]])
+            if not isinstance(outcome, WorkerDied):
+                yield pair, outcome[0]
                 break
-        yield pair, _DIED if isinstance(read, WorkerDied) else read[0]
+            n_deaths += outcome.n_deaths
+        else:
+            yield pair, _DIED
 
 
 def inspect_batch(

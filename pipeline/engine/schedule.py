@@ -2,8 +2,9 @@
 
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
 only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. Parts
-of an experiment, which do not wait for each other, are always batches of their own. What a dying worker leaves
-behind is tried once more with nothing beside it, job by job, so that only the guilty one fails.
+of an experiment, which do not wait for each other, are always batches of their own. The pairs that a dying worker
+leaves behind are tried again, each in a batch of its own; one that loses its worker again, job by job with nothing
+beside it, so that only the guilty one fails.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ class Policy:
     batch_s : objects of together so many seconds go together
     bundle_s : small pairs of together so many seconds go together
     least_weight : and no more of them than one by this
-    tries_alone : a job fails at which the worker dies so often with nothing beside it; once may be anybody's fault
+    losses_beside_others : a pair that lost its worker more often is tried with nothing beside it, job by job
+    deaths_alone : a job fails at which so many workers die with nothing beside it; one may be anybody's fault
     """
 
     costs: CostModel = field(default_factory=CostModel)
@@ -54,7 +56,8 @@ class Policy:
     batch_s: float = 0.5
     bundle_s: float = 0.5
     least_weight: float = 1 / 16
-    tries_alone: int = 2
+    losses_beside_others: int = 1
+    deaths_alone: int = 2
 
 
 class Watcher(Protocol):
@@ -75,11 +78,17 @@ class Watcher(Protocol):
 
 @dataclass
 class _Pair:
-    """A pair that is being worked on."""
+    """A pair that is being worked on.
+
+    is_lost : whether the pool gave up a batch of it, since it last went on
+    n_losses : how often that was so
+    deaths : of workers, by the job that they died at with nothing beside it
+    """
 
     plan: PairPlan
     failures: list[JobFailure] = field(default_factory=list)
-    is_suspect: bool = False
+    is_lost: bool = False
+    n_losses: int = 0
     deaths: Counter[JobId] = field(default_factory=Counter)
     n_waiting: int = 0
     scored: list[Handle] = field(default_factory=list)
@@ -190,13 +199,13 @@ class Schedule:
 
     def _take(self, pair: _Pair, batch: _Batch, result: Any) -> None:
         if isinstance(result, WorkerDied):
-            if self._is_alone and pair.is_suspect:
+            pair.is_lost = True
+            if self._is_alone:
                 job = pair.ready[0]
-                pair.deaths[job.name] += 1
-                if pair.deaths[job.name] >= self._policy.tries_alone:
+                pair.deaths[job.name] += result.n_deaths
+                if pair.deaths[job.name] >= self._policy.deaths_alone:
                     again = "the worker process died, and again when the pair ran alone (out of memory?)"
                     pair.failures.append(JobFailure(*job.name, f"{again}: {result.detail}"))
-            pair.is_suspect = True
         elif isinstance(result, BatchResult):
             self._watcher.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
@@ -206,15 +215,17 @@ class Schedule:
 
     def _go_on(self, pair: _Pair) -> None:
         """Submits what comes next for a pair of which nothing is running."""
+        if pair.is_lost:
+            pair.is_lost = False
+            pair.n_losses += 1
+            pair.scored.clear()
         while pair.todo and (reason := self._budget.why_too_large(pair.plan)):
             pair.failures.append(JobFailure(*pair.todo[0].name, reason))
         if not pair.todo:
             self._end(pair)
         elif self._is_alone:
-            pair.scored.clear()
             self._submit_jobs(pair, pair.ready[:1])
-        elif pair.is_suspect:
-            pair.scored.clear()
+        elif pair.n_losses > self._policy.losses_beside_others:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
         elif pair.scored:
@@ -284,24 +295,33 @@ class Schedule:
         self._submit(_Batch((pair,), run_batch, ([PairBatch(pair.plan, names)], self._costs), priority, need))
 
     def _submit_whole(self, pair: _Pair) -> None:
-        """All that is left of a pair in one piece; small pairs wait for others to go with them."""
-        self._bundle.append(pair)
+        """All that is left of a pair in one piece; small pairs wait for others to go with them.
+
+        One that has lost its worker, or may run out of time, must take no other pair along.
+        """
         pair.n_waiting += 1
-        if sum(map(self._weight, self._bundle)) >= 1 or pair.plan.limit is not None:
-            self._submit_bundle()  # what runs out of time must take no other pair along
+        if pair.n_losses or pair.plan.limit is not None:
+            self._submit_together([pair])
+            return
+        self._bundle.append(pair)
+        if sum(map(self._weight, self._bundle)) >= 1:
+            self._submit_bundle()
 
     def _submit_bundle(self) -> None:
-        """The pairs that wait for company, as one batch; each stops where an object needs more than its share."""
-        if not self._bundle:
-            return
-        pairs, self._bundle = tuple(self._bundle), []
+        """The pairs that wait for company, as one batch."""
+        if self._bundle:
+            pairs, self._bundle = self._bundle, []
+            self._submit_together(pairs)
+
+    def _submit_together(self, pairs: list[_Pair]) -> None:
+        """All that is left of some pairs as one batch; each stops where an object needs more than its share."""
         shares = [self._budget.object_share(pair.plan) for pair in pairs]
         batches = [
             PairBatch(pair.plan, tuple(job.name for job in pair.todo), share)
             for pair, share in zip(pairs, shares, strict=True)
         ]
         need = max(self._costs.pair_bytes(pair.plan.n_raw) + share for pair, share in zip(pairs, shares, strict=True))
-        self._queue(_Batch(pairs, run_batch, (batches, self._costs), need=need))
+        self._queue(_Batch(tuple(pairs), run_batch, (batches, self._costs), need=need))
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""

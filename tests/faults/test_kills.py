@@ -204,6 +204,14 @@ def note(path):
     return path.read_text()
 
 
+def note_or_die(path, n_good):
+    """The same, but a later call than the first good ones ends its process."""
+    calls = note(path)
+    if calls.count("called") > n_good:
+        os._exit(1)
+    return calls
+
+
 def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     pool = DaskPool(1, None, tmp_path, {})
@@ -215,6 +223,24 @@ def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeyp
         pool.submit(pow, 2, 5)
         assert pool.next_done()[1] == 32
         assert (tmp_path / "calls").read_text() == "called\n"
+    finally:
+        pool.close(now=True)
+
+
+@pytest.mark.parametrize("n_good", [1, 2])
+def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(tmp_path, monkeypatch, n_good):
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    pool = DaskPool(1, None, tmp_path, {})
+    try:
+        pool.submit(os.getpid)
+        _, pid = pool.next_done()
+        handle = pool.submit(note_or_die, tmp_path / "calls", n_good)
+        wait_until(handle.future.done)
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: not handle.future.done())
+        told, result = pool.next_done()
+        assert told is handle
+        assert isinstance(result, WorkerDied) if n_good == 1 else result == "called\ncalled\n"
     finally:
         pool.close(now=True)
 
@@ -238,9 +264,13 @@ def start(dataset, out, workers):
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait_for(path, timeout=60):
+def wait_for(path):
+    wait_until(path.exists)
+
+
+def wait_until(is_so, timeout=60):
     end = time.monotonic() + timeout
-    while not path.exists():
+    while not is_so():
         if time.monotonic() > end:
-            raise TimeoutError(path)
+            raise TimeoutError(is_so)
         time.sleep(0.005)

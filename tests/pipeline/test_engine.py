@@ -1,5 +1,7 @@
 """Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
 
+from collections import Counter
+
 import pytest
 from rich.console import Console
 
@@ -82,7 +84,7 @@ def test_a_poison_part_fails_alone(dataset, tmp_path):
     engine, jobs = make_parts(dataset, tmp_path, parts, pool)
     assert list(engine.failures) == ["000, part-1"]
     assert engine.failures["000, part-1"].startswith("the worker process died, and again when the pair ran alone")
-    assert pool.n_deaths == 3
+    assert pool.n_deaths == 2 + 2  # beside others, alone
     assert (SEES_GROUND.name, "part-1") not in jobs["000"]
     assert {pair_id: len(own) for pair_id, own in jobs.items()} == {"000": N_BASE + 2, "001": N_BASE + 3}
     assert not (tmp_path / "perturb_objects" / "000.part-1.parquet").exists()
@@ -107,14 +109,16 @@ def test_two_parts_of_one_name_are_refused(dataset, tmp_path):
         make_parts(dataset, tmp_path, [Part(SEES_GROUND, "a"), Part(SEES_GROUND, "a")], InProcess())
 
 
-@pytest.mark.parametrize("n_deaths", [1, 2, 3])
+@pytest.mark.parametrize("n_deaths", [1, 2, 3, 4])
 def test_a_file_at_which_the_worker_dies_fails_its_pair_alone(tmp_path, n_deaths):
     many = write_dataset(tmp_path / "streets", 17, n=40)
     pool = DyingPool(lambda jobs, name: ("005", "inspect", "") in jobs, n_deaths)
     outcome = run(many, tmp_path / "run", pool=pool, policy=Policy(bundle_s=10.0))
     assert pool.n_deaths == n_deaths
-    assert sum(row["status"] == "scored" for row in outcome.rows) == 17 - (n_deaths == 3)
-    if n_deaths == 3:
+    assert sum(row["status"] == "scored" for row in outcome.rows) == 17 - (n_deaths == 4)
+    own = Counter(jobs[0][0] for jobs in pool.batches if len(jobs) == 1 and jobs[0][1] == "inspect")
+    assert own == {"004": 1, "005": min(n_deaths, 3), "016": 1}  # the first was beside it, the last is left over
+    if n_deaths == 4:
         reason = "the worker process died while it read the files, and again when it did so alone (a crash of"
         assert list(outcome.failures) == ["005"]
         assert outcome.failures["005"].startswith(reason)

@@ -87,11 +87,29 @@ def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_sam
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_what_a_dying_worker_leaves_is_made_again_job_by_job(dataset, finished, tmp_path):
+def test_what_a_dying_worker_leaves_is_made_again_pair_by_pair_side_by_side(dataset, finished, tmp_path):
     pool = DyingPool(lambda jobs, name: True, 1)
     outcome = run(dataset, tmp_path / "run", pool=pool)
     assert (outcome.failures, outcome.n_made) == ({}, N_JOBS)
-    assert [len(jobs) for jobs in pool.batches] == [N_JOBS, *[1] * N_JOBS]
+    assert [len(jobs) for jobs in pool.batches] == [N_JOBS, *[JOBS_PER_PAIR] * 3]
+    assert [n for n, _ in pool.at_once] == [1, 1, 2, 3]
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_a_pair_that_loses_its_worker_twice_is_made_job_by_job_with_nothing_beside_it(dataset, finished, tmp_path):
+    pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs, 2)
+    outcome = run(dataset, tmp_path / "run", pool=pool)
+    assert (outcome.failures, outcome.n_made) == ({}, N_JOBS)
+    assert [len(jobs) for jobs in pool.batches] == [N_JOBS, *[JOBS_PER_PAIR] * 3, *[1] * JOBS_PER_PAIR]
+    assert {jobs[0][0] for jobs in pool.batches[4:]} == {"001"}
+    assert {n for n, _ in pool.at_once[4:]} == {1}
+    assert_same_tables(tmp_path / "run", finished)
+
+
+def test_pairs_that_lose_each_worker_that_has_others_are_scored_all_the_same(dataset, finished, tmp_path):
+    pool = DyingPool(lambda jobs, name: len(jobs) > 1)
+    outcome = run(dataset, tmp_path / "run", pool=pool)
+    assert (outcome.failures, outcome.n_made, pool.n_deaths) == ({}, N_JOBS, 1 + 3)
     assert_same_tables(tmp_path / "run", finished)
 
 
@@ -100,11 +118,20 @@ def test_a_job_at_which_a_worker_dies_twice_fails_its_pair_alone(dataset, finish
     outcome = run(dataset, tmp_path / "run", pool=pool)
     reason = "stage matching: the worker process died, and again when the pair ran alone (out of memory?)"
     assert {pair_id: text.partition(": killed")[0] for pair_id, text in outcome.failures.items()} == {"001": reason}
-    assert pool.n_deaths == 3
+    assert pool.n_deaths == 2 + 2  # beside others, alone
+    assert {jobs[0][0] for jobs in pool.batches if len(jobs) == 1} == {"001"}
     assert outcome.n_made == N_JOBS - JOBS_PER_PAIR  # nothing of the failed pair stays
     assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # what the dead worker wrote is nobody's
     assert run(dataset, tmp_path / "run").n_made == JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
+
+
+def test_a_pool_that_tries_four_workers_itself_is_asked_once_less(dataset, tmp_path):
+    pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs, n_deaths_each=4)
+    outcome = run(dataset, tmp_path / "run", pool=pool)
+    assert list(outcome.failures) == ["001"]
+    assert "again when the pair ran alone (out of memory?): killed by a test" in outcome.failures["001"]
+    assert pool.n_deaths == 4 * (2 + 1)
 
 
 def test_an_extra_at_which_a_worker_dies_twice_fails_alone(dataset, finished, tmp_path):
