@@ -115,7 +115,8 @@ class DaskPool:
         import dask
         import distributed
 
-        for name in ("distributed", "distributed.client"):  # dask gives the latter a level of its own
+        # dask gives its client a level of its own; asyncio tells of workers that were ended while they started
+        for name in ("distributed", "distributed.client", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
         if prefork.is_available():

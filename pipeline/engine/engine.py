@@ -382,8 +382,8 @@ class RunEngine(Engine):
         finally:
             self.folder.ledger.commit()
             rmtree(self.folder.folder / _TIME_NOTES, ignore_errors=True)
-        if self.failures:
-            self.folder.remove_strays()  # what a worker wrote before it died
+        if survey.todo:
+            self.folder.remove_strays()  # what a worker wrote before it died, or had half written
 
     def batch_done(self, result: BatchResult) -> None:
         """See `Watcher`: the ledger learns of the finished jobs."""

@@ -21,7 +21,7 @@ from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES, metrics, selection
 from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
-from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, command, run
+from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, command, no_temporary_files, run
 
 pytestmark = pytest.mark.slow
 
@@ -82,13 +82,14 @@ def cluster(tmp_path):
     cluster.end()
 
 
-def kill_own_worker_once(context):
-    """The metrics job, which once in a run takes its worker with it: in the middle of the pairs."""
-    if context.pair_id == POISON_IN_METRICS and "KILLED" in os.environ:
-        flag = Path(os.environ["KILLED"])
-        if not flag.exists():
-            flag.write_text(str(os.getpid()))
+def kill_own_worker_once(context, at_work):
+    """The metrics job, which once kills its worker, before it does anything or in the middle of writing its table."""
+    flag = Path(os.environ["KILLED"])
+    if context.pair_id == POISON_IN_METRICS and not flag.exists():
+        flag.write_text(str(os.getpid()))
+        if at_work == "beginning":
             os.kill(os.getpid(), signal.SIGKILL)
+        os.fsync = lambda file: os.kill(os.getpid(), signal.SIGKILL)
     return metrics.make_metrics(context)
 
 
@@ -111,17 +112,20 @@ def with_metrics(make):
     return tuple(replace(stage, make=make) if stage.name == "metrics" else stage for stage in STAGES)
 
 
-def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_run(dataset, finished, tmp_path, cluster):
+@pytest.mark.parametrize("at_work", ["beginning", "writing"])
+def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_run(
+    dataset, finished, tmp_path, cluster, at_work
+):
     killed = tmp_path / "killed"
     cluster.add_workers(3, "--no-nanny", KILLED=str(killed))
-    outcome = run(
-        dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=with_metrics(kill_own_worker_once)
-    )
+    stages = with_metrics(partial(kill_own_worker_once, at_work=at_work))
+    outcome = run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
     dead = [process for process in cluster.workers if process.poll() is not None]
     assert [process.pid for process in dead] == [int(killed.read_text())]
     assert outcome.failures == {}
     assert outcome.n_made == N_PAIRS * JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
+    assert no_temporary_files(tmp_path / "run")
 
 
 def test_a_pair_whose_worker_dies_each_time_fails_and_says_so(dataset, tmp_path, cluster):
