@@ -58,7 +58,7 @@ def guide(name, out, words):
     for number, (seed, file) in enumerate(places):
         (corpus / f"whole{number}").write_bytes(bytes([number]) + seed[file])
     escaped = ["".join(map("\\x{:02x}".format, word)) for word in target.words]
-    dictionary.write_text("".join(f'"{word}"\n' for word in escaped))
+    dictionary.write_text("".join(f'"{word}"\n' for word in escaped or ["x"]))
 
     def test_one_input(content):
         which, content = content[:1] or b"\0", content[1:]
