@@ -30,7 +30,7 @@ from ..engine.progress import Reporter, Work
 from ..results.floor import FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, RunRequest, check_folder, run_dataset, select_pairs
 from ..stage import Context, Grain, Made, Stage
-from ..storage.files import key_of, write_whole
+from ..storage.files import key_of, refuse_link, write_whole
 from ..storage.folder import RunFolder
 from ..storage.ledger import Ledger
 from ..storage.record import has_ended, read_run
@@ -169,6 +169,7 @@ def _write_dataset(
 ) -> None:
     """Makes the dataset: what another recipe or another real scan left goes first, the manifest comes last."""
     folder = request.out / FLOOR_DATASET
+    refuse_link(folder / "sim")
     (folder / MANIFEST).unlink(missing_ok=True)
     paths = {pair.pair_id: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in dataset.pairs}
     tasks = {

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.errors import DatasetError, FidpipeError, RunError
+from ...schemas.errors import DatasetError, FidpipeError, RunError, ScanError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
 from ..storage.files import named_errors, write_whole
@@ -264,14 +264,13 @@ def _is_ours(path: Path) -> bool:
     if path.suffix == ".ply":
         with path.open("rb") as file:
             return file.read(len(_PLY_START)) == _PLY_START
-    from rosbags.rosbag2 import Reader
+    from ..datasets.readers.rosbag import topics
 
     try:
-        with Reader(path) as bag:
-            topics = [connection.topic for connection in bag.connections]
-    except Exception:  # whatever its parser meets in a file of another kind
+        known = topics(path)
+    except (ScanError, OSError):  # a file of another kind
         return False
-    return bool(topics) and all(topic.startswith(f"{TOPIC}/") for topic in topics)
+    return bool(known) and all(topic.startswith(f"{TOPIC}/") for topic in known)
 
 
 def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> Iterator[bytes | memoryview]:

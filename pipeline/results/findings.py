@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
@@ -21,7 +20,7 @@ from ...stages.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from ...stages.statistics.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
 from ..storage.files import key_of
-from ..storage.tables import TableFolder
+from ..storage.tables import TableFolder, read_bounded
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
 _VERSION = 4
@@ -204,8 +203,8 @@ def read_columns(paths: Sequence[Path], columns: Sequence[str]) -> tuple[dict[st
     """Columns of some files one after the other, nulls of numbers as NaN, and which file each row comes from."""
     chunks, n_rows = [], []
     for start in range(0, len(paths), _FILES_AT_ONCE):  # a table of few rows is larger than they are
-        files = (pa.BufferReader(path.read_bytes()) for path in paths[start : start + _FILES_AT_ONCE])
-        parts = [pq.ParquetFile(file).read(columns=list(columns), use_threads=False) for file in files]
+        some = paths[start : start + _FILES_AT_ONCE]
+        parts = [read_bounded(path, path.read_bytes(), list(columns)) for path in some]
         n_rows += [part.num_rows for part in parts]
         chunks.append(pa.concat_tables(parts).combine_chunks())
     table = pa.concat_tables(chunks)

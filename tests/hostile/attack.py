@@ -23,8 +23,9 @@ from time import process_time
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
+from targets import TARGETS
+
 from mutation import mutated
-from seeds import TARGETS
 
 #: An input may take so many seconds of the processor, so much memory, and so much again for each byte it is long.
 MOST_SECONDS = 2.0

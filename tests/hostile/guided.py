@@ -42,8 +42,9 @@ def guide(name, out, words):
     scratch = Path(tempfile.mkdtemp(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None))
     tempfile.tempdir = str(scratch)
     with atheris.instrument_imports(include=_FOLLOWED):
+        from targets import TARGETS
+
         from attack import Judge, write_input
-        from seeds import TARGETS
 
         target = TARGETS[name]
         seeds = target.inputs()
@@ -97,7 +98,7 @@ def campaign(name, n_inputs, seconds, out):
 
 
 def main():
-    from seeds import TARGETS
+    from targets import TARGETS
 
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--inputs", type=int, default=100_000)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from targets import TARGETS
 
 from campaign import campaign
 from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names
@@ -19,7 +20,7 @@ from fidpipe.pipeline.datasets.readers import frames_of, las, read_scan
 from fidpipe.pipeline.storage import bounds
 from fidpipe.schemas.errors import DatasetError, OversizeError, ScanError
 from recordings import CLOUD, cloud, typestore
-from seeds import _ROWS, POINTS, TARGETS, _scan_files
+from seeds import _ROWS, POINTS, scan_files
 
 PACKAGE = Path(bounds.__file__).resolve().parents[2]
 #: Inputs a reader in the short form, fewer where one takes long; `make fuzz` has the long form.
@@ -371,7 +372,7 @@ def test_a_class_name_is_not_a_book(tmp_path):
 
 
 def test_a_name_that_no_file_can_have_is_a_fault_of_its_pair(tmp_path):
-    for name, content in _scan_files().items():
+    for name, content in scan_files().items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(content)
     (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\na,{'x' * 400},sim/0.bin\nb,real/0.bin,sim/0.bin\n")
