@@ -64,7 +64,7 @@ def check_unpacked(path: Path, n_unpacked: int, n_bytes: int | None = None) -> N
     if n_unpacked > (most := most_unpacked(n_bytes)):
         raise OversizeError(
             f"{path}: {n_bytes} bytes would unpack to {_short(n_unpacked)} or more, at most {most} are read; the file "
-            "is wrong, or made to fill the memory"
+            "is wrong, or made to fill the memory; if it is right, write it without compression and dictionaries"
         )
 
 
