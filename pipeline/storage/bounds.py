@@ -234,7 +234,10 @@ class _Thrift:
         raise ValueError(f"a value of type {kind} in a Parquet file")
 
     def _byte(self) -> int:
-        return self._bytes(1)[0]
+        self.place += 1
+        if self.place > len(self._content):
+            raise ValueError("a value of a Parquet file has no end")
+        return self._content[self.place - 1]
 
     def _bytes(self, n_bytes: int) -> bytes:
         start, self.place = self.place, self.place + n_bytes
