@@ -194,13 +194,12 @@ def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, SideClouds]:
     RunError
         A table is damaged or gone.
     """
-    pair = run.objects_of(pair_id)
-    covered = {(row["side"], row["community_id"]): row for row in run.read_table("coverage", pair_id).to_pylist()}
+    pair = run.covered_objects_of(pair_id)
     frames = {side: run.points(pair_id, side) for side in SIDES}
     places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
     clouds = {}
     for side, other, distance_m in zip(SIDES, reversed(SIDES), nearest_distances(*places), strict=True):
-        rows = [row | covered[side, row["community_id"]] for row in pair.sides[side]]
+        rows = pair.sides[side]
         lone = pair.hallucinated if side == "sim" else []
         objects = _objects(rows, [(row[f"{side}_id"], row[f"{other}_id"], row) for row in pair.matched], lone)
         clouds[side] = SideClouds(_points(frames[side], objects, distance_m), objects[objects["n_points"] > 0])
