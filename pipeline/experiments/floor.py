@@ -30,7 +30,7 @@ from ..engine.progress import Reporter, Work
 from ..results.floor import FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, RunRequest, check_folder, run_dataset, select_pairs
 from ..stage import Context, Grain, Made, Stage
-from ..storage.files import key_of, refuse_link, write_whole
+from ..storage.files import key_of, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder
 from ..storage.ledger import Ledger
 from ..storage.record import has_ended, read_run
@@ -148,7 +148,7 @@ def _refuse_other_recipe(request: FloorRequest) -> None:
         raise RunError(f"run {request.out}: holds a run of {record.get('dataset')}, no floor; give another --out")
     if before is None or before == request.recipe:
         return
-    if before.dataset != request.recipe.dataset and Path(before.dataset).exists():
+    if before.dataset != request.recipe.dataset and path_exists(Path(before.dataset)):
         raise RunError(
             f"run {request.out}: holds the floor of {before.dataset}, not of {request.dataset}; give another --out"
         )

@@ -36,7 +36,7 @@ from ..engine.engine import Engine, Machines
 from ..engine.plan import Job, PairPlan
 from ..engine.progress import Reporter, Work
 from ..stage import Context, Grain, Made, Stage
-from ..storage.files import hash_file, key_of, refuse_link, write_whole
+from ..storage.files import hash_file, key_of, path_exists, refuse_link, write_whole
 from ..storage.record import library_versions
 
 RECIPE = "twin.toml"
@@ -209,7 +209,7 @@ def _prepare(request: TwinRequest, frames: Sequence[Frame]) -> None:
                 "or --replace"
             )
         for path in (out / LABEL_NAMES, *(out / side / name for side in SIDES for name in earlier["files"])):
-            if path.is_file():
+            if path_exists(path) and not path.is_dir():
                 path.unlink()
     (out / MANIFEST).unlink(missing_ok=True)
     write_whole(out / RECIPE, wanted.encode())

@@ -110,6 +110,15 @@ def remove_stale(path: Path) -> None:
         raise RunError(f"{path}: out of date, but cannot be removed ({error.strerror}); remove it") from error
 
 
+def path_exists(path: Path) -> bool:
+    """Whether something is at a path that a file names; none is where it is too long, or holds what no path holds."""
+    try:
+        path.stat()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
 def refuse_link(path: Path) -> None:
     """Raises `RunError` where a folder that is written into, and cleared, is a link to another."""
     if path.is_symlink():

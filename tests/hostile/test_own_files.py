@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from campaign import campaign
 from fidpipe.pipeline.cli import completion
 from fidpipe.pipeline.datasets.sequences import Recording
 from fidpipe.pipeline.datasets.writers import convert
@@ -24,6 +25,11 @@ def twins(out, replace=True):
     """Prepares a folder for twins of a recording without a frame."""
     recording = Recording(out.parent / "posed", Path("poses.tum"), (), {})
     twin._prepare(twin.TwinRequest(out, recording, replace=replace), ())
+
+
+@pytest.mark.parametrize("number", [1797, 18581])
+def test_a_recipe_of_names_longer_than_a_files_is_read(number):
+    assert campaign("recipe", 1, first=number)[0] == []
 
 
 @pytest.mark.parametrize("files", ['["../../victim"]', '["/etc/hostname"]', '[".."]', "[5]", '"0.bin"', "5"])
