@@ -11,6 +11,7 @@ import pytest
 
 from campaign import campaign
 from fidpipe.pipeline.cli import completion
+from fidpipe.pipeline.datasets.sensors import read_sensor
 from fidpipe.pipeline.datasets.sequences import Recording
 from fidpipe.pipeline.datasets.writers import convert
 from fidpipe.pipeline.experiments import synth, twin
@@ -25,6 +26,17 @@ def twins(out, replace=True):
     """Prepares a folder for twins of a recording without a frame."""
     recording = Recording(out.parent / "posed", Path("poses.tum"), (), {})
     twin._prepare(twin.TwinRequest(out, recording, replace=replace), ())
+
+
+@pytest.mark.parametrize(
+    "text", ['"a\nb",elevation_deg\n1,2\n', "elevation_deg\n" + "x" * 5000, "elevation_deg\n1,2\n\x00\n1,2,3,4\n"]
+)
+def test_a_sensor_table_is_refused_in_one_short_line(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(FidpipeError) as caught:
+        read_sensor(str(tmp_path / "a.csv"))
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1000
 
 
 @pytest.mark.parametrize("number", [1797, 18581])
