@@ -29,14 +29,14 @@ def run_folders(incomplete: str) -> list[str]:
 
 def pairs(ctx: typer.Context, incomplete: str) -> list[str]:
     """The names of the pairs of the run that stands before."""
-    return _beginning(_record(ctx.params.get("run")).get("inputs", {}), incomplete)
+    return _beginning(_recorded(ctx.params.get("run"), "inputs"), incomplete)
 
 
 def stages(ctx: typer.Context, incomplete: str) -> list[str]:
     """The stages of the run that would go on: of `--out`, or of the dataset's folder in runs."""
     dataset = next(iter(ctx.args), None)  # an option without its value ends the parsing: arguments are not named yet
     folder = ctx.params.get("out") or (dataset and Path("runs") / Path(dataset).resolve().name)
-    return _beginning(_record(folder).get("stages", {}), incomplete)
+    return _beginning(_recorded(folder, "stages"), incomplete)
 
 
 def presets(incomplete: str) -> list[str]:
@@ -60,13 +60,15 @@ def criteria(incomplete: str) -> list[str]:
     return _beginning([f"{name}=" for name in PLAIN_NAMES], incomplete)
 
 
-def _record(folder: Any) -> dict[str, Any]:
+def _recorded(folder: Any, part: str) -> list[str]:
+    """The names that a part of a run's record is by."""
     path = Path(folder or "") / _RECORD
     try:
         record = json.loads(path.read_bytes()) if path.stat().st_size < _LARGEST_RECORD else {}
-    except (OSError, ValueError):
-        return {}
-    return record if isinstance(record, dict) else {}
+    except (OSError, ValueError, RecursionError):
+        return []
+    names = record.get(part) if isinstance(record, dict) else None
+    return list(names) if isinstance(names, dict) else []
 
 
 def _beginning(names: Iterable[str], incomplete: str) -> list[str]:

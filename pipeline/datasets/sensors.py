@@ -13,6 +13,7 @@ import numpy as np
 from ...schemas.errors import FidpipeError
 from ...stages.sensing.rescan import RECORDED
 from ...stages.sensing.sensor_models import SENSORS, SensorModel
+from .readers.scan import cause_of
 
 _TABLES = (".csv", ".toml")
 _ANGLES = ("elevation_deg", "azimuth_offset_deg")
@@ -52,7 +53,7 @@ def read_sensor(name: str) -> SensorModel:
     except OSError as error:
         raise FidpipeError(f"sensor {path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, RecursionError) as error:  # TOML, CSV and unicode errors are ValueErrors
-        raise FidpipeError(f"sensor {path}: not a table of beams ({str(error).strip()})") from error
+        raise FidpipeError(f"sensor {path}: not a table of beams ({cause_of(error)})") from error
     return _sensor(path, values)
 
 
@@ -71,7 +72,7 @@ def _sensor(path: Path, values: dict[str, Any]) -> SensorModel:
         if name not in wanted:
             near = get_close_matches(name, wanted, 1)
             hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(wanted)}"
-            raise FidpipeError(f"sensor {path}: {name} is not known; {hint}")
+            raise FidpipeError(f"sensor {path}: {cause_of(name)} is not known; {hint}")
     if "elevation_deg" in values:
         elevation = _numbers(path, "elevation_deg", values["elevation_deg"], -90, 90)
     elif all(name in values for name in _UNIFORM):
@@ -101,11 +102,13 @@ def _bounds(name: str) -> tuple[float, float]:
 
 def _numbers(path: Path, name: str, values: Any, low: float, high: float) -> tuple[float, ...]:
     if not isinstance(values, list) or not values:
-        raise FidpipeError(f"sensor {path}: {name} is {values!r}, a list of numbers is wanted")
+        raise FidpipeError(f"sensor {path}: {name} is {cause_of(repr(values))}, a list of numbers is wanted")
     return tuple(_number(path, name, value, low, high) for value in values)
 
 
 def _number(path: Path, name: str, value: Any, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise FidpipeError(f"sensor {path}: {name} holds {value!r}, a number from {low:g} to {high:g} is wanted")
+        raise FidpipeError(
+            f"sensor {path}: {name} holds {cause_of(repr(value))}, a number from {low:g} to {high:g} is wanted"
+        )
     return float(value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,7 +61,7 @@ def convert(
         write, holds_words = _WRITERS[suffix]
         written, named = _columns(read_scan(frame, columns, names), names, holds_words)
         if named:
-            _name_labels(file.with_name(LABEL_NAMES), named)
+            _name_labels(file.parent, named)
         write_whole(file, write(written), advice="")
     return files
 
@@ -95,22 +94,17 @@ def _narrow(column: NDArray[np.float64]) -> NDArray[Any]:
     return narrow if np.array_equal(narrow, column, equal_nan=True) else column
 
 
-def _name_labels(path: Path, names: dict[int, str]) -> None:
-    known: dict[str, Any] = {}
-    if path.exists():
-        try:
-            known = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise DatasetError(f'{path}: lines such as 4 = "tree" are wanted ({error})') from error
+def _name_labels(folder: Path, names: dict[int, str]) -> None:
+    known, path = read_label_names(folder), folder / LABEL_NAMES
     for number, name in names.items():
-        if known.setdefault(str(number), name) != name:
+        if known.setdefault(number, name) != name:
             raise DatasetError(
-                f"{path}: {number} is {known[str(number)]!r}, the scan has {name!r}; name another folder, or "
+                f"{path}: {number} is {known[number]!r}, the scan has {name!r}; name another folder, or "
                 "write .parquet, which holds words"
             )
     import tomli_w
 
-    ordered = dict(sorted(known.items(), key=lambda item: int(item[0])))
+    ordered = {str(number): known[number] for number in sorted(known)}
     write_whole(path, tomli_w.dumps(ordered).encode(), advice="")
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ...schemas.columns import Row, Table
 from ...schemas.errors import DatasetError, RunError, ScanError
@@ -192,9 +191,10 @@ class Experiment:
 
     def rows(self, table: str) -> pa.Table:
         """All rows of one of the experiment's tables."""
-        names = [name for record in self._records() for name in record.files if name.startswith(f"{table}/")]
-        files = (pq.read_table(self.folder.folder / name) for name in names)
-        return pa.concat_tables([TABLES[table].schema.empty_table(), *files])
+        files = ((name, stored) for record in self._records() for name, stored in record.files.items())
+        own = [each for each in files if each[0].startswith(f"{table}/")]
+        parts = (self.folder.read(table, stored, self.folder.folder / name) for name, stored in own)
+        return pa.concat_tables([TABLES[table].schema.empty_table(), *parts])
 
     def write_summary(self, table: Table, rows: list[Row]) -> pa.Table:
         """Writes a table of the whole experiment, and returns it."""

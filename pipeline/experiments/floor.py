@@ -30,7 +30,7 @@ from ..engine.progress import Reporter, Work
 from ..results.floor import FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, RunRequest, check_folder, run_dataset, select_pairs
 from ..stage import Context, Grain, Made, Stage
-from ..storage.files import key_of, write_whole
+from ..storage.files import key_of, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder
 from ..storage.ledger import Ledger
 from ..storage.record import has_ended, read_run
@@ -148,7 +148,7 @@ def _refuse_other_recipe(request: FloorRequest) -> None:
         raise RunError(f"run {request.out}: holds a run of {record.get('dataset')}, no floor; give another --out")
     if before is None or before == request.recipe:
         return
-    if before.dataset != request.recipe.dataset and Path(before.dataset).exists():
+    if before.dataset != request.recipe.dataset and path_exists(Path(before.dataset)):
         raise RunError(
             f"run {request.out}: holds the floor of {before.dataset}, not of {request.dataset}; give another --out"
         )
@@ -169,6 +169,7 @@ def _write_dataset(
 ) -> None:
     """Makes the dataset: what another recipe or another real scan left goes first, the manifest comes last."""
     folder = request.out / FLOOR_DATASET
+    refuse_link(folder / "sim")
     (folder / MANIFEST).unlink(missing_ok=True)
     paths = {pair.pair_id: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in dataset.pairs}
     tasks = {

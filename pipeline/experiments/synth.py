@@ -26,7 +26,7 @@ from ..engine.engine import Engine, Machines
 from ..engine.plan import Job, PairPlan
 from ..engine.progress import Reporter, Work
 from ..stage import Context, Grain, Made, Stage
-from ..storage.files import key_of, write_whole
+from ..storage.files import key_of, refuse_link, write_whole
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
@@ -97,6 +97,8 @@ def prepare(request: SynthRequest) -> None:
     if out.exists() and not out.is_dir():
         raise FidpipeError(f"dataset {out}: is a file, a folder is wanted")
     out.mkdir(parents=True, exist_ok=True)
+    for side in SIDES:
+        refuse_link(out / side)
     earlier_recipe = _read_recipe(out)
     if earlier_recipe is None and any(not path.name.startswith(".") for path in out.iterdir()):
         raise FidpipeError(
@@ -194,7 +196,7 @@ def _read_recipe(out: Path) -> dict[str, object] | None:
     """The recipe that a folder was made by; None if it is no synthetic dataset."""
     try:
         recipe = tomllib.loads((out / RECIPE).read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
+    except (OSError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
         return None
     return recipe if {"version", "seed", "sensor"} <= recipe.keys() else None
 

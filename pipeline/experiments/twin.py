@@ -36,7 +36,7 @@ from ..engine.engine import Engine, Machines
 from ..engine.plan import Job, PairPlan
 from ..engine.progress import Reporter, Work
 from ..stage import Context, Grain, Made, Stage
-from ..storage.files import hash_file, key_of, write_whole
+from ..storage.files import hash_file, key_of, path_exists, refuse_link, write_whole
 from ..storage.record import library_versions
 
 RECIPE = "twin.toml"
@@ -193,6 +193,8 @@ def _prepare(request: TwinRequest, frames: Sequence[Frame]) -> None:
     if out.resolve() == request.recording.folder.resolve():
         raise FidpipeError(f"dataset {out}: is the recording; give the name of a new or empty folder")
     out.mkdir(parents=True, exist_ok=True)
+    for side in SIDES:
+        refuse_link(out / side)
     earlier = _read_recipe(out)
     if earlier is None and any(not path.name.startswith(".") for path in out.iterdir()):
         raise FidpipeError(
@@ -206,8 +208,9 @@ def _prepare(request: TwinRequest, frames: Sequence[Frame]) -> None:
                 f"dataset {out}: holds finished twins of another recipe ({changed}); give the name of another folder, "
                 "or --replace"
             )
-        for path in (out / LABEL_NAMES, *(out / side / Path(name).name for side in SIDES for name in earlier["files"])):
-            path.unlink(missing_ok=True)
+        for path in (out / LABEL_NAMES, *(out / side / name for side in SIDES for name in earlier["files"])):
+            if path_exists(path) and not path.is_dir():
+                path.unlink()
     (out / MANIFEST).unlink(missing_ok=True)
     write_whole(out / RECIPE, wanted.encode())
     names = request.recording.label_names
@@ -219,9 +222,11 @@ def _read_recipe(out: Path) -> dict[str, Any] | None:
     """The recipe that a folder was made by; None if it holds no twins."""
     try:
         recipe = tomllib.loads((out / RECIPE).read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
+    except (OSError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
         return None
-    return recipe if {"version", "seed", "sensor", "inputs_sha256", "files"} <= recipe.keys() else None
+    files = recipe.get("files")
+    is_ours = isinstance(files, list) and all(isinstance(name, str) and Path(name).name == name for name in files)
+    return recipe if is_ours and {"version", "seed", "sensor", "inputs_sha256"} <= recipe.keys() else None
 
 
 def _essence(recipe: dict[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.errors import DatasetError, FidpipeError, RunError
+from ...schemas.errors import DatasetError, FidpipeError, RunError, ScanError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
 from ..storage.files import named_errors, write_whole
@@ -194,13 +194,12 @@ def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, SideClouds]:
     RunError
         A table is damaged or gone.
     """
-    pair = run.objects_of(pair_id)
-    covered = {(row["side"], row["community_id"]): row for row in run.read_table("coverage", pair_id).to_pylist()}
+    pair = run.covered_objects_of(pair_id)
     frames = {side: run.points(pair_id, side) for side in SIDES}
     places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
     clouds = {}
     for side, other, distance_m in zip(SIDES, reversed(SIDES), nearest_distances(*places), strict=True):
-        rows = [row | covered[side, row["community_id"]] for row in pair.sides[side]]
+        rows = pair.sides[side]
         lone = pair.hallucinated if side == "sim" else []
         objects = _objects(rows, [(row[f"{side}_id"], row[f"{other}_id"], row) for row in pair.matched], lone)
         clouds[side] = SideClouds(_points(frames[side], objects, distance_m), objects[objects["n_points"] > 0])
@@ -264,14 +263,13 @@ def _is_ours(path: Path) -> bool:
     if path.suffix == ".ply":
         with path.open("rb") as file:
             return file.read(len(_PLY_START)) == _PLY_START
-    from rosbags.rosbag2 import Reader
+    from ..datasets.readers.rosbag import topics
 
     try:
-        with Reader(path) as bag:
-            topics = [connection.topic for connection in bag.connections]
-    except Exception:  # whatever its parser meets in a file of another kind
+        known = topics(path)
+    except (ScanError, OSError):  # a file of another kind
         return False
-    return bool(topics) and all(topic.startswith(f"{TOPIC}/") for topic in topics)
+    return bool(known) and all(topic.startswith(f"{TOPIC}/") for topic in known)
 
 
 def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> Iterator[bytes | memoryview]:

@@ -12,16 +12,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
+from ...schemas.errors import RunError
 from ...schemas.results import Findings
 from ...stages.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from ...stages.statistics.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
+from ..datasets.readers.scan import cause_of
 from ..storage.files import key_of
-from ..storage.tables import TableFolder
+from ..storage.tables import TableFolder, read_bounded
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
 _VERSION = 4
@@ -159,9 +160,18 @@ def _rows_of(folder: TableFolder, pair_ids: list[str], by_reference: bool) -> It
             # The objects of a side are numbered from 0 in each pair, so that pair and id say the row.
             n = np.bincount(pair_of_object, minlength=len(names))
             rows[side] = (np.cumsum(n) - n)[pair] + scores[f"{side}_id"]
+            own = (coverage["side"] == side) & ~np.isnan(coverage["community_id"])  # in the order of the objects
+            ids = scores[f"{side}_id"]
+            if (
+                not np.array_equal(objects["community_id"], np.arange(n.sum()) - (np.cumsum(n) - n)[pair_of_object])
+                or np.any((ids < 0) | (ids >= n[pair]))
+                or np.count_nonzero(own) != len(pair_of_object)
+            ):
+                raise RunError(
+                    f"run {folder.folder}: metrics/ or coverage/ name objects that are not in objects/; run it again"
+                )
             is_matched = np.zeros(len(pair_of_object), dtype=np.bool_)
             is_matched[rows[side]] = True
-            own = (coverage["side"] == side) & ~np.isnan(coverage["community_id"])  # in the order of the objects
             sides[side] = SideRows(
                 pair=pair_of_object,
                 object_id=objects["community_id"],
@@ -204,10 +214,13 @@ def read_columns(paths: Sequence[Path], columns: Sequence[str]) -> tuple[dict[st
     """Columns of some files one after the other, nulls of numbers as NaN, and which file each row comes from."""
     chunks, n_rows = [], []
     for start in range(0, len(paths), _FILES_AT_ONCE):  # a table of few rows is larger than they are
-        files = (pa.BufferReader(path.read_bytes()) for path in paths[start : start + _FILES_AT_ONCE])
-        parts = [pq.ParquetFile(file).read(columns=list(columns), use_threads=False) for file in files]
+        some = paths[start : start + _FILES_AT_ONCE]
+        try:
+            parts = [read_bounded(path, path.read_bytes(), list(columns)) for path in some]
+            chunks.append(pa.concat_tables(parts).combine_chunks())
+        except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+            raise RunError(f"{some[0].parent}: a table cannot be read ({cause_of(error)}); run it again") from error
         n_rows += [part.num_rows for part in parts]
-        chunks.append(pa.concat_tables(parts).combine_chunks())
     table = pa.concat_tables(chunks)
     pair = np.repeat(np.arange(len(n_rows), dtype=np.int32), n_rows)
     return {name: table.column(name).to_numpy(zero_copy_only=False) for name in columns}, pair

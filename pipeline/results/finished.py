@@ -97,6 +97,8 @@ class FinishedRun:
         self.store = RunFolder(folder)
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
+        if "" in self._row_of or len(self._row_of) < len(self.rows):
+            raise RunError(f"run {folder}: pairs.parquet names a pair twice, or has one without a name; run it again")
 
     def __repr__(self) -> str:
         counts = self.record.pairs
@@ -203,7 +205,21 @@ class FinishedRun:
         matching = self.read_table("matching", pair_id).to_pylist()
         missing = [own["real_id"] for own in matching if own["status"] == "missing"]
         hallucinated = [own["sim_id"] for own in matching if own["status"] == "hallucinated"]
+        ids = [("real", missing), ("sim", hallucinated)]
+        ids += [(side, [scores[f"{side}_id"] for scores in matched]) for side in SIDES]
+        is_numbered = all([own["community_id"] for own in rows] == list(range(len(rows))) for rows in sides.values())
+        if not is_numbered or not all(i in range(len(sides[side])) for side, of_side in ids for i in of_side):
+            raise self._mismatched(pair_id)
         return PairObjects(row, sides, matched, missing, hallucinated)
+
+    def covered_objects_of(self, pair_id: str) -> PairObjects:
+        """The same, each object with how much of it the other side has."""
+        pair = self.objects_of(pair_id)
+        covered = {(row["side"], row["community_id"]): row for row in self.read_table("coverage", pair_id).to_pylist()}
+        if not all((side, i) in covered for side, rows in pair.sides.items() for i in range(len(rows))):
+            raise self._mismatched(pair_id)
+        sides = {side: [row | covered[side, i] for i, row in enumerate(rows)] for side, rows in pair.sides.items()}
+        return replace(pair, sides=sides)
 
     def side_objects(self, pair_id: str, side: str) -> list[Row]:
         """The objects of one side of a scored pair."""
@@ -265,6 +281,12 @@ class FinishedRun:
         record = self.store.ledger.job_of_file(name)
         if record is None or not self.store.is_whole(record, by_content=True):
             raise self._damaged(name)
+
+    def _mismatched(self, pair_id: str) -> RunError:
+        return RunError(
+            f"run {self.folder}, pair {pair_id}: its tables name objects that are not in objects/; run it again with: "
+            f"{command_again(self.folder, self.record.dataset)}"
+        )
 
     def _damaged(self, name: str) -> RunError:
         return RunError(
@@ -386,7 +408,7 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     row = run.row(pair_id)
     if row["status"] != "scored":
         return PairFacts(row, ())
-    pair = _covered(run, pair_id)
+    pair = run.covered_objects_of(pair_id)
     worst_first = sorted(
         pair.matched, key=lambda scores: (scores["r_lambda"] is None, -(scores["r_lambda"] or 0.0), scores["real_id"])
     )
@@ -405,7 +427,7 @@ def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
     """
     side, _, number = name.rpartition(":")
     side = side or "real"
-    pair = _covered(run, pair_id)
+    pair = run.covered_objects_of(pair_id)
     if side not in SIDES or not re.fullmatch("[0-9]{1,9}", number) or int(number) >= len(pair.sides[side]):
         counts = " and ".join(f"{len(pair.sides[s])} {s}" for s in SIDES)
         raise RunError(
@@ -427,14 +449,6 @@ def _alone(pair: PairObjects, side: str, i: int) -> ObjectFacts:
     if side == "sim" and remnant is None:
         return ObjectFacts("hallucinated", None, _own(pair.sides[side][i]), None)
     return ObjectFacts("missing", _own(pair.sides["real"][i]), remnant and _own(remnant), None)
-
-
-def _covered(run: FinishedRun, pair_id: str) -> PairObjects:
-    """The objects of a pair, each with how much of it the other side has."""
-    pair = run.objects_of(pair_id)
-    covered = {(row["side"], row["community_id"]): row for row in run.read_table("coverage", pair_id).to_pylist()}
-    sides = {side: [row | covered[side, row["community_id"]] for row in pair.sides[side]] for side in SIDES}
-    return replace(pair, sides=sides)
 
 
 def _own(row: Row) -> Row:

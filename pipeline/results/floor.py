@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from ...schemas.errors import RunError
 from ...schemas.metrics import OBJECT_METRICS, RUN_SCORES, metric_of
@@ -117,11 +118,15 @@ class RunExcess:
         return asdict(self) | {"run": str(self.run), "floor": str(self.floor)}
 
 
+_RECIPE = TypeAdapter(FloorRecipe)
+
+
 def read_recipe(run: Path) -> FloorRecipe | None:
     """The recipe of a floor; None where the folder is no run of `fidpipe floor`."""
     try:
-        return FloorRecipe(**tomllib.loads((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, RecursionError):  # TOML and unicode errors are ValueErrors
+        recipe = tomllib.loads((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8"))
+        return _RECIPE.validate_python(recipe)
+    except (OSError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
         return None
 
 

@@ -79,7 +79,7 @@ class Measures:
         """Whether the dataset's folder is not on this machine; one that is there but broken is not gone."""
         try:
             Path(self.run.record.dataset).stat()
-        except (FileNotFoundError, NotADirectoryError):
+        except (FileNotFoundError, NotADirectoryError, ValueError):
             return True
         except OSError:
             pass  # it is there and cannot be read, which `_dataset` says

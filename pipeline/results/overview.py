@@ -34,6 +34,7 @@ from ...stages.coverage import THERE, surface_state
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
 from ...stages.statistics.findings import BAND_EDGES_M
 from ..datasets.frame_checks import frames_summary
+from ..storage.files import path_exists
 from .findings import ObjectRows, SideRows, read_objects
 from .finished import FinishedRun
 from .floor import FLOOR_RECIPE
@@ -338,7 +339,7 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
     if record.preset != "reference":
         words = "each side is divided into objects by itself, and small changes move that; to compare simulators: "
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
-    if (Path(record.dataset) / FLOOR_RECIPE).exists():
+    if path_exists(Path(record.dataset) / FLOOR_RECIPE):
         return  # it is a floor itself
     yield Caution(
         kind="floor",

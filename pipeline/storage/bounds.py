@@ -64,7 +64,7 @@ def check_unpacked(path: Path, n_unpacked: int, n_bytes: int | None = None) -> N
     if n_unpacked > (most := most_unpacked(n_bytes)):
         raise OversizeError(
             f"{path}: {n_bytes} bytes would unpack to {_short(n_unpacked)} or more, at most {most} are read; the file "
-            "is wrong, or made to fill the memory"
+            "is wrong, or made to fill the memory; if it is right, write it without compression and dictionaries"
         )
 
 
@@ -234,7 +234,10 @@ class _Thrift:
         raise ValueError(f"a value of type {kind} in a Parquet file")
 
     def _byte(self) -> int:
-        return self._bytes(1)[0]
+        self.place += 1
+        if self.place > len(self._content):
+            raise ValueError("a value of a Parquet file has no end")
+        return self._content[self.place - 1]
 
     def _bytes(self, n_bytes: int) -> bytes:
         start, self.place = self.place, self.place + n_bytes

@@ -110,6 +110,21 @@ def remove_stale(path: Path) -> None:
         raise RunError(f"{path}: out of date, but cannot be removed ({error.strerror}); remove it") from error
 
 
+def path_exists(path: Path) -> bool:
+    """Whether something is at a path that a file names; none is where it is too long, or holds what no path holds."""
+    try:
+        path.stat()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def refuse_link(path: Path) -> None:
+    """Raises `RunError` where a folder that is written into, and cleared, is a link to another."""
+    if path.is_symlink():
+        raise RunError(f"{path}: is a symbolic link, a folder of its own is wanted; remove the link")
+
+
 def key_of(*parts: Any) -> str:
     """A hash of plain values (numbers, strings, lists, dictionaries): equal if and only if they are."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()

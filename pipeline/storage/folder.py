@@ -14,7 +14,7 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .ledger import LEDGER, Ledger
-from .tables import JobRecord, TableFolder, is_as_stored, read_footer, table_name
+from .tables import JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
 _OF_OLDER_VERSIONS = ("index.jsonl", ".journal")
@@ -102,9 +102,9 @@ class RunFolder(TableFolder):
         return self.read(table, record.files[name], self.folder / name, columns)
 
     def is_whole(self, record: JobRecord, *, by_content: bool = False) -> bool:
-        """Whether the files of a job are as they were written; see `is_as_stored`."""
+        """Whether the files of a job are as they were written; see `StoredFile.is_at`."""
         files = record.files.items()
-        return all(is_as_stored(f"{self.folder}/{name}", stored, by_content=by_content) for name, stored in files)
+        return all(stored.is_at(f"{self.folder}/{name}", by_content=by_content) for name, stored in files)
 
     def forget(self, record: JobRecord) -> None:
         """Removes a job's files and takes it out of the ledger."""

@@ -53,16 +53,41 @@ class StoredFile:
     mtime_ns: int
     ctime_ns: int
 
+    def is_at(self, path: str, *, by_content: bool = False) -> bool:
+        """Whether the file at a path is as it was written, and not a link to another.
+
+        Parameters
+        ----------
+        by_content : its content is hashed in any case; else only where length and times are not those of the moment
+            it was written. A disk that loses a bit changes no times
+        """
+        status = self._status(path)
+        if status is None:
+            return False
+        if not by_content and (status.st_mtime_ns, status.st_ctime_ns) == (self.mtime_ns, self.ctime_ns):
+            return True
+        try:
+            return hash_file(Path(path)) == self.sha256
+        except OSError:  # the disk cannot read it any more, or it may not be read: it can be made again
+            return False
+
     def read(self, path: Path) -> bytes | None:
         """What was written; None where the file is gone, another one, or a link. Raises `OSError` as reading does."""
+        if self._status(str(path)) is None:
+            return None
         try:
-            status = path.lstat()
-            if not stat.S_ISREG(status.st_mode) or status.st_size != self.size:
-                return None
             content = path.read_bytes()
         except FileNotFoundError:
             return None
         return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
+
+    def _status(self, path: str) -> os.stat_result | None:
+        """Of the file at a path; None where it is gone, a link, or of another length."""
+        try:
+            status = os.lstat(path)  # (a hundred thousand of them; a Path costs more than the call)
+        except FileNotFoundError:
+            return None
+        return status if stat.S_ISREG(status.st_mode) and status.st_size == self.size else None
 
 
 @dataclass(frozen=True)
@@ -300,25 +325,3 @@ def _row_counts(metadata: pq.FileMetaData) -> set[int]:
     columns = range(metadata.num_columns)
     in_columns = {sum(group.column(i).num_values for group in groups) for i in columns}
     return {metadata.num_rows, sum(group.num_rows for group in groups)} | in_columns
-
-
-def is_as_stored(path: str, stored: StoredFile, *, by_content: bool = False) -> bool:
-    """Whether a file is as it was written, and not a link to another.
-
-    Parameters
-    ----------
-    by_content : its content is hashed in any case; else only where length and times are not those of the moment it was
-        written. A disk that loses a bit changes no times
-    """
-    try:
-        status = os.lstat(path)  # (a hundred thousand of them; a Path costs more than the call)
-    except FileNotFoundError:
-        return False
-    if status.st_size != stored.size or not stat.S_ISREG(status.st_mode):
-        return False
-    if not by_content and (status.st_mtime_ns, status.st_ctime_ns) == (stored.mtime_ns, stored.ctime_ns):
-        return True
-    try:
-        return hash_file(Path(path)) == stored.sha256
-    except OSError:  # the disk cannot read it any more, or it may not be read: it can be made again
-        return False

@@ -23,8 +23,9 @@ from time import process_time
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
+from targets import TARGETS
+
 from mutation import mutated
-from seeds import TARGETS
 
 #: An input may take so many seconds of the processor, so much memory, and so much again for each byte it is long.
 MOST_SECONDS = 2.0
@@ -137,6 +138,57 @@ def fault_of(error):
     return ""
 
 
+class Judge:
+    """Reads inputs of a target, one after the other, and says of each what was wrong with how that went.
+
+    Parameters
+    ----------
+    scratch : the folder that inputs are in; nothing is to be opened elsewhere
+    """
+
+    def __init__(self, target, seeds, scratch):
+        self._target, self._watch, self._scratch = target, Watch(), scratch
+        self.sums = {"inputs": 0, "read": 0, "refused": 0, "slowest_s": 0.0, "slowest": -1}
+        for seed in seeds:  # loads what is loaded at first use, before anything is measured
+            folder = scratch / "whole"
+            write_input(folder, seed)
+            with contextlib.suppress(Exception):
+                target.read(folder)
+            shutil.rmtree(folder)
+        own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (own + MOST_ADDRESSES, own + MOST_ADDRESSES))
+        self._base = self._peak = 0
+
+    def __call__(self, folder, n_bytes, number):
+        """What is wrong, in words, "" for nothing; and where it happened."""
+        fault = trace = ""
+        peak, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, process_time()
+        with self._watch.over(self._scratch) as seen:
+            try:
+                self._target.read(folder)
+                self.sums["read"] += 1
+            except Exception as error:
+                fault, self.sums["refused"] = fault_of(error), self.sums["refused"] + 1
+                trace = "".join(traceback.format_exception(error))[-3000:] if fault else ""
+        seconds = process_time() - began
+        self.sums["inputs"] += 1
+        if seconds > self.sums["slowest_s"]:
+            self.sums["slowest_s"], self.sums["slowest"] = seconds, number
+        self._base, self._peak = self._base or peak, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        if (grown := (self._peak - peak) * 1024) > MOST_BYTES + MOST_BYTES_A_BYTE * n_bytes:
+            fault = fault or f"{grown / 2**20:.0f} MiB of memory for {n_bytes} bytes"
+        if seconds > MOST_SECONDS:
+            fault = fault or f"{seconds:.1f} s"
+        for event in seen:
+            fault = fault or event.replace(str(folder), "INPUT")
+        return fault, trace
+
+    @property
+    def grown_mib(self):
+        """By how much memory has grown since the first input."""
+        return (self._peak - self._base) / 1024
+
+
 def attack(place, name, start, stop):
     """Reads inputs by number; prints findings, and at the end the sums."""
     target = TARGETS[name]
@@ -149,19 +201,9 @@ def attack(place, name, start, stop):
     at_work = mmap.mmap(number_file.fileno(), 8)
     scratch.mkdir(exist_ok=True)
     warnings.simplefilter("ignore")
-    for seed in range(len(seeds)):  # loads what is loaded at first use, before anything is measured
-        folder = scratch / f"whole{seed}"
-        write_input(folder, seeds[seed])
-        with contextlib.suppress(Exception):
-            target.read(folder)
-        shutil.rmtree(folder)
-    watch = Watch()
+    judge = Judge(target, seeds, scratch)
     ended = []  # whoever ends the process is told how far it came
     signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
-    own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (own + MOST_ADDRESSES, own + MOST_ADDRESSES))
-    base = peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    sums = {"inputs": 0, "read": 0, "refused": 0, "slowest_s": 0.0, "slowest": -1}
     for number in count(start):
         if number >= stop or ended:
             break
@@ -169,32 +211,11 @@ def attack(place, name, start, stop):
         folder = scratch / f"input{number}"
         write_input(folder, files)
         at_work[:] = struct.pack("<Q", number + 1)
-        fault = trace = ""
-        began = process_time()
-        with watch.over(scratch) as seen:
-            try:
-                target.read(folder)
-                sums["read"] += 1
-            except Exception as error:
-                fault, sums["refused"] = fault_of(error), sums["refused"] + 1
-                trace = "".join(traceback.format_exception(error))[-3000:] if fault else ""
-        seconds = process_time() - began
-        sums["inputs"] += 1
-        if seconds > sums["slowest_s"]:
-            sums["slowest_s"], sums["slowest"] = seconds, number
-        now = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        grown, peak = (now - peak) * 1024, now
-        n_bytes = sum(map(len, files.values()))
-        if grown > MOST_BYTES + MOST_BYTES_A_BYTE * n_bytes:
-            fault = fault or f"{grown / 2**20:.0f} MiB of memory for {n_bytes} bytes"
-        if seconds > MOST_SECONDS:
-            fault = fault or f"{seconds:.1f} s"
-        for event in seen:
-            fault = fault or event.replace(str(folder), "INPUT")
+        fault, trace = judge(folder, sum(map(len, files.values())), number)
         if fault:
             print(json.dumps({"reader": name, "number": number, "fault": fault, "trace": trace}), flush=True)
         shutil.rmtree(folder)
-    print(json.dumps(sums | {"grown_mib": (peak - base) / 1024}), flush=True)
+    print(json.dumps(judge.sums | {"grown_mib": judge.grown_mib}), flush=True)
 
 
 if __name__ == "__main__":

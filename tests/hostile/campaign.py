@@ -105,8 +105,9 @@ def _fast_folder():
 
 def save(finding, out):
     """Writes the files of a finding and what was said of it."""
+    from targets import TARGETS
+
     from attack import make_input, write_input
-    from seeds import TARGETS
 
     target = TARGETS[finding["reader"]]
     folder = out / finding["reader"].replace(" ", "-") / str(finding["number"])
@@ -130,7 +131,7 @@ def table(summary):
 
 
 def main():
-    from seeds import TARGETS
+    from targets import TARGETS
 
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--inputs", type=int, default=100_000)

@@ -1,89 +1,124 @@
 """Inputs that coverage guides: atheris changes them where that leads a reader or its library to lines not seen before.
 
-    python tests/hostile/guided.py [--inputs 100000] [--readers pcd,ply] [--out .cache/hostile]
+    python tests/hostile/guided.py [--inputs 100000] [--seconds 600] [--readers pcd,ply] [--out .cache/hostile]
 
-It needs atheris (`pip install atheris`), and sees Python's lines alone, not those of libraries in C++ or Rust.
+It needs atheris (`pip install atheris`), and sees Python's lines alone, not those of libraries in C++ or Rust. An input
+is a byte that says which file of which whole input is exchanged, then what that file holds. Those that led to new lines
+stay in OUT/corpus/READER, and the next campaign begins with them.
 """
 
 import argparse
+import importlib
+import inspect
 import os
 import re
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
+import time
+import warnings
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 _MOST_INPUT_BYTES = 8192
-#: Packages whose lines are followed.
-_FOLLOWED = ("fidpipe.pipeline.datasets", "fidpipe.pipeline.storage.bounds", "dpkt", "laspy", "pypcd4", "rosbags")
-_FOLLOWED += ("trimesh.exchange.ply", "numpy.lib._format_impl")
+#: Packages whose lines are followed, all of each: atheris knows no parts of them.
+_FOLLOWED = ["fidpipe", "dpkt", "laspy", "pypcd4", "rosbags", "tomllib"]
+#: Modules of larger packages, of which functions are followed.
+_FOLLOWED_MODULES = ("trimesh.exchange.ply", "numpy.lib._format_impl")
+
+#: An input of these takes too long: a folder of thirty files is written, read, and its ledger made again.
+NOT_GUIDED = {"run folder"}
 
 
-def guide(name, words):
+def guide(name, out, words):
     """Runs atheris on one reader in this process, which it ends."""
     import atheris
 
-    with atheris.instrument_imports(include=list(_FOLLOWED)):
-        import fidpipe.pipeline.datasets.readers  # noqa: F401
+    warnings.simplefilter("ignore")
+    scratch = Path(tempfile.mkdtemp(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None))
+    tempfile.tempdir = str(scratch)
+    with atheris.instrument_imports(include=_FOLLOWED):
+        from targets import TARGETS
 
-        with tempfile.TemporaryDirectory() as folder:
-            from attack import fault_of, write_input
-            from seeds import TARGETS
+        from attack import Judge, write_input
 
-            target = TARGETS[name]
-            seeds = target.inputs()
-            for seed in seeds:  # loads what is loaded at first use
-                write_input(Path(folder), seed)
-                target.read(Path(folder))
-    hot = next(file for file in seeds[0] if file.startswith(target.hot))
-    corpus, scratch = (Path(tempfile.mkdtemp()) for _ in range(2))
-    for number, seed in enumerate(seeds):
-        (corpus / f"whole{number}").write_bytes(seed[hot])
-    n_inputs = 0
+        target = TARGETS[name]
+        seeds = target.inputs()
+        judge = Judge(target, seeds, scratch)
+    for module in map(importlib.import_module, _FOLLOWED_MODULES):
+        for function in filter(inspect.isfunction, list(vars(module).values())):
+            if function.__module__ == module.__name__:
+                atheris.instrument_func(function)
+    places = [(seed, file) for seed in seeds for file in seed if file.startswith(target.hot)][:256]
+    corpus, dictionary = out / "corpus" / name.replace(" ", "-"), scratch.with_suffix(".words")
+    corpus.mkdir(parents=True, exist_ok=True)
+    for number, (seed, file) in enumerate(places):
+        (corpus / f"whole{number}").write_bytes(bytes([number]) + seed[file])
+    escaped = ["".join(map("\\x{:02x}".format, word)) for word in target.words]
+    dictionary.write_text("".join(f'"{word}"\n' for word in escaped or ["x"]))
 
     def test_one_input(content):
-        nonlocal n_inputs
-        n_inputs += 1
-        folder = scratch / str(n_inputs)
-        write_input(folder, seeds[0] | {hot: content})
-        try:
-            target.read(folder)
-        except Exception as error:
-            if fault := fault_of(error):
-                raise RuntimeError(f"{name}: {fault}") from error
-        finally:
-            for path in sorted(folder.rglob("*"), reverse=True):
-                path.rmdir() if path.is_dir() else path.unlink()
-            folder.rmdir()
+        which, content = content[:1] or b"\0", content[1:]
+        seed, file = places[which[0] % len(places)]
+        files = seed | {file: content}
+        folder = scratch / f"input{judge.sums['inputs']}"  # what readers keep of a file, they keep by its name
+        write_input(folder, files)
+        fault, trace = judge(folder, sum(map(len, files.values())), 0)
+        shutil.rmtree(folder)
+        if fault:
+            raise RuntimeError(f"{name}: {fault}\n{trace}")
 
-    atheris.Setup([sys.argv[0], *words, str(corpus)], test_one_input)
-    atheris.Fuzz()
+    try:
+        atheris.Setup([sys.argv[0], *words, f"-dict={dictionary}", str(corpus)], test_one_input)
+        atheris.Fuzz()
+    finally:
+        shutil.rmtree(scratch)
+        dictionary.unlink()
+
+
+def campaign(name, n_inputs, seconds, out):
+    """One reader in a process of its own: a row of figures, and what was found, if anything."""
+    words = [sys.executable, __file__, "--one", name, "--inputs", str(n_inputs)]
+    words += ["--seconds", str(seconds), "--out", str(out)]
+    env = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    began, used = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    done = subprocess.run(words, capture_output=True, text=True, errors="replace", env=env, check=False)
+    seconds, used = time.monotonic() - began, resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - used
+    said = re.findall(r"^#(\d+)\t(\w+)\s+cov: (\d+)", done.stderr, re.M)
+    if not said:
+        return "", done.stderr[-3000:]
+    last_new = max((int(number) for number, kind, _ in said if kind == "NEW"), default=0)
+    n_done, first, last = int(said[-1][0]), said[0][2], said[-1][2]
+    row = f"| {name} | {n_done:,} | {first} to {last} | {last_new:,} | {n_done / seconds:.0f} | {used:.0f} |"
+    return row, done.stderr[-3000:] if done.returncode else ""
 
 
 def main():
-    from seeds import TARGETS
+    from targets import TARGETS
 
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--inputs", type=int, default=100_000)
-    parser.add_argument("--readers", default=",".join(TARGETS))
+    parser.add_argument("--seconds", type=int, default=0, help="at most so many a reader; 0 for as many as it takes")
+    parser.add_argument("--readers", default=",".join(name for name in TARGETS if name not in NOT_GUIDED))
     parser.add_argument("--out", type=Path, default=Path(".cache/hostile"))
     parser.add_argument("--one", help="used by itself: the reader of this process")
     wanted = parser.parse_args()
-    words = [f"-runs={wanted.inputs}", f"-max_len={_MOST_INPUT_BYTES}", "-timeout=20", "-rss_limit_mb=1024"]
+    words = [f"-runs={wanted.inputs}", f"-max_total_time={wanted.seconds}", f"-max_len={_MOST_INPUT_BYTES}"]
+    words += ["-timeout=20", "-rss_limit_mb=1024"]
     wanted.out.mkdir(parents=True, exist_ok=True)
     if wanted.one:
-        guide(wanted.one, [*words, f"-artifact_prefix={wanted.out}/guided-{wanted.one.replace(' ', '-')}-"])
+        out = wanted.out.resolve()
+        guide(wanted.one, out, [*words, f"-artifact_prefix={out}/guided-{wanted.one.replace(' ', '-')}-"])
     failed = []
+    print("| reader | inputs | branches | last new one at input | inputs/s | processor, s |\n|---|---|---|---|---|---|")
     for name in wanted.readers.split(","):
-        own = [sys.executable, __file__, "--one", name, "--inputs", str(wanted.inputs), "--out", str(wanted.out)]
-        env = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        done = subprocess.run(own, capture_output=True, text=True, env=env, check=False)
-        n_done = re.findall(r"^#(\d+)", done.stderr, re.M) or ["0"]
-        print(f"{name}: {n_done[-1]} inputs, {'no fault' if not done.returncode else done.stderr[-3000:]}", flush=True)
-        failed += [name] * bool(done.returncode)
+        row, finding = campaign(name, wanted.inputs, wanted.seconds, wanted.out)
+        print(row, finding, sep="\n" * bool(finding), flush=True)
+        failed += [name] * bool(finding)
     return 1 if failed else 0
 
 

@@ -1,7 +1,6 @@
-"""What is attacked: each reader with small whole inputs of its own, from which hostile ones are made."""
+"""Readers of scans and recordings that are attacked, each with small whole inputs, from which hostile ones are made."""
 
 import io
-import shutil
 import struct
 import tempfile
 from collections.abc import Callable
@@ -57,7 +56,7 @@ def _recording(name):
     return read
 
 
-def _files(write, *names):
+def files_written(write, *names):
     """What a function writes into a folder, as contents by name."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder))
@@ -203,16 +202,16 @@ def _bag():
     from rosbags.rosbag1 import Writer
 
     kinds = (None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4)
-    found = [_files(lambda folder, kind=kind: _clouds(folder / "a.bag", kind)) for kind in kinds]
+    found = [files_written(lambda folder, kind=kind: _clouds(folder / "a.bag", kind)) for kind in kinds]
     message = [("/packets", 10**9, lambda types: packets_message(types, _packets()[:1]))]
-    return [*found, _files(lambda folder: write_bag(folder / "a.bag", message))]
+    return [*found, files_written(lambda folder: write_bag(folder / "a.bag", message))]
 
 
 def _ros2_bags(name):
     """Folders of a bag, MCAP or SQLite by the name; the second one's chunks are compressed, the third's by lz4."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-    found = [_files(lambda folder: _clouds(folder / name))]
+    found = [files_written(lambda folder: _clouds(folder / name))]
     if "mcap" not in name:
         return found
     for kind in ("ZSTD", "LZ4"):
@@ -226,7 +225,7 @@ def _ros2_bags(name):
                 bag.write(connection, 10**9, types.serialize_cdr(cloud(types, _ROWS), CLOUD))
 
         with suppress(KeyError):
-            found.append(_files(write))
+            found.append(files_written(write))
     return found
 
 
@@ -244,7 +243,7 @@ def _metadata():
 
 
 def _pcap():
-    return [_files(lambda folder: write_pcap(folder / "a.pcap", _packets()))]
+    return [files_written(lambda folder: write_pcap(folder / "a.pcap", _packets()))]
 
 
 def _pcapng():
@@ -263,115 +262,10 @@ def _labels():
     return [scan | {"scan.label": np.arange(5, dtype="<u4").tobytes()}]
 
 
-def _scan_files():
+def scan_files():
     points = np.zeros((5, 4), "<f4")
     points[:, :3] = POINTS
     return {f"{side}/{name}.bin": points.tobytes() for side in ("real", "sim") for name in ("0", "1", "2")}
-
-
-def _label_names():
-    return [{**_scan_files(), "labels.toml": b'# names\n1 = "car"\n4 = "tree"\n40 = \'road\'\n'}]
-
-
-def _manifests():
-    identity = "1 0 0 0 0 1 0 0 0 0 1 0"
-    head = "pair_id,real,sim,timestamp_s,T_real_sim,T_world_sensor\n"
-    rows = "".join(f"{i},real/{i}.bin,sim/{i}.bin,{i}.5,{identity},{identity}\n" for i in range(3))
-    plain = 'pair_id, real, sim\na,real/0.bin,sim/0.bin\n"b, c",real/1.bin#0,real/drive.mcap#/points@1.5\n'
-    return [{**_scan_files(), "pairs.csv": text.encode()} for text in (head + rows, plain)]
-
-
-def _dataset(folder):
-    from fidpipe.pipeline.datasets.pairs import read_dataset
-    from fidpipe.pipeline.datasets.readers.frames import address_of
-    from fidpipe.pipeline.storage.tables import table_name
-
-    dataset = read_dataset(folder)
-    for pair in dataset.pairs:
-        name = table_name("metrics", pair.pair_id)
-        if (folder / name).parent != folder / "metrics" or "\0" in name or len(Path(name).name.encode()) > 200:
-            raise RuntimeError(f"pair {pair.pair_id!r} is written to {name!r}")
-        for path in filter(None, (pair.real, pair.sim)):
-            address_of(path)
-    return dataset
-
-
-def _poses():
-    numbers = "".join(f"{i}.5 1 2 3 0 0 0 1\n" for i in range(3))
-    kitti = "1 0 0 0 0 1 0 0 0 0 1 0\n" * 3
-    scans = _scan_files()
-    return [
-        {**scans, "pose/poses.tum": f"# time\n{numbers}".encode()},
-        {**scans, "pose/poses.txt": kitti.encode(), "pose/calib.txt": b"P0: 1\nTr: 1 0 0 0 0 1 0 0 0 0 1 0\n"},
-        {**scans, "pose/times.txt": b"0.5\n1.5\n2.5\n"},
-    ]
-
-
-def _posed(folder):
-    from fidpipe.pipeline.datasets.pairing import read_timeline
-    from fidpipe.pipeline.datasets.sequences import read_recording
-
-    for path in (folder / "pose").iterdir():
-        shutil.copy(path, folder / "real" / path.name)
-    if (folder / "real" / "times.txt").exists():
-        return read_timeline(folder / "real")
-    return read_recording(folder / "real")
-
-
-def _settings():
-    from fidpipe.schemas.settings import PRESETS, parse
-    from fidpipe.schemas.settings_text import to_toml
-
-    return [{"a.toml": to_toml(parse({"preset": name})).encode()} for name in PRESETS]
-
-
-def _load_settings(folder):
-    from fidpipe.schemas.settings import departures, load
-    from fidpipe.schemas.settings_text import to_toml
-
-    settings = load(folder / "a.toml")
-    return departures(settings), to_toml(settings)
-
-
-def _criteria():
-    one = '[[criterion]]\nname = "structure"\nmeasure = "r_lambda.mean"\nmax = 0.4\nreason = "agreed"\n\n'
-    two = '[[criterion]]\nname = "found"\nmeasure = "match_rate.min"\nmin = 0.5\nmax = 1\nreason = "also"\n'
-    return [{"a.toml": one.encode()}, {"a.toml": (one + two).encode()}]
-
-
-def _read_criteria(folder):
-    from fidpipe.pipeline.results.gate import read_criteria
-
-    return read_criteria(folder / "a.toml")
-
-
-def _run_folder():
-    """A small finished run."""
-    from runs import run
-    from scenes import write_dataset
-
-    def write(folder):
-        run(write_dataset(folder / "data", 1, n=20), folder / "run")
-        shutil.rmtree(folder / "data")
-
-    return [{name: content for name, content in _files(write).items() if not name.endswith(".lock")}]
-
-
-def _open_run(folder):
-    """What a run shows of itself; then its ledger made again from the footers of its tables."""
-    from fidpipe.pipeline.results.finished import FinishedRun, pair_facts, run_facts
-    from fidpipe.pipeline.storage.folder import RunFolder
-    from fidpipe.pipeline.storage.ledger import LEDGER
-
-    try:
-        finished = FinishedRun(folder / "run")
-        run_facts(finished)
-        for row in finished.scored:
-            pair_facts(finished, row["pair_id"])
-    finally:
-        (folder / "run" / LEDGER).unlink()
-        jobs = RunFolder(folder / "run").ledger.jobs("000")
-    return jobs
 
 
 _PLY_WORDS = (
@@ -385,7 +279,7 @@ _PCD_WORDS = (b"COUNT 1 1 1 1000000", b"POINTS 1000000000", b"DATA ascii", b"DAT
 _YAML_WORDS = (b"- &a [*a, *a]\n", b"!!python/object:os.system", b"compression_mode: FILE\n", b"- ../../a.db3\n", b"? ")
 
 #: By name; each reads the file whose name begins with `a.`, or as `hot` says.
-TARGETS = {
+SCANS = {
     "bin": Target(_raw("a.bin", 4), _scan("a.bin")),
     "pcd.bin": Target(_raw("a.pcd.bin", 5), _scan("a.pcd.bin")),
     "npy": Target(_npy, _scan("a.npy"), words=(b"'O'", b"'|V0'", b"'M8[s]'", b"(5,)<f4", b"'fortran_order': True")),
@@ -402,10 +296,4 @@ TARGETS = {
     "pcap": Target(_pcap, _recording("a.pcap")),
     "pcapng": Target(_pcapng, _recording("a.pcapng")),
     "label": Target(_labels, _scan("scan.bin"), hot="scan.label"),
-    "labels.toml": Target(_label_names, _dataset, hot="labels", words=(b'"\\ud800"', b"1.5 = ", b"[a.b]", b"[[1]]")),
-    "pairs.csv": Target(_manifests, _dataset, hot="pairs", words=(b"real/../../x", b"#/points@1", b"pair_id", b"CON")),
-    "poses and times": Target(_poses, _posed, hot="pose/", words=(b"Tr: ", b"#", b"1_0", b"nan")),
-    "settings": Target(_settings, _load_settings, words=(b"[a]\n", b"preset = 5\n", b"[[graph]]\n", b"graph = 1\n")),
-    "run folder": Target(_run_folder, _open_run, hot="run/", words=(b"../", b"metrics/000.parquet", b"null", b"[]")),
-    "criteria": Target(_criteria, _read_criteria, words=(b"[[criterion]]\n", b"[criterion]\n", b"max = nan\n")),
 }

@@ -90,6 +90,18 @@ def frames(address: Address) -> list[Path]:
     return [named.at(time_ns) for time_ns in _times_ns(address.file, _marks(address.file), topic)]
 
 
+def topics(file: Path) -> list[str]:
+    """The topics of a bag, of whatever messages.
+
+    Raises
+    ------
+    ScanError
+        It is no whole bag.
+    """
+    with _opened(file) as bag:
+        return [connection.topic for connection in bag.connections]
+
+
 @contextmanager
 def _opened(file: Path) -> Iterator[Any]:
     """The bag's reader; what it raises on a broken bag becomes a `ScanError`."""

@@ -154,8 +154,9 @@ def refused_unless(path: Path, wanted: str) -> Iterator[None]:
         yield
     except (ScanError, ModuleNotFoundError):
         raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno is not None:
+    except BaseException as error:
+        is_panic = type(error).__name__ == "PanicException"  # of a library in Rust; pyo3 makes it no Exception
+        if not (isinstance(error, Exception) or is_panic) or (isinstance(error, OSError) and error.errno is not None):
             raise
         raise ScanError(f"{path}: not {wanted} ({cause_of(error)})") from error
 
