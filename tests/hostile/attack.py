@@ -89,6 +89,8 @@ class Watch:
             self.seen += [f"{event} {values[0]!r}"] * self._is_outside(os.fsdecode(values[0]))
 
     def _is_outside(self, name):
+        if name == "<string>":  # Python from 3.13 on looks there for the text of a SyntaxError
+            return False
         return not os.path.normpath(Path.cwd() / name).startswith(self.folder)
 
     @contextlib.contextmanager

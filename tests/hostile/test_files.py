@@ -7,6 +7,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -283,7 +284,7 @@ def test_a_chunk_that_unpacks_to_very_much_is_refused(tmp_path, narrow, name, ki
 
 def test_a_bag_s_database_runs_nothing_of_its_own(tmp_path):
     path = written(tmp_path, "a.db3", whole("db3"))
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         db.executescript(
             "DROP TABLE message_definitions; CREATE VIEW message_definitions AS WITH RECURSIVE n(i) AS "
             "(SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id, 'a' AS topic_type, 'ros2msg' AS encoding, "
@@ -297,7 +298,7 @@ def test_a_bag_s_database_runs_nothing_of_its_own(tmp_path):
 @pytest.mark.parametrize("time", ["NULL", "'soon'", "-1", "1.5"])
 def test_a_frame_of_a_bag_without_a_time_is_refused(tmp_path, time):
     path = written(tmp_path, "a.db3", whole("db3"))
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         db.executescript(
             "ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id, topic_id, timestamp, data);"
             f"INSERT INTO messages SELECT id, topic_id, {time}, data FROM old;"
@@ -318,7 +319,7 @@ def test_a_message_is_one_line_whatever_a_topic_is_called(tmp_path):
 
 def test_a_column_of_a_bag_that_makes_its_own_values_takes_no_memory(tmp_path):
     path = written(tmp_path, "a.db3", whole("db3"))
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         db.executescript(
             "ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, "
             "timestamp INTEGER, data BLOB AS (zeroblob(1000000000)));"

@@ -4,6 +4,7 @@ import io
 import json
 import shutil
 import sqlite3
+from contextlib import closing
 from dataclasses import asdict, replace
 
 import orjson
@@ -31,14 +32,14 @@ ESCAPE = "\x1b]0;owned\x07\x1b[2J\u202eevil\x9b31m"
 
 
 def ledger_entries(folder, pair_id):
-    with sqlite3.connect(folder / LEDGER) as db:
+    with closing(sqlite3.connect(folder / LEDGER)) as db, db:
         return orjson.loads(db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()[0])
 
 
 def forged(folder, pair_id, entries):
     """Puts entries into a ledger with the hash that belongs to them."""
     entry = orjson.dumps(entries)
-    with sqlite3.connect(folder / LEDGER) as db:
+    with closing(sqlite3.connect(folder / LEDGER)) as db, db:
         db.execute("INSERT OR REPLACE INTO jobs VALUES (?, ?, ?)", (pair_id, entry, _hash(entry)))
 
 
@@ -78,10 +79,10 @@ def test_an_entry_of_another_shape_is_not_believed(again, content):
 
 
 def test_what_a_ledger_itself_would_run_is_not_run(again, dataset):
-    with sqlite3.connect(again / LEDGER) as db:
+    with closing(sqlite3.connect(again / LEDGER)) as db, db:
         db.execute("CREATE TRIGGER evil AFTER INSERT ON state BEGIN DELETE FROM jobs; END")
     assert not run(dataset, again).failures
-    with sqlite3.connect(again / LEDGER) as db:
+    with closing(sqlite3.connect(again / LEDGER)) as db, db:
         assert db.execute("SELECT count(*) FROM sqlite_master WHERE type = 'trigger'").fetchone() == (0,)
 
 
