@@ -214,19 +214,6 @@ def canonical(labels: Sequence[int]) -> list[int]:
     return [new[node] for node in range(len(labels))]
 
 
-def nearest_real(real: FloatArray, place: FloatArray) -> tuple[int, float]:
-    """The real point that is nearest to a place, of equally near ones the first by x, y, z, and its distance.
-
-    Parameters
-    ----------
-    real, place : (n, 3), (3,) float64, metres
-    """
-    apart = distances(real, place)
-    closest = np.flatnonzero(apart == apart.min()).tolist()
-    first = min(closest, key=lambda j: real[j].tolist())
-    return first, float(apart[first])
-
-
 @dataclass(frozen=True)
 class Description:
     """What some points look like: number, centroid (3,), range, extent (3,), linearity, planarity, scattering."""
@@ -305,11 +292,6 @@ def influence(L: FloatArray, t: float) -> FloatArray:
     """
     sums: FloatArray = scipy.linalg.expm(-t * L).sum(axis=1)
     return sums
-
-
-def most_influential(scores: Sequence[float], n_keep: int) -> list[int]:
-    """The nodes of largest influence, ties by node."""
-    return sorted(range(len(scores)), key=lambda i: (-scores[i], i))[:n_keep]
 
 
 def least_total(cost: FloatArray) -> float:
