@@ -1,6 +1,5 @@
 """A sample of a finished run is computed again, and what does not agree is named."""
 
-import hashlib
 import io
 import json
 import os
@@ -18,14 +17,12 @@ from fidpipe.pipeline.report.terminal.verify import verify_view
 from fidpipe.pipeline.results.verify import verify
 from fidpipe.pipeline.results.verify.comparisons import NOT_COMPARED, Comparisons, Place
 from fidpipe.pipeline.results.verify.verify import verify_run
-from fidpipe.pipeline.storage.folder import RunFolder
-from fidpipe.pipeline.storage.tables import StoredFile
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
 from fidpipe.stages.literal import method
-from runs import command, contents, run
+from runs import command, contents, rewrite, run
 from scenes import write_dataset
 
 SMALL = ["matching.delta_m=20"]  # the objects of so small a street are matched all the same
@@ -68,24 +65,6 @@ def forge(folder, name, column, change):
         return rows.set_column(i, rows.schema.field(i), pa.array(values, rows.schema.field(i).type))
 
     rewrite(folder, name, edit)
-
-
-def rewrite(folder, name, change):
-    """Changes a table so that file, footer and ledger agree."""
-    store = RunFolder(folder)
-    with store.locked():
-        record = store.ledger.job_of_file(name)
-        rows = change(pq.read_table(folder / name, partitioning=None))
-        content = pa.BufferOutputStream()
-        footer = pq.read_metadata(folder / name).metadata
-        with pq.ParquetWriter(content, rows.schema, store_schema=False, write_page_checksum=True) as writer:
-            writer.write_table(rows)
-            writer.add_key_value_metadata({key: value for key, value in footer.items() if key.startswith(b"fidpipe.")})
-        (folder / name).write_bytes(content.getvalue())
-        status = (folder / name).stat()
-        digest = hashlib.sha256(content.getvalue()).hexdigest()
-        record.files[name] = StoredFile(status.st_size, digest, status.st_mtime_ns, status.st_ctime_ns)
-        store.ledger.put_job(record)
 
 
 def another(values, *, is_text=False):

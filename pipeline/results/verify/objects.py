@@ -10,8 +10,10 @@ from scipy.spatial.distance import cdist
 
 from ....schemas.columns import SIDES, Row
 from ....schemas.metrics import BASELINES, METRIC, OBJECT_METRICS
+from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray
 from ....stages.literal import baselines, method
+from ..finished import FinishedRun
 from .comparisons import INFLUENCE, LENGTH_M, ROUNDING, SPECTRUM, Comparisons, Place, point_names
 from .stored import StoredPair, object_name
 
@@ -225,6 +227,47 @@ def _compare_baseline_names(pair: StoredPair, comparisons: Comparisons) -> None:
     rows = pair.rows("baselines")
     units = [METRIC[row["baseline"]].unit or "" for row in rows]
     comparisons.compare(pair.place("baselines"), "unit", [row["unit"] or "" for row in rows], units)
+
+
+def check_unmatched(run: FinishedRun, settings: Settings, place: Place, comparisons: Comparisons) -> None:
+    """How many objects that one side alone has are there on the other, partly, or absent, and how many are road."""
+    made = {alone: dict.fromkeys(("there", "partly", "absent", "road"), 0) for alone in _ALONE.values()}
+    for own in run.scored:
+        rows = run.read_table("coverage", own["pair_id"]).to_pylist()
+        coverage = {(row["side"], row["community_id"]): row for row in rows}
+        for match in run.read_table("matching", own["pair_id"]).to_pylist():
+            for side, alone in _ALONE.items():
+                if match["status"] == alone:
+                    row = coverage[side, match[f"{side}_id"]]
+                    share = row["covered_0p3m"]
+                    made[alone]["there" if share > 0.8 else "partly" if share > 0.2 else "absent"] += 1
+                    made[alone]["road"] += (row["road_share"] or 0) > 0.5
+    for alone, counts in made.items():
+        stored = getattr(run.record.metrics.unmatched, alone) if run.record.metrics else None
+        for state, n in counts.items():
+            if (kept := getattr(stored, state, None)) is not None:  # an older fidpipe did not count road
+                comparisons.compare(place, f"metrics.unmatched.{alone}.{state}", kept, n)
+
+
+def check_baseline_means(run: FinishedRun, settings: Settings, place: Place, comparisons: Comparisons) -> None:
+    """Means and deviations over pairs of the distances of others, of objects and of whole scans."""
+    of_pairs: dict[tuple[str, str], list[list[float | None]]] = {}
+    for own in run.scored if settings.metrics.baselines else []:
+        of_pair: dict[tuple[str, str], list[float | None]] = {}
+        for row in run.read_table("baselines", own["pair_id"]).to_pylist():
+            level = "scans" if row["real_id"] is None else "objects"
+            of_pair.setdefault((row["baseline"], level), []).append(row["value"])
+        for name, values in of_pair.items():
+            of_pairs.setdefault(name, []).append(values)
+    stored = {(summary.baseline, summary.level): summary for summary in run.record.baselines}
+    comparisons.compare(place, "baselines", [*map(str, sorted(stored))], [*map(str, sorted(of_pairs))])
+    for name, pairs in of_pairs.items():
+        mean, std = method.mean_and_std([method.mean_and_std(values)[0] for values in pairs])
+        n_null = sum(values.count(None) for values in pairs)
+        made = {"mean": mean, "std": std, "n": sum(map(len, pairs)) - n_null, "n_null": n_null}
+        for column, value in made.items():
+            kept = getattr(stored[name], column)
+            comparisons.compare(place, f"{name[0]}, {name[1]}, {column}", kept, value, tolerance=SPECTRUM)
 
 
 def check_seeds(pair: StoredPair, comparisons: Comparisons) -> None:

@@ -142,7 +142,7 @@ def verify_run(
         _compare_pair(run, pair_id, settings, chosen, scan_pair, scans.label_names, comparisons)
         if pair_done:
             pair_done(i + 1, len(drawn))
-    _compare_summary(run, comparisons)
+    _compare_summary(run, settings, comparisons)
     not_compared = [*comparisons.not_compared, *scans.faults]
     of_pairs = [table for stage in wanted_stages(settings) for table in stage.gives]
     tables = [*of_pairs, "pairs", "timings"] if drawn else []
@@ -165,7 +165,7 @@ def verify_run(
             *not_compared,
             "which communities the graph falls into: another Louvain finds others; their order, sizes, places and "
             "shapes are compared",
-            "findings, overview, and what is said of baselines and of other seeds over pairs",
+            "findings, overview, and the spread over other seeds",
             *(f"{name}: {why}" for name, why in NOT_COMPARED.items() if name.partition(".")[0] in tables),
         ),
         unknown=tuple(
@@ -273,9 +273,14 @@ def _draw(counts: list[tuple[str, int]], numbers: np.ndarray[tuple[int], np.dtyp
     return drawn
 
 
-def _compare_summary(run: FinishedRun, comparisons: Comparisons) -> None:
-    """Compares means and counts of `run.json` with the rows of `pairs`."""
+def _compare_summary(run: FinishedRun, settings: Settings, comparisons: Comparisons) -> None:
+    """Compares means and counts of `run.json` with the rows of `pairs` and of the tables of all pairs."""
     place, scored = Place("run.json", ""), run.scored
+    for check in (objects.check_unmatched, objects.check_baseline_means):
+        try:
+            check(run, settings, place, comparisons)
+        except (RunError, LookupError, TypeError) as error:  # a damaged table, which is named already
+            comparisons.leave_out(f"what run.json says of it: {error}")
     counts = run.record.pairs
     comparisons.compare(place, "pairs.scored", counts.scored, len(scored))
     comparisons.compare(place, "pairs.failed", counts.failed, len(run.rows) - len(scored))
