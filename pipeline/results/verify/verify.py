@@ -128,6 +128,7 @@ def verify_run(
     settings = parse({group: own for group, own in run.record.settings.items() if group in Settings.model_fields})
     comparisons, rng = Comparisons(), np.random.default_rng(seed)
     _compare_files(run, comparisons)
+    _compare_pair_names(run, comparisons)
     counts = [(row["pair_id"], _n_rows(run, row["pair_id"])) for row in run.scored]
     total = sum(n for _, n in counts)
     n_drawn = total if n_objects is None else min(n_objects, total)
@@ -220,6 +221,20 @@ def _compare_files(run: FinishedRun, comparisons: Comparisons) -> None:
                 except OSError as error:
                     found = f"cannot be read ({error.strerror})"
                 comparisons.compare(Place("files", pair_id), f"SHA-256 of {name}", stored.sha256, found)
+
+
+def _compare_pair_names(run: FinishedRun, comparisons: Comparisons) -> None:
+    """Notes rows of `pairs` out of order, scored pairs without results or the reverse, and failed ones with scores."""
+    place, names = Place("pairs", ""), [row["pair_id"] for row in run.rows]
+    comparisons.compare(place, "pair_id", names, sorted(set(names)))
+    with_scores = sorted(name for name in run.store.ledger.pair_ids() if ("metrics", "") in run.store.ledger.jobs(name))
+    comparisons.compare(place, "pair_id of scored pairs", [row["pair_id"] for row in run.scored], with_scores)
+    for row in run.rows:
+        if row["status"] != "scored":
+            own = Place("pairs", row["pair_id"])
+            told = {name for name, value in row.items() if value is not None}
+            comparisons.compare(own, "status", row["status"], "failed")
+            comparisons.compare(own, "columns of a failed pair", sorted(told), ["pair_id", "reason", "status"])
 
 
 def _compare_pair(
