@@ -16,6 +16,8 @@ LENGTH_M = 1e-9
 SPECTRUM = 1e-9
 #: Influence is rounded to 1e-9: two roundings may be one step apart.
 INFLUENCE = 1.5e-9
+#: Louvain's method computes in single precision.
+MODULARITY = 1e-5
 #: What two ways to an influence may differ by, absolute and relative.
 ROUNDING = 1e-11
 _RELATIVE = 1e-12
