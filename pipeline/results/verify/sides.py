@@ -35,7 +35,7 @@ def check_rows(pair: StoredPair, comparisons: Comparisons) -> None:
     for table, side in pair.tables:
         stored, place = pair.columns(table, side), pair.place("rows", side)
         for name, own in {"pair_id": pair.pair_id, "side": side}.items() if side else [("pair_id", pair.pair_id)]:
-            n_others = sum(value != own for value in stored[name].tolist())
+            n_others = int(np.count_nonzero(stored[name] != own))
             comparisons.compare(place, f"{name} of {table}, others", n_others, 0, covers=[f"{table}.{name}"])
         n_rows = len(stored["pair_id"])
         is_after, is_same = np.zeros(max(0, n_rows - 1), dtype=bool), np.ones(max(0, n_rows - 1), dtype=bool)
