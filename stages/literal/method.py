@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg
+from scipy import sparse
 from scipy.optimize import linear_sum_assignment
 
 from ..arrays import BoolArray, FloatArray, IndexArray
@@ -217,6 +218,25 @@ def modularity(A: FloatArray, labels: FloatArray) -> float:
     k, two_m = A.sum(axis=1), A.sum()
     same = np.equal.outer(labels, labels)
     return float(((A - np.outer(k, k) / two_m) * same).sum() / two_m)
+
+
+def louvain(n_nodes: int, src: IndexArray, dst: IndexArray, length_m: FloatArray, order: IndexArray) -> list[int]:
+    """The community of each node that scikit-network's Louvain finds when it visits the nodes in an order.
+
+    Parameters
+    ----------
+    src, dst, length_m : (m,) both ends of each edge by node, and its length
+    order : (n,) the nodes, first visited first
+    """
+    from sknetwork.clustering import Louvain
+
+    place = np.argsort(order)
+    ends = np.concatenate([place[src], place[dst]]), np.concatenate([place[dst], place[src]])
+    A = sparse.coo_matrix((np.concatenate([length_m, length_m]), ends), shape=(n_nodes, n_nodes)).tocsr()
+    A.eliminate_zeros()
+    found = Louvain(resolution=1, tol_optimization=1e-3, tol_aggregation=1e-7, shuffle_nodes=False).fit_predict(A)
+    labels: list[int] = found[place].tolist()
+    return labels
 
 
 def best_joining(labels: IndexArray, src: IndexArray, dst: IndexArray, length_m: FloatArray) -> float:

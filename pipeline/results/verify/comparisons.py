@@ -30,7 +30,7 @@ WORDS = {
     "scan": "points kept of the scan, and where they lie",
     "ground": "cut, heights, flags of all points",
     "graph": "all edge lengths; all edges of drawn nodes",
-    "communities": "numbering; reference: nearest real points",
+    "communities": "Louvain again; numbering; reference: nearest real points",
     "objects": "sizes; place and shape of drawn objects",
     "matching": "which objects match, and how far apart",
     "coverage": "drawn objects, from all distances",
@@ -156,10 +156,10 @@ class Comparisons:
             name = column if rows is None else f"{column} of {rows[i]}"
             self._note(tally, place, name, a[i], b[i])
 
-    def refuse(self, place: Place, why: str) -> None:
+    def refuse(self, place: Place, why: str, columns: Collection[str] = ()) -> None:
         """Notes that a table is not one that anything can be computed from."""
         self._note(self._tallies.setdefault(place.table, _Tally()), place, "the table", "cannot be computed with", why)
-        self.excuse([_TABLE_OF.get(place.table, place.table)])
+        self.excuse([_TABLE_OF.get(place.table, place.table), *columns])
 
     def leave_out(self, what: str, columns: Collection[str] = ()) -> None:
         """Notes what was not compared, and for which columns, `table.column` or `table`, that is the reason."""

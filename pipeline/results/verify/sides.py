@@ -181,35 +181,84 @@ def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
 
 
 def check_communities(pair: StoredPair, comparisons: Comparisons) -> None:
-    """Every object point has an object; these are numbered as agreed; reference objects go to the nearest points."""
-    settings, real = pair.settings.communities, pair.sides["real"]
+    """That every object point has the object that Louvain's method, or the nearest real point, gives it."""
+    settings = pair.settings.communities
     is_reference = settings.objects == "reference"
     for side, own in pair.sides.items():
-        place, labels = pair.place("communities", side), own.labels
+        place = pair.place("communities", side)
         comparisons.compare(place, "point_id", pair.columns("communities", side)["point_id"], own.point_ids)
-        if not (is_reference and side == "sim"):
-            order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(len(labels)))
-            numbered = np.empty(len(labels), dtype=np.intp)
-            numbered[order] = method.canonical(labels[order].tolist())
-            comparisons.compare(place, "community_id", labels, numbered, rows=point_names(own.point_ids))
-            if own.edges[2].any() and (not is_reference or settings.reference == "louvain"):
-                gain = max(0.0, method.best_joining(labels, *own.edges))
-                what = "modularity gained by joining two communities"
-                comparisons.compare(place, what, gain, 0.0, tolerance=MODULARITY)
+        if is_reference and side == "sim":
+            _compare_reference(pair, own, comparisons)
             continue
-        n_real, sizes = int(real.labels.max()) + 1, np.bincount(labels)
-        alone = np.flatnonzero(labels >= n_real)
-        alone = alone[surfaces.visiting_order(own.points[alone], settings.seed)]
-        numbered = n_real + np.array(method.canonical(labels[alone].tolist()), dtype=np.intp)
-        comparisons.compare(place, "community_id", labels[alone], numbered, rows=point_names(own.point_ids[alone]))
-        for community in pair.drawn_ids(side):
-            for i in own.members(community).tolist():
-                apart = method.distances(real.points, own.points[i])
-                near = real.labels[apart <= apart.min() * (1 + 1e-12)]  # of several, if equally near but for rounding
-                is_alone = community >= n_real and sizes[community] >= settings.min_points
-                is_right = community in near or (is_alone and apart.min() > settings.reach_m)
-                name = f"community_id of point {own.point_ids[i]}"
-                comparisons.compare(place, name, community, community if is_right else int(near[0]))
+        order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(len(own.points)))
+        made = _canonical(own.labels, order)
+        comparisons.compare(place, "community_id", own.labels, made, rows=point_names(own.point_ids))
+        if is_reference and settings.reference != "louvain":
+            comparisons.leave_out(f"which points are one object by their {settings.reference}")
+            continue
+        if own.edges[2].any():
+            gain = max(0.0, method.best_joining(own.labels, *own.edges))
+            comparisons.compare(place, "modularity gained by joining two communities", gain, 0.0, tolerance=MODULARITY)
+        visits = order if is_reference else np.random.RandomState(settings.seed).permutation(len(own.points))
+        found = _louvain(pair, own.edges, visits, comparisons)
+        if found is not None:
+            names = point_names(own.point_ids)
+            comparisons.compare(place, "community_id", own.labels, _canonical(found, order), rows=names)
+
+
+def _compare_reference(pair: StoredPair, own: StoredSide, comparisons: Comparisons) -> None:
+    """Whether simulated points have the object of the nearest real point, or, out of reach, one of their own."""
+    settings, real, labels = pair.settings.communities, pair.sides["real"], own.labels
+    n_real, place, ids = int(real.labels.max()) + 1, pair.place("communities", own.side), own.point_ids
+    sizes = np.bincount(labels)
+    for community in pair.drawn_ids(own.side):
+        for i in own.members(community).tolist():
+            apart = method.distances(real.points, own.points[i])
+            near = real.labels[apart <= apart.min() * (1 + 1e-12)]  # of several, if equally near but for rounding
+            is_alone = community >= n_real and sizes[community] >= settings.min_points
+            is_right = community in near or (is_alone and apart.min() > settings.reach_m)
+            name = f"community_id of point {ids[i]}"
+            comparisons.compare(place, name, community, community if is_right else int(near[0]))
+    alone = np.flatnonzero(labels >= n_real)
+    numbered = n_real + _canonical(labels[alone], np.array(surfaces.visiting_order(own.points[alone], settings.seed)))
+    comparisons.compare(place, "community_id", labels[alone], numbered, rows=point_names(ids[alone]))
+    if not pair.drawn.whole_sides:
+        return
+    outside = np.flatnonzero(method.nearest_distances(own.points, real.points) > settings.reach_m)
+    index_of = np.full(len(labels), -1)
+    index_of[outside] = np.arange(len(outside))
+    src, dst, length_m = own.edges
+    among = (index_of[src] >= 0) & (index_of[dst] >= 0)
+    order = np.array(surfaces.visiting_order(own.points[outside], settings.seed), dtype=np.intp)
+    groups = _louvain(pair, (index_of[src[among]], index_of[dst[among]], length_m[among]), order, comparisons)
+    if groups is None:
+        return
+    groups = _canonical(groups, order)
+    is_object = np.bincount(groups)[groups] >= settings.min_points
+    made, stored = (np.full(len(labels), "of a real object", dtype=object) for _ in range(2))
+    made[outside[is_object]] = [f"{n_real + group}" for group in groups[is_object]]
+    stored[alone] = [f"{label}" for label in labels[alone]]
+    comparisons.compare(place, "community_id", stored, made, rows=point_names(ids))
+
+
+def _louvain(
+    pair: StoredPair, edges: tuple[IndexArray, IndexArray, FloatArray], order: IndexArray, comparisons: Comparisons
+) -> IndexArray | None:
+    """What Louvain's method makes of a graph; None where another library, or version of it, was used in the run."""
+    if pair.settings.communities.backend != "scikit-network" or not pair.has_same_library("scikit-network"):
+        comparisons.leave_out("communities of a graph by another Louvain than that of the installed scikit-network")
+        return None
+    if not edges[2].any():
+        comparisons.leave_out("the pieces of a graph without lengths")
+        return None
+    return np.array(method.louvain(len(order), *edges, order))
+
+
+def _canonical(labels: IndexArray, order: IndexArray) -> IndexArray:
+    """The same partition, numbered by size and then by the first of its points in an order."""
+    numbered = np.empty(len(labels), dtype=np.intp)
+    numbered[order] = method.canonical(labels[order].tolist())
+    return numbered
 
 
 def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:

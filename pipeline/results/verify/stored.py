@@ -16,6 +16,7 @@ from ....stages.literal import method
 from ...datasets.pairs import ScanPair
 from ...jobs import EXTRAS, STAGES
 from ...stage import Stage
+from ...storage.record import library_versions
 from ..finished import FinishedRun
 from .comparisons import Place
 
@@ -114,14 +115,18 @@ class StoredPair:
 
     @property
     def tables(self) -> list[tuple[str, str]]:
-        """The tables of the pair that the run's settings ask for, each with its side, "" where it has both."""
-        return [
-            (table, side) for stage in wanted_stages(self.settings) for side in stage.parts for table in stage.gives
-        ]
+        """The tables of the pair that today's stages have made, each with its side, "" where it has both."""
+        versions, stages = self._run.record.stages, wanted_stages(self.settings)
+        stages = [stage for stage in stages if versions.get(stage.name, stage.version) == stage.version]
+        return [(table, side) for stage in stages for side in stage.parts for table in stage.gives]
 
     def n_objects(self, side: str) -> int:
         """How many objects `objects` has of a side."""
         return len(self.columns("objects", side)["community_id"])
+
+    def has_same_library(self, name: str) -> bool:
+        """Whether the installed version of a library is that of the run."""
+        return self._run.record.libraries.get(name) == library_versions([name])[name]
 
     def facts(self, stage: str, side: str = "") -> dict[str, Any]:
         """What the job of a stage noted."""

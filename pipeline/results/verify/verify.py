@@ -51,6 +51,13 @@ _CHECKS: dict[str, Callable[[StoredPair, Comparisons], None]] = {
 }
 #: The stage that makes a table, where it has another name.
 _STAGE_OF = {"scan": "ground", "objects": "communities", "pairs": "metrics"}
+#: The columns of `pairs` that the check of another table compares, by how they begin.
+_IN_PAIRS = {
+    "scan": ("n_real_raw", "n_sim_raw"),
+    "ground": ("ground_", "n_real_", "n_sim_"),
+    "coverage": ("covered_",),
+    "surface": ("shift_", "roughness_"),
+}
 _VERSIONS = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
 
 PairDone = Callable[[int, int], None]
@@ -164,8 +171,6 @@ def verify_run(
         mismatches=comparisons.mismatches,
         not_compared=(
             *not_compared,
-            "which communities the graph falls into: another Louvain finds others; their order, sizes, places and "
-            "shapes are compared",
             "findings, overview, and the spread over other seeds",
             *(f"{name}: {why}" for name, why in NOT_COMPARED.items() if name.partition(".")[0] in tables),
         ),
@@ -250,20 +255,29 @@ def _compare_pair(
     pair = StoredPair(run, pair_id, settings, drawn, scans, label_names)
     for table, check in _CHECKS.items():
         stage = _STAGE_OF.get(table, table)
+        columns = _columns_of(table, pair)
         now = _VERSIONS.get(stage)  # the check of all tables has none
         version = run.record.stages.get(stage, now)
         if version != now:
-            comparisons.leave_out(f"{table} of version {version} of its stage, which is {now} now", [table])
+            comparisons.leave_out(f"{table} of version {version} of its stage, which is {now} now", columns)
             continue
         try:
             check(pair, comparisons)
         except RunError as error:
             if any(one.table == "files" for one in comparisons.mismatches):  # which is named already
-                comparisons.leave_out(f"{table} of a pair with a damaged file", [table])
+                comparisons.leave_out(f"{table} of a pair with a damaged file", columns)
             else:
-                comparisons.refuse(Place(table, pair_id), str(error))
+                comparisons.refuse(Place(table, pair_id), str(error), columns)
         except (FidpipeError, LookupError, ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
-            comparisons.refuse(Place(table, pair_id), str(error))
+            comparisons.refuse(Place(table, pair_id), str(error), columns)
+
+
+def _columns_of(table: str, pair: StoredPair) -> list[str]:
+    """The columns, or the whole table, that nothing compares where the check of a table could not be done."""
+    if table == "rows":
+        return [f"{own}.{name}" for own, _ in pair.tables for name in ("pair_id", "side")]
+    prefixes = _IN_PAIRS.get(table, ())
+    return [table, *(f"pairs.{name}" for name in TABLES["pairs"].schema.names if name.startswith(prefixes))]
 
 
 def _n_rows(run: FinishedRun, pair_id: str) -> int:
@@ -291,11 +305,11 @@ def _draw(counts: list[tuple[str, int]], numbers: np.ndarray[tuple[int], np.dtyp
 def _compare_summary(run: FinishedRun, settings: Settings, comparisons: Comparisons) -> None:
     """Compares means and counts of `run.json` with the rows of `pairs` and of the tables of all pairs."""
     place, scored = Place("run.json", ""), run.scored
-    for check in (objects.check_unmatched, objects.check_baseline_means):
+    for what, check in (("unmatched objects", objects.check_unmatched), ("baselines", objects.check_baseline_means)):
         try:
             check(run, settings, place, comparisons)
-        except (RunError, LookupError, TypeError) as error:  # a damaged table, which is named already
-            comparisons.leave_out(f"what run.json says of it: {error}")
+        except (RunError, LookupError, TypeError) as error:  # of another version, or damaged, which is named already
+            comparisons.leave_out(f"what run.json says of {what}: {error}")
     counts = run.record.pairs
     comparisons.compare(place, "pairs.scored", counts.scored, len(scored))
     comparisons.compare(place, "pairs.failed", counts.failed, len(run.rows) - len(scored))
