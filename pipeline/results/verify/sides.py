@@ -220,7 +220,8 @@ def _compare_reference(pair: StoredPair, own: StoredSide, comparisons: Compariso
             name = f"community_id of point {ids[i]}"
             comparisons.compare(place, name, community, community if is_right else int(near[0]))
     alone = np.flatnonzero(labels >= n_real)
-    numbered = n_real + _canonical(labels[alone], np.array(surfaces.visiting_order(own.points[alone], settings.seed)))
+    order = np.array(surfaces.visiting_order(own.points[alone], settings.seed), dtype=np.intp)
+    numbered = n_real + _canonical(labels[alone], order)
     comparisons.compare(place, "community_id", labels[alone], numbered, rows=point_names(ids[alone]))
     if not pair.drawn.whole_sides:
         return
