@@ -107,15 +107,14 @@ def verdict(mutant, data):
     with tempfile.TemporaryDirectory() as folder:
         package = Path(folder) / "fidpipe"
         for part in ("pipeline", "schemas", "stages"):
-            shutil.copytree(ROOT / part, package / part, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(ROOT / part, package / part)
         shutil.copy(ROOT / "__init__.py", package)
         if mutant:
             path = package / "stages" / f"{mutant[0]}.py"
-            text = path.read_text()
-            assert mutant[1] in text and mutant[1] != mutant[2], mutant
-            path.write_text(text.replace(mutant[1], mutant[2]))
-        env = os.environ | {"PYTHONPATH": f"{folder}:{Path(__file__).parent}", "OPENBLAS_NUM_THREADS": "1"}
-        words = [sys.executable, "-B", __file__, "--one", str(data), folder]
+            assert mutant[1] in path.read_text(), mutant
+            path.write_text(path.read_text().replace(mutant[1], mutant[2]))
+        env = os.environ | {"PYTHONPATH": f"{folder}:{Path(__file__).parent}", "PYTHONPYCACHEPREFIX": folder}
+        words = [sys.executable, __file__, "--one", str(data), folder]
         ended = subprocess.run(words, capture_output=True, text=True, check=False, env=env)
         return ended.stdout.strip() if not ended.returncode else f"ended with: {ended.stderr.strip().splitlines()[-1]}"
 

@@ -9,6 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from sknetwork.clustering import Louvain
 
 from fidpipe.pipeline.results.verify.verify import verify_run
 from fidpipe.schemas.metrics import OBJECT_METRICS
@@ -316,6 +317,31 @@ def test_a_match_that_is_removed_from_every_table_is_found(forged):
 
     edit(forged, PAIRS, count)
     assert "matching" in {mismatch.table for mismatch in verify_run(forged, None).mismatches}
+
+
+def test_points_of_another_object_of_the_reference_are_found(honest, tmp_path):
+    run(honest.parent / "data", tmp_path / "run", load(None, preset="reference"))
+    groups = pq.read_table(tmp_path / "run/communities/a.sim.parquet").column("community_id").to_numpy()
+    assert groups.max() > 1
+    for i, old in enumerate((0, groups.max())):
+        forged = shutil.copytree(tmp_path / "run", tmp_path / f"forged-{i}")
+
+        def move(frame, old=old):
+            row = frame.index[frame.community_id == old][-1]
+            frame.loc[row, "community_id"] = 1
+
+        edit(forged, "communities/a.sim.parquet", move)
+        assert "communities" in {mismatch.table for mismatch in verify_run(forged, None).mismatches}
+
+
+def test_communities_of_another_resolution_are_found_though_their_numbers_are_in_order(honest, tmp_path, monkeypatch):
+    """As if the stage called its library with another parameter."""
+    find = Louvain.__init__
+    monkeypatch.setattr(Louvain, "__init__", lambda own, **options: find(own, **options | {"resolution": 0.8}))
+    run(honest.parent / "data", tmp_path / "run", load(None, WORDS))
+    monkeypatch.undo()
+    wrong = {mismatch.table for mismatch in verify_run(tmp_path / "run", None).mismatches}
+    assert wrong == {"communities"}
 
 
 def test_a_score_that_is_wrong_in_every_table_is_found_by_its_objects(forged):
