@@ -41,7 +41,6 @@ MUTANTS = (
     ("graph", "nearest[:, 1 : k + 1]", "nearest[:, 2 : k + 2]"),
     ("communities", "np.lexsort((first, -size))", "np.lexsort((-first, -size))"),
     ("communities", "return shuffled[place]", "return shuffled[order]"),
-    ("communities", "resolution=1", "resolution=3"),
     ("communities", "resolution=1", "resolution=0.9"),
     ("communities", "np.random.RandomState(seed)", "np.random.RandomState(seed + 1)"),
     ("objects", "own.mean(axis=0)", "np.median(own, axis=0)"),
@@ -87,7 +86,6 @@ def write_pairs(folder):
     below = np.column_stack([np.arange(6), np.arange(6) + 4, -3 - 0.2 * np.arange(6)])
     few, metre = box([-25, 25, 2], [0.6] * 3, 5), [[-19, -20, 4]]
     T = rigid(15, [0.5, -0.25, 0.125])
-    rows = ["pair_id,real,sim,T_real_sim"]
     for seed, name in enumerate(("a", "turned")):
         lattice = grid(*[np.arange(4) * 0.125] * 3) + [9, -6, 1] if name == "a" else np.empty((0, 3))
         real = np.vstack([street(seed, 70), below])
@@ -97,9 +95,8 @@ def write_pairs(folder):
         for side, points in (("real", real), ("sim", np.vstack([own, own[:20]]))):
             scan = write_bin(folder / f"{side}-{name}.bin", points)
             ((points[:, 0] > points[:, 1]) + 1).astype("<u4").tofile(scan.with_suffix(".label"))
-        cell = " ".join(map(repr, T.ravel().tolist())) if name == "turned" else ""
-        rows.append(f"{name},real-{name}.bin,sim-{name}.bin,{cell}")
-    (folder / "pairs.csv").write_text("\n".join(rows) + "\n")
+    rows = f"a,real-a.bin,sim-a.bin,\nturned,real-turned.bin,sim-turned.bin,{' '.join(map(repr, T.ravel().tolist()))}"
+    (folder / "pairs.csv").write_text(f"pair_id,real,sim,T_real_sim\n{rows}\n")
 
 
 def verdict(mutant, data):
@@ -120,7 +117,6 @@ def verdict(mutant, data):
 
 
 def run_and_verify(data, out):
-    """Prints which tables are wrong."""
     from fidpipe.pipeline.results.verify.verify import verify_run
     from fidpipe.schemas.settings import load
     from runs import run
