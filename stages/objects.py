@@ -79,6 +79,7 @@ def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -
 def _shape(points: FloatArray) -> tuple[float, float, float]:
     """Linearity, planarity and scattering of the points of one community."""
     centred = points - points.mean(axis=0)
+    centred = np.ldexp(centred, -np.frexp(np.abs(centred).max())[1])  # about 1: squares of 1e-200 m would be 0
     l3, l2, l1 = np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points)), 0.0)
     if l1 <= 0:
         return 0.0, 0.0, 0.0

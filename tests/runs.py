@@ -1,11 +1,13 @@
-"""Starting runs and comparing what they wrote."""
+"""Starting runs, comparing what they wrote, and forging it."""
 
 import ctypes
+import hashlib
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
 
@@ -14,6 +16,8 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.run import RunRequest, run_dataset
+from fidpipe.pipeline.storage.folder import RunFolder
+from fidpipe.pipeline.storage.tables import StoredFile
 from fidpipe.schemas.settings import Settings
 
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))
@@ -86,6 +90,24 @@ def marks(run_folder):
     """Modification times of the stage tables by relative path."""
     files = [path for folder in FOLDERS for path in (run_folder / folder).glob("*.parquet")]
     return {str(path.relative_to(run_folder)): path.stat().st_mtime_ns for path in files}
+
+
+def rewrite(folder, name, change):
+    """Changes a table of a run so that file, footer and ledger agree."""
+    store = RunFolder(folder)
+    with store.locked():
+        record = store.ledger.job_of_file(name)
+        rows = change(pq.read_table(folder / name, partitioning=None))
+        content = pa.BufferOutputStream()
+        footer = pq.read_metadata(folder / name).metadata
+        with pq.ParquetWriter(content, rows.schema, store_schema=False, write_page_checksum=True) as writer:
+            writer.write_table(rows)
+            writer.add_key_value_metadata({key: value for key, value in footer.items() if key.startswith(b"fidpipe.")})
+        (folder / name).write_bytes(content.getvalue())
+        status = (folder / name).stat()
+        digest = hashlib.sha256(content.getvalue()).hexdigest()
+        record.files[name] = StoredFile(status.st_size, digest, status.st_mtime_ns, status.st_ctime_ns)
+        store.ledger.put_job(record)
 
 
 def run_twice(dataset, tmp_path_factory, settings):

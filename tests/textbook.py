@@ -1,4 +1,4 @@
-"""What only tests can afford: all permutations tried, the reference implementation of Louvain.
+"""What only tests ask for: all permutations tried, the reference implementation of Louvain, ties told apart.
 
 The definitions themselves, slow and obvious, are `fidpipe.stages.literal`.
 """
@@ -45,9 +45,22 @@ def align(real, sim):
     return min(totals)
 
 
+def most_influential(scores, n_keep):
+    """The nodes of largest influence, ties by node."""
+    return sorted(range(len(scores)), key=lambda i: (-scores[i], i))[:n_keep]
+
+
+def nearest_real(real, place):
+    """The real point that is nearest to a place, of equally near ones the first by x, y, z, and its distance."""
+    apart = method.distances(real, place)
+    closest = np.flatnonzero(apart == apart.min()).tolist()
+    first = min(closest, key=lambda j: real[j].tolist())
+    return first, float(apart[first])
+
+
 def assigned(real, real_labels, sim, reach_m, min_points, groups_of):
     """Object of each simulated point; `groups_of(indices)` partitions those that no real point reaches."""
-    near = [method.nearest_real(real, p) for p in sim]
+    near = [nearest_real(real, p) for p in sim]
     labels = [int(real_labels[j]) for j, _ in near]
     outside = [i for i, (_, apart) in enumerate(near) if apart > reach_m]
     groups = groups_of(outside)

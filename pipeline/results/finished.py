@@ -253,6 +253,11 @@ class FinishedRun:
                     f"run {self.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe "
                     f"wrote it; run it again with: {command_again(self.folder, self.record.dataset)}"
                 )
+            if surplus := [own for own in rows.schema.names if own not in TABLES[table].schema.names]:
+                raise RunError(
+                    f"run {self.folder}: {name} has columns that this fidpipe does not know ({', '.join(surplus)}); "
+                    "read it with the version that wrote it, which run.json tells"
+                )
             return rows if columns is not None else TABLES[table].check(rows)
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             cause = getattr(error, "strerror", None) or error

@@ -14,11 +14,13 @@ from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg
+from scipy import sparse
 from scipy.optimize import linear_sum_assignment
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IndexArray
 
 _MAX_TILT_DEG = 10
+_ALIKE = 1e-9
 _NEAR_M, _WINDOW_M, _STEP_M, _DEPTH_M = 30, 0.1, 0.05, 1
 IDENTICAL_CHANGE = 1e-5
 _ROS_AXES: dict[str, Callable[[float, float, float], list[float]]] = {
@@ -57,7 +59,7 @@ def clean(
         if not all(map(math.isfinite, p)) or p == [0, 0, 0] or tuple(p) in seen:
             continue
         seen.add(tuple(p))
-        if not min_range_m <= math.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2) <= max_range_m:
+        if not min_range_m <= math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) <= max_range_m:
             continue
         if exclude_box and all(exclude_box[a] <= p[a] <= exclude_box[a + 3] for a in range(3)):
             continue
@@ -73,8 +75,12 @@ def clean(
 
 @dataclass(frozen=True)
 class Cut:
-    """A ground cut: axis (3,), its tilt, heights of the points along it (n,), where the road is and where the cut."""
+    """A ground cut: axis (3,), its tilt, heights of the points along it (n,), where the road is and where the cut.
 
+    `is_told` says whether there is but one such axis: not where the points spread alike along another one.
+    """
+
+    is_told: bool
     axis: FloatArray
     tilt_deg: float
     height_m: FloatArray
@@ -89,16 +95,26 @@ class Cut:
         return self.height_m < self.threshold_m
 
 
-def ground(points: FloatArray, prior_m: float = 0.30, max_loss: float = 0.01, loss: str = "removed") -> Cut:
+def ground(
+    points: FloatArray,
+    prior_m: float = 0.30,
+    max_loss: float = 0.01,
+    loss: str = "removed",
+    if_not_told: FloatArray | None = None,
+) -> Cut:
     """The PCA Z-cut of a scan.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, cleaned
     prior_m, max_loss, loss : as in the settings of ground
+    if_not_told : (3,) the axis to take where the points tell none
     """
-    _, vectors = np.linalg.eigh(np.cov(points.T))
-    axis = max(vectors.T, key=lambda v: abs(v[2]))
+    scale = float(np.ptp(points, axis=0).max()) or 1.0  # squares of 1e-200 m would be 0
+    values, vectors = np.linalg.eigh(np.cov(((points - points.mean(axis=0)) / scale).T))
+    chosen = max(range(3), key=lambda i: abs(vectors[2, i]))
+    is_told = min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen) > _ALIKE * values[2]
+    axis = vectors[:, chosen] if is_told or if_not_told is None else if_not_told
     axis = axis if axis[2] > 0 else -axis
     tilt_deg = math.degrees(math.acos(min(1.0, axis[2])))
     if tilt_deg > _MAX_TILT_DEG:
@@ -112,7 +128,7 @@ def ground(points: FloatArray, prior_m: float = 0.30, max_loss: float = 0.01, lo
     z, iterations = peak + prior_m, 0
     while variance_loss(points, height, z, peak, loss) > max_loss and z > peak + 1e-9:
         z, iterations = max(z - _STEP_M, peak), iterations + 1
-    return Cut(axis, tilt_deg, height, peak, z, variance_loss(points, height, z, peak, loss), iterations)
+    return Cut(bool(is_told), axis, tilt_deg, height, peak, z, variance_loss(points, height, z, peak, loss), iterations)
 
 
 def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, peak_m: float, loss: str) -> float:
@@ -204,6 +220,49 @@ def modularity(A: FloatArray, labels: FloatArray) -> float:
     return float(((A - np.outer(k, k) / two_m) * same).sum() / two_m)
 
 
+def louvain(n_nodes: int, src: IndexArray, dst: IndexArray, length_m: FloatArray, order: IndexArray) -> list[int]:
+    """The community of each node that scikit-network's Louvain finds when it visits the nodes in an order.
+
+    Parameters
+    ----------
+    src, dst, length_m : (m,) both ends of each edge by node, and its length
+    order : (n,) the nodes, first visited first
+    """
+    from sknetwork.clustering import Louvain
+
+    place = np.argsort(order)
+    ends = np.concatenate([place[src], place[dst]]), np.concatenate([place[dst], place[src]])
+    A = sparse.coo_matrix((np.concatenate([length_m, length_m]), ends), shape=(n_nodes, n_nodes)).tocsr()
+    A.eliminate_zeros()
+    found = Louvain(resolution=1, tol_optimization=1e-3, tol_aggregation=1e-7, shuffle_nodes=False).fit_predict(A)
+    labels: list[int] = found[place].tolist()
+    return labels
+
+
+def best_joining(labels: IndexArray, src: IndexArray, dst: IndexArray, length_m: FloatArray) -> float:
+    """The most that Q would gain if two communities that an edge joins were one; -inf where there are none.
+
+    dQ = 2 (w_cd / 2m - k_c k_d / (2m)^2), w_cd the length of all edges between c and d, k their degrees, 2m the sum of
+    these. Louvain's method ends when it finds no such gain.
+
+    Parameters
+    ----------
+    labels : (n,) community of each node
+    src, dst, length_m : (m,) both ends of each edge by node, and its length
+    """
+    a, b = labels[src], labels[dst]
+    degree = np.bincount(a, length_m, labels.max() + 1) + np.bincount(b, length_m, labels.max() + 1)
+    two_m, best = float(degree.sum()), -math.inf
+    apart = a != b
+    ends = np.stack([np.minimum(a, b)[apart], np.maximum(a, b)[apart]])
+    pairs, of_pair = np.unique(ends[0] * len(degree) + ends[1], return_inverse=True)
+    between = np.bincount(of_pair, length_m[apart], len(pairs))
+    for code, w in zip(pairs.tolist(), between.tolist(), strict=True):
+        c, d = divmod(code, len(degree))
+        best = max(best, 2 * (w / two_m - float(degree[c]) * float(degree[d]) / two_m**2))
+    return best
+
+
 def canonical(labels: Sequence[int]) -> list[int]:
     """The communities numbered by size, largest first, then by smallest node."""
     members: dict[int, list[int]] = {}
@@ -212,19 +271,6 @@ def canonical(labels: Sequence[int]) -> list[int]:
     order = sorted(members.values(), key=lambda nodes: (-len(nodes), nodes[0]))
     new = {node: i for i, nodes in enumerate(order) for node in nodes}
     return [new[node] for node in range(len(labels))]
-
-
-def nearest_real(real: FloatArray, place: FloatArray) -> tuple[int, float]:
-    """The real point that is nearest to a place, of equally near ones the first by x, y, z, and its distance.
-
-    Parameters
-    ----------
-    real, place : (n, 3), (3,) float64, metres
-    """
-    apart = distances(real, place)
-    closest = np.flatnonzero(apart == apart.min()).tolist()
-    first = min(closest, key=lambda j: real[j].tolist())
-    return first, float(apart[first])
 
 
 @dataclass(frozen=True)
@@ -246,7 +292,8 @@ def describe(points: FloatArray) -> Description:
     points : (n, 3) float64, metres, at least one
     """
     centroid = points.sum(axis=0) / len(points)
-    l1, l2, l3 = [*np.linalg.svd(points - centroid, compute_uv=False) ** 2, 0.0, 0.0][:3]
+    sizes = np.linalg.svd(points - centroid, compute_uv=False)
+    l1, l2, l3 = [*(sizes / (sizes[0] or 1.0)) ** 2, 0.0, 0.0][:3]
     shape = ((l1 - l2) / l1, (l2 - l3) / l1, l3 / l1) if l1 > 0 else (0.0, 0.0, 0.0)
     extent = points.max(axis=0) - points.min(axis=0)
     return Description(len(points), centroid, math.hypot(*centroid), extent, shape)
@@ -305,11 +352,6 @@ def influence(L: FloatArray, t: float) -> FloatArray:
     """
     sums: FloatArray = scipy.linalg.expm(-t * L).sum(axis=1)
     return sums
-
-
-def most_influential(scores: Sequence[float], n_keep: int) -> list[int]:
-    """The nodes of largest influence, ties by node."""
-    return sorted(range(len(scores)), key=lambda i: (-scores[i], i))[:n_keep]
 
 
 def least_total(cost: FloatArray) -> float:

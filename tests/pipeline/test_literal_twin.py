@@ -12,7 +12,7 @@ from fidpipe.pipeline.results.verify.verify import verify_run
 from fidpipe.schemas.settings import load
 from fidpipe.stages.literal import method
 from runs import run
-from scenes import box, drifted, moved, rigid, street, write_bin
+from scenes import box, degenerate, drifted, moved, rigid, street, write_bin
 
 pytestmark = pytest.mark.slow
 
@@ -137,6 +137,19 @@ def test_scans_with_many_equal_distances(tmp_path, word):
         write_bin(tmp_path / "grid" / side / "000.bin", scene)
     result = agree(tmp_path / "grid", tmp_path / "run", load(None, [word, "ground.method=none", "graph.k=6"]))
     assert any("equally near" in what for what in result.not_compared)
+
+
+@pytest.mark.parametrize("preset", ["paper", "reference"])
+def test_scenes_of_which_hardly_anything_can_be_said(tmp_path, preset):
+    for i, scans in enumerate(degenerate().values()):
+        for side, points in zip(("real", "sim"), scans, strict=True):
+            (tmp_path / "scenes" / side).mkdir(parents=True, exist_ok=True)
+            np.save(tmp_path / "scenes" / side / f"{i:02}.npy", points)
+    settings = load(None, ["ground.method=none", "input.min_range_m=0"], preset=preset)
+    assert run(tmp_path / "scenes", tmp_path / "run", settings).failures
+    result = verify_run(tmp_path / "run", 60)
+    assert result.passed, result.mismatches
+    assert any("alike along two axes" in what for what in result.not_compared)
 
 
 @pytest.mark.real_data

@@ -1,5 +1,6 @@
 """A sample of a finished run is computed again, and what does not agree is named."""
 
+import io
 import json
 import os
 import shutil
@@ -9,14 +10,19 @@ import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
-from fidpipe.pipeline.results.verify.comparisons import Comparisons, Place
+from fidpipe.pipeline.jobs import EXTRAS, STAGES
+from fidpipe.pipeline.report.terminal.verify import verify_view
+from fidpipe.pipeline.results.verify import verify
+from fidpipe.pipeline.results.verify.comparisons import NOT_COMPARED, Comparisons, Place
 from fidpipe.pipeline.results.verify.verify import verify_run
-from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
-from runs import command, contents, run
+from fidpipe.stages.literal import method
+from runs import command, contents, rewrite, run
 from scenes import write_dataset
 
 SMALL = ["matching.delta_m=20"]  # the objects of so small a street are matched all the same
@@ -25,9 +31,12 @@ WITH_EXTRAS = [*SMALL, "metrics.baselines=all", "stability.seeds=2"]
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A run of one small pair with all baselines and another seed; not to be written to."""
+    """A run of one small labelled pair with all baselines and another seed; not to be written to."""
     folder = tmp_path_factory.mktemp("verify")
-    run(write_dataset(folder / "streets", 1, n=60), folder / "run", load(None, WITH_EXTRAS))
+    for scan in write_dataset(folder / "streets", 1, n=60).glob("*/*.bin"):
+        x, y = np.fromfile(scan, "<f4").reshape(-1, 4)[:, :2].T
+        (((x > 0) + 1) | ((y > 0) + 1) << 16).astype("<u4").tofile(scan.with_suffix(".label"))
+    run(folder / "streets", folder / "run", load(None, WITH_EXTRAS))
     return folder / "run"
 
 
@@ -46,36 +55,29 @@ def copy(whole, tmp_path):
 
 
 def forge(folder, name, column, change):
-    """Changes a value of a table so that file, footer and ledger agree; `change` gives the new one for (row, value)."""
-    store, table = RunFolder(folder), name.partition("/")[0].removesuffix(".parquet")
-    with store.locked():
-        record = store.ledger.job_of_file(name)
-        rows = pq.read_table(folder / name, partitioning=None)
-        footer = pq.read_metadata(folder / name).metadata
+    """Changes a value of a table so that file, footer and ledger agree; `change` gives the row and the new value."""
+
+    def edit(rows):
         values = rows.column(column).to_pylist()
         row, value = change(values)
         values[row] = value
         i = rows.schema.get_field_index(column)
-        rows = rows.set_column(i, rows.schema.field(i), pa.array(values, rows.schema.field(i).type))
-        rows = rows.cast(TABLES[table].schema)
-        record.files[name] = store.write_at(folder / name, table, rows, record.key, footer[b"fidpipe.job"].decode())
-        store.ledger.put_job(record)
+        return rows.set_column(i, rows.schema.field(i), pa.array(values, rows.schema.field(i).type))
+
+    rewrite(folder, name, edit)
 
 
-def another(values):
-    """A row with a value, and one that is a little different from it."""
-    row = next(i for i, value in enumerate(values) if value is not None)
+def another(values, *, is_text=False):
+    """A row with a value, and one that is a little different from it; where all are null, some value for the first."""
+    row = next((i for i, value in enumerate(values) if value is not None), 0)
     value = values[row]
+    if value is None:
+        return row, "too_small" if is_text else 1.0
     if isinstance(value, bool):
         return row, not value
     if isinstance(value, str):
         return row, f"{value}x"
     return row, value + 1 if isinstance(value, int) else float(np.float32(value * 1.001 + 0.001))
-
-
-def numbers(table):
-    """The columns of a table that are results: neither names nor what stands there for people."""
-    return [field.name for field in TABLES[table].schema if field.name not in ("pair_id", "side")]
 
 
 def test_all_numbers_of_a_run_agree(whole):
@@ -84,7 +86,7 @@ def test_all_numbers_of_a_run_agree(whole):
     assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
     assert {table.table for table in result.tables} == {
         *("files", "scan", "ground", "graph", "communities", "objects", "matching", "coverage", "surface"),
-        *("selection", "metrics", "baselines", "seeds", "pairs", "run.json"),
+        *("selection", "metrics", "baselines", "seeds", "pairs", "run.json", "rows"),
     }
     assert all(table.n_numbers > 0 for table in result.tables)
     assert result.tables[-1].largest < 1e-12
@@ -99,13 +101,11 @@ FILES = {
     **{name: f"{name}/000.parquet" for name in ("baselines", "seeds")},
     "pairs": "pairs.parquet",
 }
-#: What nothing else follows from: a reason is free text, and other words for people likewise.
-FREE = {("baselines", "reason"), ("baselines", "unit")}
 CHANGES = [
     (table, column)
     for table in FILES
-    for column in numbers(table)
-    if (table, column) not in FREE and not column.startswith(("reason", "instance", "label", "intensity"))
+    for column in TABLES[table].schema.names
+    if f"{table}.{column}" not in NOT_COMPARED
 ]
 #: One column a table, for a fast test.
 ONE_EACH = {
@@ -133,9 +133,8 @@ ONE_EACH = {
 )
 def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_path, table, column):
     copy = shutil.copytree(whole if table in ("baselines", "seeds") else plain, tmp_path / "run")
-    if all(value is None for value in pq.read_table(copy / FILES[table], partitioning=None).column(column).to_pylist()):
-        pytest.skip("nothing to edit: the column is null in this run")
-    forge(copy, FILES[table], column, another)
+    is_text = pa.types.is_string(pq.read_schema(copy / FILES[table]).field(column).type)
+    forge(copy, FILES[table], column, lambda values: another(values, is_text=is_text))
     try:
         result = verify_run(copy, None)
     except RunError as error:
@@ -144,7 +143,52 @@ def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_pa
     wrong = {"pairs" if mismatch.table == "run.json" else mismatch.table for mismatch in result.mismatches}
     assert not result.passed
     assert "files" not in wrong, "the edit was to be found by its number"
-    assert wrong & {table, "pairs", "scan", "metrics"}, wrong
+    assert wrong & {table, "rows", "pairs", "scan", "metrics"}, wrong
+
+
+def test_every_column_of_every_table_is_compared_or_declared_not_to_be(whole):
+    result = verify_run(whole, None)
+    assert result.unknown == ()
+    compared = {f"{own.table}.{column}" for own in result.tables for column in own.columns}
+    of_runs = [table for stage in (*STAGES, *EXTRAS) for table in stage.gives]
+    columns = {f"{table}.{name}" for table in [*of_runs, "pairs"] for name in TABLES[table].schema.names}
+    assert columns - compared <= NOT_COMPARED.keys()
+    assert NOT_COMPARED.keys() <= columns | {"timings"}, "what is declared is there"
+    assert TABLES.keys() == {*of_runs, "pairs", "timings", *(table.name for table in EXPERIMENT_TABLES)}
+    for name, why in NOT_COMPARED.items():
+        assert f"{name}: {why}" in result.not_compared
+
+
+def test_a_score_that_the_literal_twin_does_not_know_is_said_to_be_unverified(plain, monkeypatch):
+    spectral = method.spectral
+    monkeypatch.setattr(method, "spectral", lambda *matrices: without(spectral(*matrices), "gap_sim"))
+    monkeypatch.setattr(method, "SPECTRAL", tuple(name for name in method.SPECTRAL if name != "gap_sim"))
+    result = verify_run(plain, None)
+    assert result.passed
+    assert result.unknown == ("metrics.gap_sim",)
+    assert result.as_dict()["unknown"] == ("metrics.gap_sim",)
+    page = io.StringIO()
+    Console(file=page, width=200).print(verify_view(result))
+    assert "nothing recomputes: metrics.gap_sim" in page.getvalue()
+    assert "numbers agree; not verified: 1 of their columns" in page.getvalue()
+
+
+def test_a_table_that_nobody_compares_is_said_to_be_unverified(plain, monkeypatch):
+    monkeypatch.delitem(verify._CHECKS, "coverage")
+    assert [name for name in verify_run(plain, None).unknown if name.startswith("coverage.")] == [
+        f"coverage.{name}" for name in TABLES["coverage"].schema.names if name != "pair_id"
+    ]
+
+
+def test_a_column_that_the_schema_does_not_know_is_named(copy):
+    rewrite(copy, FILES["metrics"], lambda rows: rows.append_column("emissivity", pa.array([0.0] * len(rows))))
+    result = verify_run(copy, None)
+    assert not result.passed
+    assert any("does not know (emissivity)" in mismatch.recomputed for mismatch in result.mismatches)
+
+
+def without(values, name):
+    return {key: value for key, value in values.items() if key != name}
 
 
 def test_a_mismatch_names_table_pair_object_column_and_both_values(copy):

@@ -9,6 +9,8 @@ from ...results.verify.comparisons import Mismatch
 from ...results.verify.verify import Verification
 from .layout import plain_table
 
+_UNKNOWN = "stages/literal does not have it, and it is not declared as not compared"
+
 
 def verify_view(result: Verification) -> RenderableType:
     """One row a table, what could not be compared, each mismatch in a line of its own, and the verdict."""
@@ -22,10 +24,13 @@ def verify_view(result: Verification) -> RenderableType:
     verdict = f"{result.n_wrong:,} of {result.n_numbers:,} numbers do not agree{more}"
     if result.passed:
         verdict = f"all {result.n_numbers:,} numbers agree"
+    if result.unknown:
+        verdict += f"; not verified: {len(result.unknown)} of their columns"
     columns = ("table", "numbers", "largest difference", "where")
     return Group(
         plain_table(f"{result.run}: {drawn} computed again, seed {result.seed}", columns, rows, words=(0, 3)),
         *(Text(f"not compared: {what}", style="dim") for what in result.not_compared),
+        *(Text(f"nothing recomputes: {name}: {_UNKNOWN}", style="yellow") for name in result.unknown),
         *(Text(f"wrong: {_in_words(mismatch)}", style="red") for mismatch in result.mismatches),
         Text(verdict, style="green" if result.passed else "red"),
     )

@@ -1,13 +1,14 @@
-"""Compares stored numbers with recomputed ones, and keeps what is to be said of it."""
+"""Compares stored numbers with recomputed ones, and keeps what is to be said of it, and of which columns nothing is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from ....schemas.tables import TABLES
 from ....stages.arrays import IndexArray, IntArray
 
 #: What rounding allows; lengths in metres also stand for shares and shapes, which are about 1.
@@ -15,16 +16,21 @@ LENGTH_M = 1e-9
 SPECTRUM = 1e-9
 #: Influence is rounded to 1e-9: two roundings may be one step apart.
 INFLUENCE = 1.5e-9
+#: Louvain's method computes in single precision.
+MODULARITY = 1e-5
+#: What two ways to an influence may differ by, absolute and relative.
+ROUNDING = 1e-11
 _RELATIVE = 1e-12
 _MOST_SHOWN = 5
 
 #: What is compared of each table, for people.
 WORDS = {
     "files": "content as it was written (SHA-256)",
+    "rows": "names of pair and side, order by keys, none twice",
     "scan": "points kept of the scan, and where they lie",
     "ground": "cut, heights, flags of all points",
     "graph": "all edge lengths; all edges of drawn nodes",
-    "communities": "numbering; reference: nearest real points",
+    "communities": "Louvain again; numbering; reference: nearest real points",
     "objects": "sizes; place and shape of drawn objects",
     "matching": "which objects match, and how far apart",
     "coverage": "drawn objects, from all distances",
@@ -36,6 +42,16 @@ WORDS = {
     "pairs": "counts, cuts, means, deviations, medians",
     "run.json": "means and deviations over pairs",
 }
+#: The columns that nothing is compared with, and why; every other column of every table is recomputed.
+NOT_COMPARED = {
+    "baselines.reason": "words for people",
+    "pairs.reason": "why a pair failed: it is not tried again",
+    "timings": "seconds of a clock",
+}
+#: Tables of which the rows of the drawn objects alone are compared as a whole.
+_OF_OBJECTS = ("objects", "coverage", "surface", "selection", "metrics", "baselines")
+#: The table that a number stands in, where what is compared of it has a name of its own.
+_TABLE_OF = {"scan": "ground"}
 
 
 @dataclass(frozen=True)
@@ -68,10 +84,12 @@ class TableCheck:
     largest : largest absolute difference; 0 where all are equal
     where : the column and the place of it
     n_wrong : numbers that do not agree within what rounding allows
+    columns : of which at least one value was compared
     """
 
     table: str
     what: str
+    columns: tuple[str, ...]
     n_numbers: int
     largest: float
     where: str
@@ -85,6 +103,7 @@ class _Tally:
     where: str = ""
     mismatches: list[Mismatch] = field(default_factory=list)
     n_wrong: int = 0
+    n_of_objects: int = 0
 
 
 class Comparisons:
@@ -93,6 +112,8 @@ class Comparisons:
     def __init__(self) -> None:
         self._tallies: dict[str, _Tally] = {}
         self._left_out: dict[str, int] = {}
+        self._compared: set[str] = set()
+        self._excused: set[str] = set()
 
     def compare(
         self,
@@ -103,6 +124,7 @@ class Comparisons:
         *,
         tolerance: float = 0.0,
         rows: Sequence[object] | None = None,
+        covers: Sequence[str] = (),
     ) -> None:
         """Compares one value or an array of them: numbers, words or truth values; None and NaN are alike.
 
@@ -110,9 +132,12 @@ class Comparisons:
         ----------
         tolerance : absolute, to which a relative one of 1e-12 is added; 0 wants exactly equal values
         rows : names of the rows of an array
+        covers : columns that are compared by it, as `table.column`, where it is not the one of this name
         """
         a, b = _values(stored), _values(recomputed)
         tally = self._tallies.setdefault(place.table, _Tally())
+        tally.n_of_objects += bool(place.object)
+        self._compared.update(covers or [f"{_TABLE_OF.get(place.table, place.table)}.{column}"])
         if a.shape != b.shape:
             self._note(tally, place, f"number of rows of {column}", len(a), len(b))
             return
@@ -131,20 +156,43 @@ class Comparisons:
             name = column if rows is None else f"{column} of {rows[i]}"
             self._note(tally, place, name, a[i], b[i])
 
-    def refuse(self, place: Place, why: str) -> None:
+    def refuse(self, place: Place, why: str, columns: Collection[str] = ()) -> None:
         """Notes that a table is not one that anything can be computed from."""
         self._note(self._tallies.setdefault(place.table, _Tally()), place, "the table", "cannot be computed with", why)
+        self.excuse([_TABLE_OF.get(place.table, place.table), *columns])
 
-    def leave_out(self, what: str) -> None:
-        """Notes that something was not compared."""
+    def leave_out(self, what: str, columns: Collection[str] = ()) -> None:
+        """Notes what was not compared, and for which columns, `table.column` or `table`, that is the reason."""
         self._left_out[what] = self._left_out.get(what, 0) + 1
+        self.excuse(columns)
+
+    def excuse(self, columns: Collection[str]) -> None:
+        """Notes columns, `table.column` or `table`, that are not compared for a reason that is told elsewhere."""
+        self._excused.update(columns)
+
+    def unknown(self, table: str, columns: Sequence[str]) -> list[str]:
+        """Of the columns of a table those that nothing was compared with, though nothing says why.
+
+        Where no object of the table was drawn, all are excused.
+        """
+        excused = NOT_COMPARED.keys() | self._excused
+        names = {f"{table}.{column}": column for column in columns}
+        left = [own for name, own in names.items() if name not in self._compared | excused]
+        if table in excused or (left and self._has_no_object(table)):
+            return []
+        return left
+
+    def _has_no_object(self, table: str) -> bool:
+        """Whether a table of objects is told of, and none of its objects was drawn."""
+        tally = self._tallies.get(table)
+        return table in _OF_OBJECTS and tally is not None and not tally.n_of_objects
 
     @property
     def tables(self) -> tuple[TableCheck, ...]:
         """What was compared, by table, in the order of the stages."""
         order = [name for name in WORDS if name in self._tallies]
         return tuple(
-            TableCheck(name, WORDS[name], own.n_numbers, own.largest, own.where, own.n_wrong)
+            TableCheck(name, WORDS[name], self._columns(name), own.n_numbers, own.largest, own.where, own.n_wrong)
             for name, own in ((name, self._tallies[name]) for name in order)
         )
 
@@ -157,6 +205,11 @@ class Comparisons:
     def not_compared(self) -> list[str]:
         """What was left out, in words, and how often."""
         return [f"{what}: {n} times" if n > 1 else what for what, n in self._left_out.items()]
+
+    def _columns(self, table: str) -> tuple[str, ...]:
+        """The columns of a table of which values were compared, in its order."""
+        names = TABLES[table].schema.names if table in TABLES else []
+        return tuple(name for name in names if f"{table}.{name}" in self._compared)
 
     def _note(self, tally: _Tally, place: Place, column: str, stored: object, recomputed: object) -> None:
         tally.n_wrong += 1

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from ....schemas.columns import SIDES
-from ....schemas.metrics import BASELINES, OBJECT_METRICS
+from ....schemas.columns import SIDES, Row
+from ....schemas.metrics import BASELINES, METRIC, OBJECT_METRICS
+from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray
 from ....stages.literal import baselines, method
-from .comparisons import INFLUENCE, LENGTH_M, SPECTRUM, Comparisons, Place, point_names
+from ..finished import FinishedRun
+from .comparisons import INFLUENCE, LENGTH_M, ROUNDING, SPECTRUM, Comparisons, Place, point_names
 from .stored import StoredPair, object_name
 
 #: Larger objects are left out where dense matrices of all their nodes would be needed.
@@ -76,17 +78,21 @@ def _compare_optimum(
 
 def check_selection(pair: StoredPair, comparisons: Comparisons) -> None:
     """Which nodes of the drawn objects are kept, their influence, and that no alignment is shorter."""
-    stored = pair.columns("selection")
+    stored, matched = pair.columns("selection"), pair.matched
+    sizes = [pair.n_kept(match) for match in matched]
+    for side in SIDES:
+        name = f"{side}_id"
+        comparisons.compare(pair.place("selection"), name, stored[name], _each(matched, name, sizes))
     for match in pair.drawn_matches:
         own = stored["real_id"] == match["real_id"]
         at = pair.place("selection", object_=object_name(match))
         members = pair.members(match)
-        n_keep = min(len(nodes) for nodes in members.values())
-        comparisons.compare(at, "sim_id", stored["sim_id"][own].astype(float), [match["sim_id"]] * n_keep)
+        n_keep = pair.n_kept(match)
         comparisons.compare(at, "rank", stored["rank"][own], np.arange(n_keep))
         if max(len(nodes) for nodes in members.values()) > MOST_NODES:
             comparisons.leave_out(
-                f"influence and scores of an object of more than {MOST_NODES} points (dense matrices)"
+                f"influence and scores of an object of more than {MOST_NODES} points (dense matrices)",
+                [f"selection.{side}_{what}" for side in SIDES for what in ("point_id", "influence")],
             )
             continue
         kept = {}
@@ -98,10 +104,14 @@ def check_selection(pair: StoredPair, comparisons: Comparisons) -> None:
             of_point = dict(zip(nodes.tolist(), made.tolist(), strict=True))
             names, wanted = point_names(scan.point_ids[chosen]), [of_point.get(i) for i in chosen.tolist()]
             comparisons.compare(at, f"{side}_influence", values, wanted, tolerance=INFLUENCE, rows=names)
-            comparisons.compare(at, f"different {side} nodes", len(set(chosen.tolist())), n_keep)
-            left = [of_point[i] for i in set(nodes.tolist()) - set(chosen.tolist())]
-            is_most = not left or max(left) <= values.min(initial=np.inf) + INFLUENCE
-            comparisons.compare(at, f"no {side} node left out has more influence", float(is_most), 1.0)
+            covers = [f"selection.{side}_point_id"]
+            comparisons.compare(at, f"different {side} nodes", len(set(chosen.tolist())), n_keep, covers=covers)
+            last = max(zip((-values).tolist(), chosen.tolist(), strict=True))
+            n_better = sum(
+                (-round(of_point[i] * (1 - ROUNDING) - ROUNDING, 9), i) < last
+                for i in set(nodes.tolist()) - set(chosen.tolist())
+            )
+            comparisons.compare(at, f"{side} nodes left out that have more influence", n_better, 0, covers=covers)
         real_influence, real_ids = stored["real_influence"][own], stored["real_point_id"][own]
         ranked = sorted(range(len(real_ids)), key=lambda i: (-real_influence[i], real_ids[i]))
         comparisons.compare(at, "order of rows", np.arange(len(ranked)), ranked)
@@ -113,27 +123,31 @@ def check_selection(pair: StoredPair, comparisons: Comparisons) -> None:
 
 def check_metrics(pair: StoredPair, comparisons: Comparisons) -> None:
     """The scores of the drawn objects, from the nodes that the selection kept."""
-    stored = {row["real_id"]: row for row in pair.rows("metrics")}
-    comparisons.compare(
-        pair.place("metrics"),
-        "real_id",
-        list(stored),
-        [row["real_id"] for row in pair.matching if row["status"] == "matched"],
-    )
+    rows, matched = pair.rows("metrics"), pair.matched
+    stored = {row["real_id"]: row for row in rows}
+    n_points = {side: pair.columns("objects", side)["n_points"] for side in SIDES}
+    told: dict[str, list[Any]] = {
+        name: [match[name] for match in matched] for name in ("real_id", "sim_id", "centroid_distance_m")
+    }
+    told |= {f"n_{side}": [n_points[side][match[f"{side}_id"]] for match in matched] for side in SIDES}
+    told["n_keep"] = [pair.n_kept(match) for match in matched]
+    names = [object_name(match) for match in matched]
+    for name, own in told.items():
+        same_rows = names if len(rows) == len(names) else None
+        comparisons.compare(pair.place("metrics"), name, [row[name] for row in rows], own, rows=same_rows)
     for match in pair.drawn_matches:
         row, at = stored[match["real_id"]], pair.place("metrics", object_=object_name(match))
         real, sim = (pair.sides[side].points[pair.sides[side].members(match[f"{side}_id"])] for side in SIDES)
         kept = pair.kept(match)
         n_keep = len(kept["real"])
-        made: dict[str, Any] = {"sim_id": match["sim_id"], "n_real": len(real), "n_sim": len(sim)}
-        made |= {"n_keep": n_keep, "centroid_distance_m": match["centroid_distance_m"]}
-        for name, value in made.items():
-            comparisons.compare(at, name, row[name], value)
         comparisons.compare(at, "cdc", row["cdc"], method.cdc(real, sim), tolerance=LENGTH_M)
         rms = method.alignment_rms(*(pair.sides[side].points[kept[side]] for side in SIDES))
         comparisons.compare(at, "alignment_rms_m", row["alignment_rms_m"], rms, tolerance=LENGTH_M)
         if n_keep > MOST_NODES:
-            comparisons.leave_out(f"spectra of an object of more than {MOST_NODES} aligned nodes (dense matrices)")
+            comparisons.leave_out(
+                f"spectra of an object of more than {MOST_NODES} aligned nodes (dense matrices)",
+                [f"metrics.{name}" for name in (*method.SPECTRAL, "status", "reason")],
+            )
             continue
         if n_keep < _FEWEST_FOR_SPECTRA:
             scores: dict[str, Any] = dict.fromkeys(method.SPECTRAL)
@@ -162,9 +176,10 @@ def check_baselines(pair: StoredPair, comparisons: Comparisons) -> None:
         for baseline, value in made.items():
             if (real_id, baseline) in stored:
                 at = pair.place("baselines", object_=name)
-                comparisons.compare(at, baseline, stored[real_id, baseline]["value"], value, tolerance=SPECTRUM)
-        for own, baseline in stored:
-            if own == real_id and baseline not in made:
+                own = stored[real_id, baseline]["value"]
+                comparisons.compare(at, baseline, own, value, tolerance=SPECTRUM, covers=["baselines.value"])
+        for whose, baseline in stored:
+            if whose == real_id and baseline not in made:
                 comparisons.leave_out(f"baseline {baseline}, where the twin has none")
 
     for match in pair.drawn_matches:
@@ -209,6 +224,50 @@ def _compare_baseline_names(pair: StoredPair, comparisons: Comparisons) -> None:
         strict=True,
     ):
         comparisons.compare(pair.place("baselines"), name, kept, own)
+    rows = pair.rows("baselines")
+    units = [METRIC[row["baseline"]].unit or "" for row in rows]
+    comparisons.compare(pair.place("baselines"), "unit", [row["unit"] or "" for row in rows], units)
+
+
+def check_unmatched(run: FinishedRun, settings: Settings, place: Place, comparisons: Comparisons) -> None:
+    """How many objects that one side alone has are there on the other, partly, or absent, and how many are road."""
+    made = {alone: dict.fromkeys(("there", "partly", "absent", "road"), 0) for alone in _ALONE.values()}
+    for own in run.scored:
+        rows = run.read_table("coverage", own["pair_id"]).to_pylist()
+        coverage = {(row["side"], row["community_id"]): row for row in rows}
+        for match in run.read_table("matching", own["pair_id"]).to_pylist():
+            for side, alone in _ALONE.items():
+                if match["status"] == alone:
+                    row = coverage[side, match[f"{side}_id"]]
+                    share = row["covered_0p3m"]
+                    made[alone]["there" if share > 0.8 else "partly" if share > 0.2 else "absent"] += 1
+                    made[alone]["road"] += (row["road_share"] or 0) > 0.5
+    for alone, counts in made.items():
+        stored = getattr(run.record.metrics.unmatched, alone) if run.record.metrics else None
+        for state, n in counts.items():
+            if (kept := getattr(stored, state, None)) is not None:  # an older fidpipe did not count road
+                comparisons.compare(place, f"metrics.unmatched.{alone}.{state}", kept, n)
+
+
+def check_baseline_means(run: FinishedRun, settings: Settings, place: Place, comparisons: Comparisons) -> None:
+    """Means and deviations over pairs of the distances of others, of objects and of whole scans."""
+    of_pairs: dict[tuple[str, str], list[list[float | None]]] = {}
+    for own in run.scored if settings.metrics.baselines else []:
+        of_pair: dict[tuple[str, str], list[float | None]] = {}
+        for row in run.read_table("baselines", own["pair_id"]).to_pylist():
+            level = "scans" if row["real_id"] is None else "objects"
+            of_pair.setdefault((row["baseline"], level), []).append(row["value"])
+        for name, values in of_pair.items():
+            of_pairs.setdefault(name, []).append(values)
+    stored = {(summary.baseline, summary.level): summary for summary in run.record.baselines}
+    comparisons.compare(place, "baselines", [*map(str, sorted(stored))], [*map(str, sorted(of_pairs))])
+    for name, pairs in of_pairs.items():
+        mean, std = method.mean_and_std([method.mean_and_std(values)[0] for values in pairs])
+        n_null = sum(values.count(None) for values in pairs)
+        made = {"mean": mean, "std": std, "n": sum(map(len, pairs)) - n_null, "n_null": n_null}
+        for column, value in made.items():
+            kept = getattr(stored[name], column)
+            comparisons.compare(place, f"{name[0]}, {name[1]}, {column}", kept, value, tolerance=SPECTRUM)
 
 
 def check_seeds(pair: StoredPair, comparisons: Comparisons) -> None:
@@ -249,9 +308,16 @@ def check_pairs(pair: StoredPair, comparisons: Comparisons) -> None:
     for metric in OBJECT_METRICS:
         mean, std = method.mean_and_std([own[metric] for own in metrics])
         made |= {f"{metric}_mean": mean, f"{metric}_std": std}
+    made |= {"pair_id": pair.pair_id, "status": "scored"}
+    comparisons.compare(place, "no reason", row["reason"] or "", "")
     for name, value in made.items():
         tolerance = 0.0 if name.startswith("n_") else LENGTH_M
         comparisons.compare(place, name, row[name], value, tolerance=tolerance)
+
+
+def _each(matches: list[Row], name: str, sizes: list[int]) -> list[int]:
+    """The ids of some matches, each as often as the match has aligned nodes."""
+    return [match[name] for match, n in zip(matches, sizes, strict=True) for _ in range(n)]
 
 
 def _or_blank(value: int | str | None) -> str:

@@ -10,21 +10,49 @@ import numpy as np
 
 from ....schemas.columns import SIDES, Row
 from ....schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS
+from ....schemas.tables import TABLES
 from ....stages.arrays import FloatArray, IndexArray
 from ....stages.literal import method, surfaces
 from ...datasets.readers import read_scan
-from .comparisons import LENGTH_M, Comparisons, point_names
+from .comparisons import LENGTH_M, MODULARITY, Comparisons, point_names
 from .stored import StoredPair, StoredSide
 
 _NODES_PER_OBJECT = 3
+_DESCRIBED = ("cx", "cy", "cz", "range_m", "extent_x", "extent_y", "extent_z", "linearity", "planarity", "scattering")
 _SAMPLE_POINTS = 2000
+_ROUGHNESS = ("real_m", "sim_m", "bias_m", "area_m")
 _FEWEST_FOR_PLANES = 20
+#: What the scans tell, and nothing else.
+_OF_SCANS = (
+    *(f"ground.{name}" for name in ("point_id", "x", "y", "z", "intensity", "label", "instance")),
+    *(f"pairs.n_{side}_raw" for side in SIDES),
+)
 _REACHES_M = dict(zip(COVERAGE_REACHES, (0.1, 0.3, 1.0), strict=True))
+
+
+def check_rows(pair: StoredPair, comparisons: Comparisons) -> None:
+    """That the rows of every table name this pair and this side, and ascend by their keys, none twice."""
+    for table, side in pair.tables:
+        stored, place = pair.columns(table, side), pair.place("rows", side)
+        for name, own in {"pair_id": pair.pair_id, "side": side}.items() if side else [("pair_id", pair.pair_id)]:
+            n_others = int(np.count_nonzero(stored[name] != own))
+            comparisons.compare(place, f"{name} of {table}, others", n_others, 0, covers=[f"{table}.{name}"])
+        n_rows = len(stored["pair_id"])
+        is_after, is_same = np.zeros(max(0, n_rows - 1), dtype=bool), np.ones(max(0, n_rows - 1), dtype=bool)
+        for key in TABLES[table].keys:
+            values = stored[key]
+            if values.dtype == object:
+                values = np.unique(values, return_inverse=True)[1]
+            before, after = (np.where(np.isnan(own), np.inf, own) for own in (values[:-1], values[1:]))  # nulls last
+            is_after |= is_same & (before < after)
+            is_same &= before == after
+        comparisons.compare(place, f"rows of {table} not in order, or twice", (~is_after).sum(), 0)
 
 
 def check_scan(pair: StoredPair, comparisons: Comparisons) -> None:
     """Cleaning, where the scans are still there."""
     if pair.scans is None:
+        comparisons.excuse(_OF_SCANS)
         return
     settings = pair.settings.input
     for side in SIDES:
@@ -43,7 +71,7 @@ def check_scan(pair: StoredPair, comparisons: Comparisons) -> None:
             include_box=settings.include_box,
         )
         place, ground = pair.place("scan", side), pair.columns("ground", side)
-        comparisons.compare(place, "n_raw", pair.row[f"n_{side}_raw"], len(scan.points))
+        comparisons.compare(pair.place("pairs"), f"n_{side}_raw", pair.row[f"n_{side}_raw"], len(scan.points))
         comparisons.compare(place, "point_id", ground["point_id"], rows)
         if len(rows) == len(ground["point_id"]):
             for axis, values in zip("xyz", points.T, strict=True):
@@ -59,7 +87,9 @@ def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
     real_facts = pair.facts("ground", "real")
     for side in SIDES:
         own, stored = pair.sides[side], pair.columns("ground", side)
-        cut = method.ground(own.all_points, settings.prior_m, settings.max_variance_loss, settings.loss)
+        facts = pair.facts("ground", side)
+        limits = (settings.prior_m, settings.max_variance_loss, settings.loss)
+        cut = method.ground(own.all_points, *limits, if_not_told=np.array(facts["axis"]))
         axis, tilt_deg, peak_m = cut.axis, cut.tilt_deg, cut.peak_m
         threshold_m: float | None = cut.threshold_m
         loss: float | None = cut.loss
@@ -75,7 +105,8 @@ def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
         place, names = pair.place("ground", side), point_names(stored["point_id"])
         comparisons.compare(place, "height_m", stored["height_m"], height_m - peak_m, tolerance=LENGTH_M, rows=names)
         if settings.method == "patchwork":
-            comparisons.leave_out("flags of ground by patchwork++: there is no second implementation")
+            what = "flags of ground by patchwork++: there is no second implementation"
+            comparisons.leave_out(what, ["ground.is_ground"])
         else:
             flags = np.zeros(len(height_m), dtype=bool) if threshold_m is None else height_m < threshold_m
             clear = np.ones(len(flags), dtype=bool) if threshold_m is None else abs(height_m - threshold_m) > LENGTH_M
@@ -83,7 +114,6 @@ def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
             rows = [name for name, is_clear in zip(names, clear, strict=True) if is_clear]
             comparisons.compare(place, "is_ground", kept[clear].astype(float), flags[clear].astype(float), rows=rows)
         n_ground = int(stored["is_ground"].sum())
-        facts = pair.facts("ground", side)
         for i, coordinate in enumerate("xyz"):
             comparisons.compare(place, f"axis {coordinate}", facts["axis"][i], axis[i], tolerance=LENGTH_M)
         told = {
@@ -96,15 +126,14 @@ def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
         }
         counts = {"clean": len(height_m), "points": len(height_m) - n_ground}
         for name, value in told.items():
-            # tilt: the arccosine is steep where the axis is upright
-            tolerance = 1e-6 if name == "tilt_deg" else LENGTH_M
-            comparisons.compare(
-                pair.place("pairs"),
-                f"ground_{side}_{name}",
-                pair.row[f"ground_{side}_{name}"],
-                value,
-                tolerance=tolerance,
-            )
+            column = f"ground_{side}_{name}"
+            if name == "tilt_deg" and not cut.is_told:
+                comparisons.leave_out("tilt of a scan that spreads alike along two axes", [f"pairs.{column}"])
+                continue
+            # the arccosine is steep where the axis is upright
+            tolerance = 1e-5 if name == "tilt_deg" else LENGTH_M
+            comparisons.compare(pair.place("pairs"), column, pair.row[column], value, tolerance=tolerance)
+            comparisons.compare(place, f"fact {name}", facts[name], value, tolerance=tolerance)
         for name, count in counts.items():
             comparisons.compare(pair.place("pairs"), f"n_{side}_{name}", pair.row[f"n_{side}_{name}"], count)
 
@@ -139,7 +168,7 @@ def check_graph(pair: StoredPair, comparisons: Comparisons) -> None:
             names = [f"point {ids[i]} to {ids[j]}" for j in both]
             is_stored = [float(j in stored) for j in both]
             is_wanted = [float(j in wanted or (j in stored and j not in surplus)) for j in both]
-            comparisons.compare(place, "edge", is_stored, is_wanted, rows=names)
+            comparisons.compare(place, "edge", is_stored, is_wanted, rows=names, covers=("graph.src", "graph.dst"))
 
 
 def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
@@ -152,27 +181,85 @@ def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
 
 
 def check_communities(pair: StoredPair, comparisons: Comparisons) -> None:
-    """Every object point has an object; these are numbered as agreed; reference objects go to the nearest points."""
-    settings, real = pair.settings.communities, pair.sides["real"]
+    """That every object point has the object that Louvain's method, or the nearest real point, gives it."""
+    settings = pair.settings.communities
     is_reference = settings.objects == "reference"
     for side, own in pair.sides.items():
-        place, labels = pair.place("communities", side), own.labels
+        place = pair.place("communities", side)
         comparisons.compare(place, "point_id", pair.columns("communities", side)["point_id"], own.point_ids)
-        if not (is_reference and side == "sim"):
-            order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(len(labels)))
-            numbered = np.empty(len(labels), dtype=np.intp)
-            numbered[order] = method.canonical(labels[order].tolist())
-            comparisons.compare(place, "community_id", labels, numbered, rows=point_names(own.point_ids))
+        if is_reference and side == "sim":
+            _compare_reference(pair, own, comparisons)
             continue
-        n_real, sizes = int(real.labels.max()) + 1, np.bincount(labels)
-        for community in pair.drawn_ids(side):
-            for i in own.members(community).tolist():
-                apart = method.distances(real.points, own.points[i])
-                near = real.labels[apart <= apart.min() * (1 + 1e-12)]  # of several, if equally near but for rounding
-                is_alone = community >= n_real and sizes[community] >= settings.min_points
-                is_right = community in near or (is_alone and apart.min() > settings.reach_m)
-                name = f"community_id of point {own.point_ids[i]}"
-                comparisons.compare(place, name, community, community if is_right else int(near[0]))
+        order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(len(own.points)))
+        made = _canonical(own.labels, order)
+        comparisons.compare(place, "community_id", own.labels, made, rows=point_names(own.point_ids))
+        if is_reference and settings.reference != "louvain":
+            comparisons.leave_out(f"which points are one object by their {settings.reference}")
+            continue
+        if own.edges[2].any():
+            gain = max(0.0, method.best_joining(own.labels, *own.edges))
+            comparisons.compare(place, "modularity gained by joining two communities", gain, 0.0, tolerance=MODULARITY)
+        visits = order if is_reference else np.random.RandomState(settings.seed).permutation(len(own.points))
+        found = _louvain(pair, own.edges, visits, comparisons)
+        if found is not None:
+            names = point_names(own.point_ids)
+            comparisons.compare(place, "community_id", own.labels, _canonical(found, order), rows=names)
+
+
+def _compare_reference(pair: StoredPair, own: StoredSide, comparisons: Comparisons) -> None:
+    """Whether simulated points have the object of the nearest real point, or, out of reach, one of their own."""
+    settings, real, labels = pair.settings.communities, pair.sides["real"], own.labels
+    n_real, place, ids = int(real.labels.max()) + 1, pair.place("communities", own.side), own.point_ids
+    sizes = np.bincount(labels)
+    for community in pair.drawn_ids(own.side):
+        for i in own.members(community).tolist():
+            apart = method.distances(real.points, own.points[i])
+            near = real.labels[apart <= apart.min() * (1 + 1e-12)]  # of several, if equally near but for rounding
+            is_alone = community >= n_real and sizes[community] >= settings.min_points
+            is_right = community in near or (is_alone and apart.min() > settings.reach_m)
+            name = f"community_id of point {ids[i]}"
+            comparisons.compare(place, name, community, community if is_right else int(near[0]))
+    alone = np.flatnonzero(labels >= n_real)
+    order = np.array(surfaces.visiting_order(own.points[alone], settings.seed), dtype=np.intp)
+    numbered = n_real + _canonical(labels[alone], order)
+    comparisons.compare(place, "community_id", labels[alone], numbered, rows=point_names(ids[alone]))
+    if not pair.drawn.whole_sides:
+        return
+    outside = np.flatnonzero(method.nearest_distances(own.points, real.points) > settings.reach_m)
+    index_of = np.full(len(labels), -1)
+    index_of[outside] = np.arange(len(outside))
+    src, dst, length_m = own.edges
+    among = (index_of[src] >= 0) & (index_of[dst] >= 0)
+    order = np.array(surfaces.visiting_order(own.points[outside], settings.seed), dtype=np.intp)
+    groups = _louvain(pair, (index_of[src[among]], index_of[dst[among]], length_m[among]), order, comparisons)
+    if groups is None:
+        return
+    groups = _canonical(groups, order)
+    is_object = np.bincount(groups)[groups] >= settings.min_points
+    made, stored = (np.full(len(labels), "of a real object", dtype=object) for _ in range(2))
+    made[outside[is_object]] = [f"{n_real + group}" for group in groups[is_object]]
+    stored[alone] = [f"{label}" for label in labels[alone]]
+    comparisons.compare(place, "community_id", stored, made, rows=point_names(ids))
+
+
+def _louvain(
+    pair: StoredPair, edges: tuple[IndexArray, IndexArray, FloatArray], order: IndexArray, comparisons: Comparisons
+) -> IndexArray | None:
+    """What Louvain's method makes of a graph; None where another library, or version of it, was used in the run."""
+    if pair.settings.communities.backend != "scikit-network" or not pair.has_same_library("scikit-network"):
+        comparisons.leave_out("communities of a graph by another Louvain than that of the installed scikit-network")
+        return None
+    if not edges[2].any():
+        comparisons.leave_out("the pieces of a graph without lengths")
+        return None
+    return np.array(method.louvain(len(order), *edges, order))
+
+
+def _canonical(labels: IndexArray, order: IndexArray) -> IndexArray:
+    """The same partition, numbered by size and then by the first of its points in an order."""
+    numbered = np.empty(len(labels), dtype=np.intp)
+    numbered[order] = method.canonical(labels[order].tolist())
+    return numbered
 
 
 def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
@@ -193,14 +280,11 @@ def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
         for community in pair.drawn_ids(side):
             members = own.members(community)
             at, row = pair.place("objects", side, f"{side} {community}"), stored[community]
-            if not len(members):
-                comparisons.compare(at, "cx", row["cx"], None)
-                continue
-            about = method.describe(own.points[members])
-            made = dict(zip(("cx", "cy", "cz"), about.centroid, strict=True)) | {"range_m": about.range_m}
-            made |= dict(zip(("extent_x", "extent_y", "extent_z"), about.extent, strict=True))
-            made |= dict(zip(("linearity", "planarity", "scattering"), about.shape, strict=True))
-            for name, value in made.items():
+            made: list[float | None] = [None] * len(_DESCRIBED)
+            if len(members):
+                about = method.describe(own.points[members])
+                made = [*about.centroid, about.range_m, *about.extent, *about.shape]
+            for name, value in zip(_DESCRIBED, made, strict=True):
                 comparisons.compare(at, name, row[name], value, tolerance=LENGTH_M)
             named = [word for word in words[members] if word is not None]
             label = min(set(named), key=lambda word: (-named.count(word), word)) if named else None
@@ -209,7 +293,12 @@ def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
 
 def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
     """What the other side has of each drawn object; of whole sides the mean of their objects."""
-    stored = {(row["side"], row["community_id"]): row for row in pair.rows("coverage")}
+    rows = pair.rows("coverage")
+    stored = {(row["side"], row["community_id"]): row for row in rows}
+    sizes = {side: np.bincount(own.labels, minlength=pair.n_objects(side)).tolist() for side, own in pair.sides.items()}
+    wanted = [(side, i, n) for side in SIDES for i, n in [*enumerate(sizes[side]), (None, sum(sizes[side]))]]
+    for name, column in zip(("side", "community_id", "n_points"), zip(*wanted, strict=True), strict=True):
+        comparisons.compare(pair.place("coverage"), name, [row[name] for row in rows], column)
     for side, other in (SIDES, SIDES[::-1]):
         own, others = pair.sides[side], pair.sides[other].points
         cut = pair.facts("ground", other)
@@ -218,7 +307,6 @@ def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
             row: Row, members: IndexArray, name: str, own: StoredSide = own, others: FloatArray = others, cut: Any = cut
         ) -> None:
             at = pair.place("coverage", own.side, name)
-            comparisons.compare(at, "n_points", row["n_points"], len(members))
             apart = method.nearest_distances(own.points[members], others).tolist()
             for reach, reach_m in _REACHES_M.items():
                 share = surfaces.covered(apart, reach_m) if apart else None
@@ -252,14 +340,19 @@ def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
 
 def check_surface(pair: StoredPair, comparisons: Comparisons) -> None:
     """How far the surfaces of the drawn real objects are displaced, and of whole sides also how rough they are."""
-    stored = {row["real_id"]: row for row in pair.rows("surface")}
+    rows = pair.rows("surface")
+    stored = {row["real_id"]: row for row in rows}
+    wanted = [*range(pair.n_objects("real")), None]
+    comparisons.compare(pair.place("surface"), "real_id", [row["real_id"] for row in rows], wanted)
     points, labels = pair.sides["real"].points, pair.sides["real"].labels
     sample = _sample(points)
     sim = pair.sides["sim"].points
 
     def compare(row: Row, planes: list[surfaces.Plane], name: str) -> None:
         if any(plane.is_tied for plane in planes):
-            comparisons.leave_out("displacement of an object, some of whose points have equally near neighbours")
+            comparisons.leave_out(
+                "displacement of an object, some of whose points have equally near neighbours", ["surface"]
+            )
             return
         made, at = surfaces.offset(planes, sim), pair.place("surface", object_=name)
         comparisons.compare(at, "n_points", row["n_points"], made.n_points)
@@ -278,10 +371,11 @@ def check_surface(pair: StoredPair, comparisons: Comparisons) -> None:
     compare(stored[None], planes, "")
     of_sim = [surfaces.local_plane(sim, sim[i]) for i in _sample(sim)]
     if any(plane.is_tied for plane in (*planes, *of_sim)):
-        comparisons.leave_out("roughness of a pair, some of whose points have equally near neighbours")
+        what = "roughness of a pair, some of whose points have equally near neighbours"
+        comparisons.leave_out(what, [f"pairs.roughness_{name}" for name in _ROUGHNESS])
         return
     roughness = [[plane.roughness_m for plane in own] for own in (planes, of_sim)]
-    made: dict[str, float | None] = dict.fromkeys(("real_m", "sim_m", "bias_m", "area_m"))
+    made: dict[str, float | None] = dict.fromkeys(_ROUGHNESS)
     if all(roughness):
         a, b = (np.array(own) for own in roughness)
         bias = float(b.mean() - a.mean())

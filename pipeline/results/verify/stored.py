@@ -14,6 +14,9 @@ from ....schemas.settings import Settings
 from ....stages.arrays import FloatArray, IndexArray
 from ....stages.literal import method
 from ...datasets.pairs import ScanPair
+from ...jobs import EXTRAS, STAGES
+from ...stage import Stage
+from ...storage.record import library_versions
 from ..finished import FinishedRun
 from .comparisons import Place
 
@@ -82,6 +85,15 @@ class StoredPair:
         return self.rows("matching")
 
     @property
+    def matched(self) -> list[Row]:
+        """The rows of `matching` whose objects both sides have."""
+        return [row for row in self.matching if row["status"] == "matched"]
+
+    def n_kept(self, match: Row) -> int:
+        """How many aligned nodes a matched object must have: the points of the smaller side."""
+        return min(int(self.columns("objects", side)["n_points"][match[f"{side}_id"]]) for side in SIDES)
+
+    @property
     def drawn_matches(self) -> list[Row]:
         """The drawn rows of `matching` whose objects both sides have."""
         return [self.matching[i] for i in self.drawn.rows if self.matching[i]["status"] == "matched"]
@@ -100,6 +112,21 @@ class StoredPair:
         stored = self.columns("selection")
         own = stored["real_id"] == match["real_id"]
         return {side: self.sides[side].index(stored[f"{side}_point_id"][own]) for side in SIDES}
+
+    @property
+    def tables(self) -> list[tuple[str, str]]:
+        """The tables of the pair that today's stages have made, each with its side, "" where it has both."""
+        versions, stages = self._run.record.stages, wanted_stages(self.settings)
+        stages = [stage for stage in stages if versions.get(stage.name, stage.version) == stage.version]
+        return [(table, side) for stage in stages for side in stage.parts for table in stage.gives]
+
+    def n_objects(self, side: str) -> int:
+        """How many objects `objects` has of a side."""
+        return len(self.columns("objects", side)["community_id"])
+
+    def has_same_library(self, name: str) -> bool:
+        """Whether the installed version of a library is that of the run."""
+        return self._run.record.libraries.get(name) == library_versions([name])[name]
 
     def facts(self, stage: str, side: str = "") -> dict[str, Any]:
         """What the job of a stage noted."""
@@ -175,6 +202,11 @@ class StoredSide:
         """Edge lengths among some nodes, (k, k), dense."""
         dense: FloatArray = self.adjacency[nodes][:, nodes].toarray()
         return dense
+
+
+def wanted_stages(settings: Settings) -> list[Stage]:
+    """The stages that a run under these settings has, in their order."""
+    return [stage for stage in (*STAGES, *EXTRAS) if stage.is_wanted is None or stage.is_wanted(settings)]
 
 
 def object_name(match: Row) -> str:

@@ -1,0 +1,380 @@
+"""Wrong numbers of plausible kinds, in tables that agree with ledger and footer: verify finds them."""
+
+import math
+import shutil
+
+import numpy as np
+import orjson
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from sknetwork.clustering import Louvain
+
+from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.schemas.metrics import OBJECT_METRICS
+from fidpipe.schemas.settings import load
+from runs import rewrite, run
+from scenes import box, drifted, street, write_bin
+
+WORDS = ["matching.delta_m=6", "metrics.baselines=chamfer", "ground.prior_m=0.25"]
+PAIRS = "pairs.parquet"
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory):
+    """A run of one labelled pair with matched, missing and hallucinated objects; not to be written to."""
+    folder = tmp_path_factory.mktemp("forged")
+    real = np.vstack([street(seed=3, n=90), box([14, -3, 0], [1, 1, 1], 40), box([-15, 12, 0], [1, 2, 1], 30)])
+    sim = np.vstack([drifted(real[:-30], seed=4), box([15, 14, 1], [1, 1, 1], 40)])
+    for side, points in (("real", real), ("sim", sim)):
+        scan = write_bin(folder / "data" / side / "a.bin", points)
+        ((points[:, 0] > 0) + 1).astype("<u4").tofile(scan.with_suffix(".label"))
+    run(folder / "data", folder / "run", load(None, WORDS))
+    assert verify_run(folder / "run", None).passed
+    return folder / "run"
+
+
+@pytest.fixture
+def forged(honest, tmp_path):
+    return shutil.copytree(honest, tmp_path / "run")
+
+
+def edit(folder, name, change):
+    """Changes a table as a pandas frame; `change` alters it in place or gives another one."""
+
+    def as_frame(rows):
+        frame = rows.to_pandas(types_mapper=pd.ArrowDtype)
+        changed = change(frame)
+        frame = frame if changed is None else changed
+        return pa.Table.from_pandas(frame, schema=rows.schema, preserve_index=False).replace_schema_metadata()
+
+    rewrite(folder, name, as_frame)
+
+
+def swap_rows(frame, i=0, j=1):
+    order = list(range(len(frame)))
+    order[i], order[j] = j, i
+    return frame.iloc[order]
+
+
+def swap_values(frame, columns, i=0, j=1):
+    for column in columns:
+        values = frame[column].tolist()
+        values[i], values[j] = values[j], values[i]
+        frame[column] = pd.array(values, dtype=frame[column].dtype)
+
+
+def summarised(folder, metrics):
+    """Puts means and deviations of an edited table of metrics into `pairs`."""
+
+    def change(frame):
+        for name in OBJECT_METRICS:
+            frame[f"{name}_mean"], frame[f"{name}_std"] = metrics[name].mean(), metrics[name].std()
+
+    edit(folder, PAIRS, change)
+
+
+def metrics_of(folder):
+    return pq.read_table(folder / "metrics/a.parquet", partitioning=None).to_pandas()
+
+
+SWAPPED = [
+    *("ground/a.real", "graph/a.sim", "communities/a.real", "objects/a.sim", "matching/a"),
+    *("selection/a", "metrics/a", "coverage/a", "surface/a", "baselines/a"),
+]
+FORGERIES = {f"two rows of {name} swapped": (f"{name}.parquet", swap_rows) for name in SWAPPED}
+
+
+def forgery(name, file):
+    """Enters a change of one table."""
+
+    def enter(change):
+        FORGERIES[name] = (f"{file}.parquet", change)
+        return change
+
+    return enter
+
+
+@forgery("an edge less", "graph/a.real")
+def _(frame):
+    return frame.drop(index=len(frame) // 2)
+
+
+@forgery("an edge more", "graph/a.sim")
+def _(frame):
+    edges = set(zip(frame.src, frame.dst, strict=True))
+    src = frame.src[0]
+    dst = max(set(frame.dst) - {dst for first, dst in edges if first == src})
+    more = frame.iloc[[0]].assign(dst=dst, length_m=np.float32(3))
+    return pd.concat([frame, more]).sort_values(["src", "dst"])
+
+
+@forgery("two communities have each other's ids", "communities/a.sim")
+def _(frame):
+    frame["community_id"] = frame.community_id.map(lambda i: {1: 2, 2: 1}.get(i, i)).astype(frame.community_id.dtype)
+
+
+@forgery("a point in the community beside", "communities/a.real")
+def _(frame):
+    frame.loc[frame.index[frame.community_id == 1][0], "community_id"] = 0
+
+
+@forgery("two points of different communities have each other's", "communities/a.real")
+def _(frame):
+    i, j = (frame.index[frame.community_id == own][0] for own in (0, 1))
+    swap_values(frame, ["community_id"], i, j)
+
+
+@forgery("the CDC of another object", "metrics/a")
+def _(frame):
+    frame.loc[0, "cdc"] = frame.cdc[1]
+
+
+@forgery("both gaps exchanged", "metrics/a")
+def _(frame):
+    frame.loc[0, ["gap_real", "gap_sim"]] = frame.loc[0, ["gap_sim", "gap_real"]].tolist()
+
+
+@forgery("both sizes exchanged", "metrics/a")
+def _(frame):
+    frame[["n_real", "n_sim"]] = frame[["n_sim", "n_real"]].to_numpy()
+
+
+@forgery("an object called identical", "metrics/a")
+def _(frame):
+    frame.loc[0, "status"] = "identical"
+
+
+@forgery("centroid distances in centimetres", "matching/a")
+def _(frame):
+    frame["centroid_distance_m"] = frame.centroid_distance_m * 100
+
+
+@forgery("the sign of a displacement", "surface/a")
+def _(frame):
+    frame["shift_z_m"] = -frame.shift_z_m
+
+
+@forgery("displacement of an object doubled", "surface/a")
+def _(frame):
+    row = frame.index[frame.shift_m.notna()][0]
+    frame.loc[row, ["shift_x_m", "shift_y_m", "shift_z_m", "shift_m"]] *= 2
+
+
+@forgery("a covered row twice", "coverage/a")
+def _(frame):
+    return pd.concat([frame.iloc[:1], frame])
+
+
+@forgery("a row of coverage less", "coverage/a")
+def _(frame):
+    return frame.drop(index=1)
+
+
+@forgery("the mean distance for the median", "coverage/a")
+def _(frame):
+    frame.loc[0, "median_distance_m"] = frame.median_distance_m[0] * 1.01
+
+
+@forgery("coverage of an object by the other reach", "coverage/a")
+def _(frame):
+    frame.loc[1, "covered_0p3m"] = frame.covered_1m[1]
+
+
+@forgery("two influences exchanged", "selection/a")
+def _(frame):
+    swap_values(frame, ["real_influence"], 0, 5)
+
+
+@forgery("two aligned nodes exchanged", "selection/a")
+def _(frame):
+    swap_values(frame, ["sim_point_id", "sim_influence"], 0, 7)
+
+
+@forgery("an aligned node less", "selection/a")
+def _(frame):
+    row = frame.index[frame.real_id == 0][-1]
+    return frame.drop(index=row)
+
+
+@forgery("a label of a point", "ground/a.real")
+def _(frame):
+    frame.loc[3, "label"] = "2" if frame.label[3] == "1" else "1"
+
+
+@forgery("a label of an object", "objects/a.real")
+def _(frame):
+    frame.loc[0, "label"] = "2" if frame.label[0] == "1" else "1"
+
+
+@forgery("one flag of ground", "ground/a.sim")
+def _(frame):
+    row = frame.index[frame.is_ground][0]
+    frame.loc[row, "is_ground"] = False
+
+
+@forgery("heights from the sensor", "ground/a.sim")
+def _(frame):
+    frame["height_m"] = frame.z
+
+
+@forgery("planarity and scattering exchanged", "objects/a.sim")
+def _(frame):
+    frame[["planarity", "scattering"]] = frame[["scattering", "planarity"]].to_numpy()
+
+
+@forgery("range of the horizontal distance", "objects/a.real")
+def _(frame):
+    frame["range_m"] = np.hypot(frame.cx.astype(float), frame.cy.astype(float))
+
+
+@forgery("means with medians in their place", PAIRS.removesuffix(".parquet"))
+def _(frame):
+    frame["cdc_mean"] = frame.cdc_mean * 0.97
+
+
+@forgery("tilt in radians", "pairs")
+def _(frame):
+    frame["ground_real_tilt_deg"] = frame.ground_real_tilt_deg * (math.pi / 180)
+
+
+@forgery("match rate over the smaller side", "pairs")
+def _(frame):
+    frame["match_rate"] = frame.n_matched / (frame.n_matched + frame[["n_missing", "n_hallucinated"]].min(axis=1))
+
+
+@forgery("median range of the other objects", "pairs")
+def _(frame):
+    frame["median_range_unmatched_m"] = frame.median_range_matched_m
+
+
+@forgery("coverages of both sides exchanged", "pairs")
+def _(frame):
+    frame[["covered_real_1m", "covered_sim_1m"]] = frame[["covered_sim_1m", "covered_real_1m"]].to_numpy()
+
+
+@forgery("roughness of the other side", "pairs")
+def _(frame):
+    frame["roughness_bias_m"] = -frame.roughness_bias_m
+
+
+@forgery("raw points less one", "pairs")
+def _(frame):
+    frame["n_sim_raw"] = frame.n_sim_raw - 1
+
+
+@forgery("a baseline squared", "baselines/a")
+def _(frame):
+    frame.loc[0, "value"] = frame.value[0] ** 2
+
+
+@forgery("a baseline of the whole scans", "baselines/a")
+def _(frame):
+    row = frame.index[frame.real_id.isna()][-1]
+    frame.loc[row, "value"] = frame.value[row] * 1.000001
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_forged_table_is_found(forged, name):
+    file, change = FORGERIES[name]
+    before = pq.read_table(forged / file)
+    edit(forged, file, change)
+    assert not pq.read_table(forged / file).equals(before), "the forgery changes something"
+    result = verify_run(forged, None)
+    assert not result.passed
+    assert "files" not in {mismatch.table for mismatch in result.mismatches}
+
+
+def test_deviations_over_n_are_found(forged):
+    metrics = metrics_of(forged)
+    edit(forged, PAIRS, lambda frame: frame.assign(cdc_std=metrics.cdc.std(ddof=0)))
+    assert {mismatch.column for mismatch in verify_run(forged, None).mismatches} == {"cdc_std"}
+
+
+def test_a_match_that_is_removed_from_every_table_is_found(forged):
+    """As if delta were smaller: the match becomes a missing and a hallucinated object everywhere."""
+    metrics = metrics_of(forged)
+    real_id, sim_id = (int(metrics[name].iloc[-1]) for name in ("real_id", "sim_id"))
+
+    def part(frame):
+        row = frame.real_id == real_id
+        frame.loc[row, ["sim_id", "centroid_distance_m"]] = None
+        frame.loc[row, "status"] = "missing"
+        alone = frame[row].assign(real_id=None, sim_id=sim_id, status="hallucinated")
+        return pd.concat([frame, alone.astype(frame.dtypes)]).sort_values(["real_id", "sim_id"])
+
+    edit(forged, "matching/a.parquet", part)
+    for table in ("selection", "metrics", "baselines"):
+        edit(forged, f"{table}/a.parquet", lambda frame: frame[(frame.real_id != real_id).fillna(True)])
+    summarised(forged, metrics.iloc[:-1])
+
+    def count(frame):
+        for name, by in (("n_matched", -1), ("n_scored", -1), ("n_missing", 1), ("n_hallucinated", 1)):
+            frame[name] = frame[name] + by
+        frame["match_rate"] = frame.n_matched / (frame.n_matched + frame[["n_missing", "n_hallucinated"]].max(axis=1))
+
+    edit(forged, PAIRS, count)
+    assert "matching" in {mismatch.table for mismatch in verify_run(forged, None).mismatches}
+
+
+def test_points_of_another_object_of_the_reference_are_found(honest, tmp_path):
+    run(honest.parent / "data", tmp_path / "run", load(None, preset="reference"))
+    groups = pq.read_table(tmp_path / "run/communities/a.sim.parquet").column("community_id").to_numpy()
+    assert groups.max() > 1
+    for i, old in enumerate((0, groups.max())):
+        forged = shutil.copytree(tmp_path / "run", tmp_path / f"forged-{i}")
+
+        def move(frame, old=old):
+            row = frame.index[frame.community_id == old][-1]
+            frame.loc[row, "community_id"] = 1
+
+        edit(forged, "communities/a.sim.parquet", move)
+        assert "communities" in {mismatch.table for mismatch in verify_run(forged, None).mismatches}
+
+
+def test_communities_of_another_resolution_are_found_though_their_numbers_are_in_order(honest, tmp_path, monkeypatch):
+    """As if the stage called its library with another parameter."""
+    find = Louvain.__init__
+    monkeypatch.setattr(Louvain, "__init__", lambda own, **options: find(own, **options | {"resolution": 0.8}))
+    run(honest.parent / "data", tmp_path / "run", load(None, WORDS))
+    monkeypatch.undo()
+    wrong = {mismatch.table for mismatch in verify_run(tmp_path / "run", None).mismatches}
+    assert wrong == {"communities"}
+
+
+def test_a_score_that_is_wrong_in_every_table_is_found_by_its_objects(forged):
+    """r_gap without the 2 in its denominator, and all means of it."""
+    edit(forged, "metrics/a.parquet", lambda frame: frame.assign(r_gap=frame.r_gap * 2))
+    metrics = metrics_of(forged)
+    summarised(forged, metrics)
+    record = orjson.loads((forged / "run.json").read_bytes())
+    record["summary"]["r_gap_mean"]["mean"] = float(metrics.r_gap.mean())
+    (forged / "run.json").write_bytes(orjson.dumps(record))
+    wrong = {(mismatch.table, mismatch.column) for mismatch in verify_run(forged, None).mismatches}
+    assert ("metrics", "r_gap") in wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("summary", "match_rate", "n_pairs"), 2),
+        (("pairs", "failed"), 1),
+        (("metrics", "unmatched", "missing", "absent"), 7),
+        (("metrics", "unmatched", "hallucinated", "road"), 7),
+        (("baselines", 0, "mean"), 0.5),
+        (("baselines", 0, "n_null"), 1),
+    ],
+)
+def test_a_forged_record_is_found(forged, where, value):
+    record = orjson.loads((forged / "run.json").read_bytes())
+    place = record
+    for key in where[:-1]:
+        place = place[key]
+    assert place[where[-1]] != value
+    place[where[-1]] = value
+    (forged / "run.json").write_bytes(orjson.dumps(record))
+    (mismatch,) = verify_run(forged, None).mismatches
+    assert mismatch.table == "run.json"
