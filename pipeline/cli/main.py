@@ -82,7 +82,7 @@ def _open_streams() -> None:
             setattr(sys, name, stream)
 
 
-def _flushed(code: object) -> object:
+def _flushed(code: int | None) -> int | None:
     """The exit code once all is written to standard output; 1 where it cannot be and there was no other fault."""
     try:
         sys.stdout.flush()
