@@ -8,7 +8,8 @@ from packaging.utils import canonicalize_name
 
 #: What a licence may be: all but copyleft for the whole program (GPL, AGPL); the MPL binds its own files alone.
 ALLOWED = re.compile(
-    r"\b(0BSD|Apache|BSD|CC0|ISC|MIT|MPL[- ]2|Mozilla Public License 2|PSF|Python Software Foundation|Unlicense|Zlib)\b",
+    r"\b(0BSD|Apache|BSD|CC0|ISC|MIT|MPL[- ]2|Mozilla Public License 2|PSF|Python Software Foundation|Unlicense"
+    r"|Zlib)\b",
     re.IGNORECASE,
 )
 FORBIDDEN = re.compile(r"GPL|General Public|AGPL|SSPL|Commons Clause|proprietary|non-?commercial", re.IGNORECASE)

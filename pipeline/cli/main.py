@@ -25,7 +25,11 @@ from .running import check, floor, run, settings, status
 
 _SECONDS_TO_STOP = 10.0
 _STOPPING = (signal.SIGINT, signal.SIGTERM)  # a batch system that ends a job means what Ctrl-C means
-_REFUSALS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)  # by the system, not our bugs
+#: By the system, not our bugs.
+_REFUSALS = (
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO, errno.ESTALE),
+)
 _FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
 
 app = typer.Typer(
@@ -100,7 +104,7 @@ def _refusal(error: OSError) -> str:
         return "the folder in which the command was started is gone; change to another one"
     if error.errno in _FILES:
         return f"{error.strerror}; raise ulimit -n, or take fewer --workers"
-    if error.filename is None and error.errno in (*_REFUSALS, errno.EIO):
+    if error.filename is None and error.errno in _REFUSALS:
         return f"standard output: {error.strerror}; what was written into files is whole"
     return (
         f"{error.filename}: {error.strerror}; allow it there, or name another place" if error.errno in _REFUSALS else ""

@@ -6,6 +6,7 @@ memory of its own. Its rules stand here; they are fidpipe's.
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -342,5 +343,5 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         return  # it is a floor itself
     yield Caution(
         kind="floor",
-        words=f"what a perfect simulator would score is not known from this run: fidpipe floor {record.dataset}",
+        words=f"what a perfect simulator would score is not known from this run: fidpipe floor {shlex.quote(record.dataset)}",
     )

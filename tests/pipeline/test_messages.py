@@ -238,7 +238,7 @@ def test_a_full_standard_output_is_named_in_one_line(finished, words):
 def test_a_run_without_standard_streams_does_its_work(dataset, tmp_path):
     ended = command("run", dataset, "--out", tmp_path / "run", "--workers", 1, preexec_fn=close_streams)
     assert ended.returncode == 0
-    assert FinishedRun(tmp_path / "run").record["pairs"]["scored"] == 1
+    assert FinishedRun(tmp_path / "run").record.pairs.scored == 1
 
 
 def test_a_reader_that_stops_ends_a_command_without_a_word(finished):
@@ -252,7 +252,8 @@ def test_a_reader_that_stops_ends_a_command_without_a_word(finished):
 def test_a_working_folder_that_is_gone_is_said_in_one_line(dataset, tmp_path):
     gone = tmp_path / "gone"
     gone.mkdir()
-    ended = command("check", "dataset", cwd=gone, preexec_fn=gone.rmdir)
+    shutil.copytree(dataset, tmp_path / "data")
+    ended = command("check", "../data", cwd=gone, preexec_fn=gone.rmdir)
     assert one_error(ended) == "error: the folder in which the command was started is gone; change to another one"
 
 
@@ -278,3 +279,19 @@ def test_a_home_that_cannot_be_written_is_no_news(finished, tmp_path):
     nowhere = dict.fromkeys(("HOME", "MPLCONFIGDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/dev/null")
     ended = command("report", finished, "--out", tmp_path / "page", env=os.environ | nowhere)
     assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def test_paths_that_are_too_long_are_said_in_one_line(dataset, tmp_path):
+    name = "n" * 200
+    deep = "/".join([str(tmp_path), name, name, name])
+    ended = command("run", dataset, "--out", deep, "--workers", 1)
+    assert " characters, SQLite takes 511); give another --out" in one_error(ended)
+    assert "File name too long; allow it there, or name another place" in one_error(command("check", "n" * 300))
+
+
+def test_a_command_to_type_next_can_be_typed_where_a_name_has_spaces(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "two words")
+    ended = command("run", data, "--out", "my run", "--workers", 1, cwd=tmp_path)
+    assert "fidpipe report 'my run'" in ended.stdout
+    assert f"fidpipe floor '{data}'" in ended.stdout
+    assert "fidpipe show my run" not in ended.stdout
