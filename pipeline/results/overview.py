@@ -341,7 +341,5 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
     if (Path(record.dataset) / FLOOR_RECIPE).exists():
         return  # it is a floor itself
-    yield Caution(
-        kind="floor",
-        words=f"what a perfect simulator would score is not known from this run: fidpipe floor {shlex.quote(record.dataset)}",
-    )
+    floor = shlex.join(["fidpipe", "floor", record.dataset])
+    yield Caution(kind="floor", words=f"what a perfect simulator would score is not known from this run: {floor}")

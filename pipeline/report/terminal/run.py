@@ -145,7 +145,8 @@ def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> 
         return []
     new = [row for row in failures if row["pair_id"] not in told]
     count, n_told = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
-    above = f", {'' if n_told == len(failures) else f'{n_told} of them '}as told above; again with: fidpipe show {quote(str(folder))}"
+    which = "" if n_told == len(failures) else f"{n_told} of them "
+    above = f", {which}as told above; again with: fidpipe show {quote(str(folder))}"
     parts: list[RenderableType] = [Text(f"{count}{above if n_told else ''}{':' if new else ''}", style="red")]
     parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
     if len(new) > _MOST_PAIRS:
