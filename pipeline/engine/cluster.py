@@ -268,8 +268,8 @@ class DaskPool:
                     atexit.unregister(distributed.deploy.spec.close_clusters)  # it asserts that all of it was there
                 raise
         raise RunError(
-            f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory short?); "
-            "run the same command again, or with --workers 1"
+            f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory or "
+            "ulimit short?); run the same command again, or with --workers 1"
         ) from fault
 
     async def _stop_workers(self) -> None:
