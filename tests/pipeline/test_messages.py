@@ -295,3 +295,21 @@ def test_a_command_to_type_next_can_be_typed_where_a_name_has_spaces(dataset, tm
     assert "fidpipe report 'my run'" in ended.stdout
     assert f"fidpipe floor '{data}'" in ended.stdout
     assert "fidpipe show my run" not in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "kind"), [(("settings", "--settings"), "settings"), (("gate", "run", "--criteria"), "criteria")]
+)
+def test_a_file_that_is_not_there_is_named_once(tmp_path, words, kind):
+    ended = command(*words, "nothere.toml", cwd=tmp_path)
+    assert one_error(ended) == f"error: {kind} file nothere.toml: cannot be read (No such file or directory)"
+
+
+def test_a_fault_of_a_file_that_is_both_sides_is_said_once(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    shutil.rmtree(data / "sim")
+    np.save(data / "scan.npy", np.ones((3, 100)))
+    (data / "pairs.csv").write_text("pair_id,real,sim\n7,scan.npy,scan.npy\n")
+    ended = command("run", data, "--out", tmp_path / "run", "--workers", 1)
+    assert (ended.returncode, ended.stderr.count("pair 7: ")) == (3, 1)
+    assert ended.stderr.count("save array.T") == 1
