@@ -384,7 +384,9 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
         try:
             values = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError) as error:
-            raise SettingsError(f"settings file {path}: cannot be read ({error})") from error
+            raise SettingsError(
+                f"settings file {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
+            ) from error
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
     if preset is not None:

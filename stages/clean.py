@@ -127,7 +127,8 @@ def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], setting
     remedy = remedies.get(max(counts, key=counts.__getitem__, default=""), "is the export whole?")
     if not n_left:
         return f"no point is left after cleaning ({why}); {remedy}"
-    return f"{n_left} points are left after cleaning ({why}), at least {n_fewest} are needed; {remedy}"
+    left = "1 point is left" if n_left == 1 else f"{n_left} points are left"
+    return f"{left} after cleaning ({why}), at least {n_fewest} are needed; {remedy}"
 
 
 def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:

@@ -15,6 +15,7 @@ from .selection import Selection
 
 MIN_NODES = 3
 IDENTICAL_CHANGE = 1e-5
+MOST_CHANGE = 2.0
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
     With L_real, L_sim the normalised Laplacians of the reduced subgraphs, rows and columns of L_sim in the aligned
     order, dL = L_sim - L_real, and l_0 <= l_1 <= ... their spectra (paper, section "Graph-Based Validation Metrics"):
 
-    max_eigenvalue_shift = max_i |l_i(sim) - l_i(real)|
-    laplacian_change = |dL|_2
+    max_eigenvalue_shift = max_i |l_i(sim) - l_i(real)|, at most 2 as both spectra lie in [0, 2]
+    laplacian_change = |dL|_2, at most 2 likewise
     r_lambda = max_eigenvalue_shift / laplacian_change, at most 1 by Weyl's inequality
     r_gap = |gap_sim - gap_real| / (2 laplacian_change), gap = l_1 - l_0; at most 0.5 because l_0 = 0 on both sides
     eigenspectrum_distance = |l(sim) - l(real)|_2
@@ -67,11 +68,11 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
         laplacian_real = induced_laplacian(real, selection.real_nodes)
         laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
     with watch("norm"):
-        change = spectral_norm(laplacian_sim - laplacian_real)
+        change = min(MOST_CHANGE, spectral_norm(laplacian_sim - laplacian_real))  # what is above is rounding
     with watch("spectra"):
         spectrum_real = eigenvalues(laplacian_real)
         spectrum_sim = eigenvalues(laplacian_sim) if change > 0 else spectrum_real  # of equal matrices, exactly equal
-    shift = float(np.max(np.abs(spectrum_sim - spectrum_real)))
+    shift = min(MOST_CHANGE, float(np.max(np.abs(spectrum_sim - spectrum_real))))
     gap_real, gap_sim = (float(spectrum[1] - spectrum[0]) for spectrum in (spectrum_real, spectrum_sim))
     is_identical = change <= IDENTICAL_CHANGE
     return Scores(

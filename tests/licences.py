@@ -8,7 +8,8 @@ from packaging.utils import canonicalize_name
 
 #: What a licence may be: all but copyleft for the whole program (GPL, AGPL); the MPL binds its own files alone.
 ALLOWED = re.compile(
-    r"(0BSD|Apache|BSD|CC0|ISC|MIT|MPL[- ]2|Mozilla Public License 2|PSF|Python Software Foundation|Unlicense|Zlib)",
+    r"\b(0BSD|Apache|BSD|CC0|ISC|MIT|MPL[- ]2|Mozilla Public License 2|PSF|Python Software Foundation|Unlicense"
+    r"|Zlib)\b",
     re.IGNORECASE,
 )
 FORBIDDEN = re.compile(r"GPL|General Public|AGPL|SSPL|Commons Clause|proprietary|non-?commercial", re.IGNORECASE)
@@ -16,12 +17,12 @@ FORBIDDEN = re.compile(r"GPL|General Public|AGPL|SSPL|Commons Clause|proprietary
 READ = {
     "apsw": "Zlib OR any OSI-approved licence (its LICENSE: any-OSI)",
     "embreex": "BSD-2-Clause (its LICENSE)",
-    "pypatchworkpp": "BSD-2-Clause (LICENSE of url-kaist/patchwork-plusplus; the wheel has none)",
+    "pypatchworkpp": "BSD-2-Clause (LICENSE of url-kaist/patchwork-plusplus, the wheel has none)",
 }
 
 
 def libraries(extras=("all",)):
-    """The names of all that is installed with fidpipe and its extras, sorted."""
+    """The names of all that is installed with fidpipe and its extras but those of development, sorted."""
     found, todo = set(), [("fidpipe", frozenset(extras))]
     while todo:
         name, wanted = todo.pop()
@@ -48,8 +49,9 @@ def licence(name):
 
 
 def is_allowed(said):
-    """Whether a licence is one of those that we take; what is not known is none."""
-    return bool(ALLOWED.search(said)) and not FORBIDDEN.search(said)
+    """Whether all licences that are said to hold are of those that we take; what is not known is none."""
+    parts = re.split(r"\bAND\b|;", said)
+    return all(ALLOWED.search(part) for part in parts) and not FORBIDDEN.search(said)
 
 
 if __name__ == "__main__":

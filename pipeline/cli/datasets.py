@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -56,7 +57,7 @@ def synth(
             f"{sensor!r} is no sensor; one of {', '.join(SENSORS)} is wanted", param_hint="--sensor"
         )
     make_dataset(SynthRequest(out, pairs, seed, sensor, points, workers, replace), Reporter())
-    print_line(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
+    print_line(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))}")
 
 
 def twin(
@@ -159,7 +160,7 @@ def twin(
         replace=replace,
     )
     outcome = make_twins(request, Reporter())
-    print_line(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {out}")
+    print_line(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))}")
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
 
 

@@ -7,8 +7,10 @@ the options are checked, so that `fidpipe --help` answers at once.
 from __future__ import annotations
 
 import errno
+import os
 import signal
 import sys
+from pathlib import Path
 from time import monotonic
 from typing import Annotated
 
@@ -23,7 +25,12 @@ from .running import check, floor, run, settings, status
 
 _SECONDS_TO_STOP = 10.0
 _STOPPING = (signal.SIGINT, signal.SIGTERM)  # a batch system that ends a job means what Ctrl-C means
-_REFUSALS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)  # by the system, not our bugs
+#: By the system, not our bugs.
+_REFUSALS = (
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO, errno.ESTALE),
+)
+_FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
 
 app = typer.Typer(
     name="fidpipe",
@@ -40,6 +47,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Runs the command and exits with its code."""
+    _open_streams()
     from ...schemas.errors import FidpipeError
 
     for number in _STOPPING:
@@ -51,9 +59,9 @@ def main() -> None:
         _complain(f"error: {error}")
         code = EXIT_WRONG_INPUT
     except OSError as error:  # a folder without the right to search it, a read-only medium, a full disk
-        if error.filename is None or error.errno not in _REFUSALS:
+        if not (refusal := _refusal(error)):
             raise
-        _complain(f"error: {error.filename}: {error.strerror}; allow it there, or name another place")
+        _complain(f"error: {refusal}")
         code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
@@ -66,8 +74,48 @@ def main() -> None:
     _ignore_interrupts()
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
         _complain("interrupted; run the same command again to go on")
-    sys.stdout.flush()
-    sys.exit(code)
+    sys.exit(_flushed(code))
+
+
+def _open_streams() -> None:
+    """Opens to nowhere what is closed of the standard streams; files would take their numbers, and be written into."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = Path(os.devnull).open(mode, encoding="utf-8")  # noqa: SIM115, until the process ends
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
+
+
+def _flushed(code: int | None) -> int | None:
+    """The exit code once all is written to standard output; 1 where it cannot be and there was no other fault."""
+    try:
+        sys.stdout.flush()
+        return code
+    except OSError as error:
+        if error.errno != errno.EPIPE and not code:  # who reads from a pipe may stop whenever he likes
+            _complain(f"error: {_refusal(error) or error}")
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries again, and complains
+        return code or EXIT_WRONG_INPUT
+
+
+def _refusal(error: OSError) -> str:
+    """What the system does not grant, and what may be done about it; "" where that is not the cause."""
+    if error.errno == errno.ENOENT and not _has_working_folder():
+        return "the folder in which the command was started is gone; change to another one"
+    if error.errno in _FILES:
+        return f"{error.strerror}; raise ulimit -n, or take fewer --workers"
+    if error.filename is None and error.errno in _REFUSALS:
+        return f"standard output: {error.strerror}; what was written into files is whole"
+    return (
+        f"{error.filename}: {error.strerror}; allow it there, or name another place" if error.errno in _REFUSALS else ""
+    )
+
+
+def _has_working_folder() -> bool:
+    try:
+        return bool(Path.cwd())
+    except FileNotFoundError:
+        return False
 
 
 class _Stop:

@@ -47,6 +47,7 @@ _KILL_S = 0.2
 _SECONDS_BETWEEN_LOOKS = 1.0
 _GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
+_LEAST_ADDRESS_SPACE = 2 * 2**30
 
 #: Of a cluster on this machine: one death of a worker ends its tasks (`schedule` tries them again); one that is silent
 #: is busy in a library; a busy event loop is no news; and what was sent is not kept, for it grows with the pairs.
@@ -207,6 +208,8 @@ class DaskPool:
 
         if address is None:
             self._start_cluster(n_workers)
+        else:
+            _check_address(address)
         try:
             self._client = distributed.Client(
                 self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
@@ -248,8 +251,8 @@ class DaskPool:
                     atexit.unregister(distributed.deploy.spec.close_clusters)  # it asserts that all of it was there
                 raise
         raise RunError(
-            f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory short?); "
-            "run the same command again, or with --workers 1"
+            f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory or "
+            "ulimit short?); run the same command again, or with --workers 1"
         ) from fault
 
     async def _stop_workers(self) -> None:
@@ -356,7 +359,39 @@ def start_pool(
         n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
     if address is None and n_workers == 1 and not may_end_workers:
         return InProcess(memory)
+    if address is None:
+        _check_address_space()
     return DaskPool(n_workers, address, shared_file, libraries, memory, modules, may_end_workers=may_end_workers)
+
+
+def _check_address(address: str) -> None:
+    """Refuses what is no address, with `RunError`: dask would end in a traceback, and 20 s later in another."""
+    from distributed.comm.addressing import get_address_host_port
+
+    try:
+        is_known = 0 < get_address_host_port(address)[1] < 2**16
+    except ValueError:
+        is_known = False
+    if not is_known:
+        raise RunError(f"scheduler {address!r}: no such address, tcp://HOST:PORT is wanted, such as tcp://host:8786")
+
+
+def _check_address_space() -> None:
+    """Refuses a limit on address space in which threads of dask cannot start, with `RunError`: it would wait for them.
+
+    Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit the command takes
+    1.8 GB.
+    """
+    try:
+        from resource import RLIM_INFINITY, RLIMIT_AS, getrlimit
+    except ImportError:  # not a Unix
+        return
+    limit, _ = getrlimit(RLIMIT_AS)
+    if limit != RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:
+        raise RunError(
+            f"ulimit -v allows {limit / 2**30:.1f} GiB of address space a process, at least "
+            f"{_LEAST_ADDRESS_SPACE / 2**30:.0f} are needed for worker processes; raise it, or take --workers 1"
+        )
 
 
 def worker_fault(path: str, content: bytes, code: str) -> str:

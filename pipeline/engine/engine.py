@@ -451,7 +451,9 @@ class RunEngine(Engine):
             if frames and frames.suspect:
                 self.frames[pair.pair_id] = frames.suspect
         lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
-        return (pair.fault if lacks_scan else None) or "; ".join(faults), pair_warnings(pair, facts, frames)
+        return (pair.fault if lacks_scan else None) or "; ".join(dict.fromkeys(faults)), pair_warnings(
+            pair, facts, frames
+        )
 
     def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool, key: str = _OF_INPUT) -> None:
         """Says why a pair cannot be used, and what is odd about it."""

@@ -234,7 +234,9 @@ def read_criteria(path: Path) -> list[Criterion]:
     try:
         file = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(f"criteria file {path}: cannot be read ({error})") from error
+        raise SettingsError(
+            f"criteria file {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
+        ) from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"criteria file {path}: not valid TOML ({error})") from error
     except ValidationError as error:

@@ -6,6 +6,7 @@ memory of its own. Its rules stand here; they are fidpipe's.
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -341,7 +342,5 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
     if path_exists(Path(record.dataset) / FLOOR_RECIPE):
         return  # it is a floor itself
-    yield Caution(
-        kind="floor",
-        words=f"what a perfect simulator would score is not known from this run: fidpipe floor {record.dataset}",
-    )
+    floor = shlex.join(["fidpipe", "floor", record.dataset])
+    yield Caution(kind="floor", words=f"what a perfect simulator would score is not known from this run: {floor}")

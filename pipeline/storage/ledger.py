@@ -26,6 +26,7 @@ from .tables import JobRecord, job_record
 LEDGER = "ledger.sqlite"
 _VERSION = 2
 _SECONDS_BETWEEN_COMMITS = 1.0
+_LONGEST_PATH = 511
 _SECONDS_FOR_READERS = 60.0
 
 _TABLES = f"""
@@ -196,7 +197,12 @@ class Ledger:
     def _open(path: Path, is_writable: bool) -> sqlite3.Connection:
         if not is_writable:
             return _read_only(path) if path.exists() else _in_memory()
-        db = _connect(path, timeout=_SECONDS_FOR_READERS)
+        try:
+            db = _connect(path, timeout=_SECONDS_FOR_READERS)
+        except sqlite3.OperationalError as error:
+            n = len(str(path.absolute()))
+            why = f"a path of {n} characters, SQLite takes {_LONGEST_PATH}" if n > _LONGEST_PATH else str(error)
+            raise RunError(f"{path}: cannot be opened ({why}); give another --out") from error
         try:
             with _damage_named():
                 if not db.execute("SELECT 1 FROM sqlite_master").fetchone():

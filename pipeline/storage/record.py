@@ -127,6 +127,9 @@ def finished_record(folder: Path) -> dict[str, Any]:
     RunError
         It is not, or is damaged.
     """
+    if folder.is_file():
+        wanted = str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
+        raise RunError(f"run {folder}: is a file, {wanted} is wanted")
     record = read_run(folder)
     if not record and (folder / RUN_JSON).exists():
         raise RunError(

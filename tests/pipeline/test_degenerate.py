@@ -18,6 +18,7 @@ from scenes import cloud, drifted, street
 MOST_OBJECTS = "2025 tiny communities"
 SLOW = pytest.mark.slow
 EXTRAS = {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
+SAME_THERE = ("n_matched", "match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
 LINES = set(PAGE.read_text(encoding="utf-8").splitlines())
 
 
@@ -157,6 +158,14 @@ def test_arrays_are_read_whatever_their_kind_and_left_as_they_are():
     half = np.float16(points)
     assert evaluate_pair(half, half).summary["n_identical"] > 3
     assert (half == np.float16(points)).all()
+
+
+@pytest.mark.parametrize("away_m", [[1e6, 1e6, 0], [4.5e5, 5.4e6, 300]])
+def test_projected_coordinates_have_the_scores_of_the_origin(away_m):
+    real = street()
+    here, there = (degenerate.evaluated(real + move, drifted(real) + move, OPEN).summary for move in (0, away_m))
+    for name in SAME_THERE:
+        assert there[name] == pytest.approx(here[name], rel=1e-6), name
 
 
 def test_masked_points_are_dropped():

@@ -1,6 +1,10 @@
 """What a newcomer gets wrong, and the one line that says so."""
 
+import os
+import resource
 import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +15,7 @@ from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.settings import Settings, load
-from runs import command, read_only, run
+from runs import FIDPIPE, command, read_only, run
 from scenes import drifted, street, write_bin, write_dataset
 
 N_PAIRS = 1
@@ -193,3 +197,109 @@ def drop_search(first):
         ctypes.CDLL(None).prctl(24, 2, 0, 0, 0)
 
     return forbid
+
+
+@pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1"), ("verify",)])
+def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
+    (tmp_path / "page.html").touch()
+    assert one_error(command(words[0], tmp_path / "page.html", *words[1:])) == (
+        f"error: run {tmp_path}/page.html: is a file, a folder written by fidpipe run is wanted"
+    )
+    assert one_error(command(words[0], finished / "run.json", *words[1:])).endswith(f"is a file, {finished} is wanted")
+
+
+@pytest.mark.parametrize("address", ["foo", "tcp://host", "foo://host:1", "tcp://host:99999", ""])
+def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
+    assert one_error(command("run", dataset, "--out", tmp_path / "run", "--scheduler", address, timeout=60)) == (
+        f"error: scheduler {address!r}: no such address, tcp://HOST:PORT is wanted, such as tcp://host:8786"
+    )
+
+
+@pytest.mark.parametrize("words", [("show",), ("show", "--json"), ("status",), ("settings",), ("--help",)])
+def test_a_full_standard_output_is_named_in_one_line(finished, words):
+    run_folder = () if words[0] in ("settings", "--help") else (finished,)
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [FIDPIPE, *words, *run_folder], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert one_error(ended).startswith("error: standard output: No space left on device")
+
+
+def test_a_run_without_standard_streams_does_its_work(dataset, tmp_path):
+    ended = command("run", dataset, "--out", tmp_path / "run", "--workers", 1, preexec_fn=close_streams)
+    assert ended.returncode == 0
+    assert FinishedRun(tmp_path / "run").record.pairs.scored == 1
+
+
+def test_a_reader_that_stops_ends_a_command_without_a_word(finished):
+    with subprocess.Popen(
+        [FIDPIPE, "show", finished, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as shown:
+        shown.stdout.close()
+        assert shown.stderr.read() == b""
+
+
+def test_a_working_folder_that_is_gone_is_said_in_one_line(dataset, tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    shutil.copytree(dataset, tmp_path / "data")
+    ended = command("check", "../data", cwd=gone, preexec_fn=gone.rmdir)
+    assert one_error(ended) == "error: the folder in which the command was started is gone; change to another one"
+
+
+def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(dataset, tmp_path):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_AS, (10**9, 10**9))
+
+    ended = command("run", dataset, "--out", tmp_path / "run", "--workers", 2, preexec_fn=limit, timeout=60)
+    assert one_error(ended) == (
+        "error: ulimit -v allows 0.9 GiB of address space a process, at least 2 are needed for worker processes; "
+        "raise it, or take --workers 1"
+    )
+
+
+def close_streams():
+    """What a command's process does first where it is started without standard streams."""
+    for stream in range(3):
+        os.close(stream)
+
+
+@pytest.mark.slow
+def test_a_home_that_cannot_be_written_is_no_news(finished, tmp_path):
+    nowhere = dict.fromkeys(("HOME", "MPLCONFIGDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/dev/null")
+    ended = command("report", finished, "--out", tmp_path / "page", env=os.environ | nowhere)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def test_paths_that_are_too_long_are_said_in_one_line(dataset, tmp_path):
+    name = "n" * 200
+    deep = "/".join([str(tmp_path), name, name, name])
+    ended = command("run", dataset, "--out", deep, "--workers", 1)
+    assert " characters, SQLite takes 511); give another --out" in one_error(ended)
+    assert "File name too long; allow it there, or name another place" in one_error(command("check", "n" * 300))
+
+
+def test_a_command_to_type_next_can_be_typed_where_a_name_has_spaces(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "two words")
+    ended = command("run", data, "--out", "my run", "--workers", 1, cwd=tmp_path)
+    assert "fidpipe report 'my run'" in ended.stdout
+    assert f"fidpipe floor '{data}'" in ended.stdout
+    assert "fidpipe show my run" not in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "kind"), [(("settings", "--settings"), "settings"), (("gate", "run", "--criteria"), "criteria")]
+)
+def test_a_file_that_is_not_there_is_named_once(tmp_path, words, kind):
+    ended = command(*words, "nothere.toml", cwd=tmp_path)
+    assert one_error(ended) == f"error: {kind} file nothere.toml: cannot be read (No such file or directory)"
+
+
+def test_a_fault_of_a_file_that_is_both_sides_is_said_once(dataset, tmp_path):
+    data = shutil.copytree(dataset, tmp_path / "data")
+    shutil.rmtree(data / "sim")
+    np.save(data / "scan.npy", np.ones((3, 100)))
+    (data / "pairs.csv").write_text("pair_id,real,sim\n7,scan.npy,scan.npy\n")
+    ended = command("run", data, "--out", tmp_path / "run", "--workers", 1)
+    assert (ended.returncode, ended.stderr.count("pair 7: ")) == (3, 1)
+    assert ended.stderr.count("save array.T") == 1

@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
+from scipy import sparse
 
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Subgraph, adjacency
 from fidpipe.stages.literal import method
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
-from fidpipe.stages.selection import select_nodes
+from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid
 
 SPECTRAL = (
@@ -53,6 +54,19 @@ def test_two_paths_of_three_nodes_by_hand():
     assert scores.laplacian_change > 0.1
     assert (scores.r_lambda, scores.r_gap) == (pytest.approx(0, abs=1e-12), pytest.approx(0, abs=1e-12))
     assert scores.gap_real == pytest.approx(1)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_largest_change_that_there_is_stays_within_its_bounds(seed):
+    # A path has the largest eigenvalue 2, by LAPACK a rounding more; of nodes without edges all are 0.
+    rng, nodes = np.random.default_rng(seed), np.arange(5, dtype=np.int32)
+    weight, points = rng.uniform(0.1, 3, 4), rng.normal(size=(5, 3))
+    path = Subgraph(nodes, points, sparse.csr_matrix(sparse.diags_array([weight, weight], offsets=[-1, 1])))
+    alone = Subgraph(nodes, points, sparse.csr_matrix((5, 5)))
+    scores = score_object(alone, path, Selection(nodes, nodes, np.ones(5), np.ones(5)))
+    for value in (scores.max_eigenvalue_shift, scores.laplacian_change):
+        assert 2 - 1e-12 < value <= 2.0
+    assert scores.r_lambda == pytest.approx(1.0)
 
 
 def test_cdc_of_two_single_points_by_hand():

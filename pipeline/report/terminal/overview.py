@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from textwrap import fill
@@ -35,7 +36,7 @@ def overview_view(folder: Path, record: RunRecord, overview: Overview) -> Render
         )
         first = overview.worst[0]
         name = f"{first.side}:{first.object_id}"
-        parts += [worst, Text(f"see one with: fidpipe show {folder} {first.pair_id} {name}\n")]
+        parts += [worst, Text(f"see one with: {shlex.join(['fidpipe', 'show', str(folder), first.pair_id, name])}\n")]
     if overview.failings:
         parts += _list("The commonest failings", (failing.words for failing in overview.failings))
     cautions = [caution.words for caution in overview.trust if caution.kind not in _TOLD]

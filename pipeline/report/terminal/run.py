@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 from operator import attrgetter
 from pathlib import Path
+from shlex import quote
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -66,7 +67,7 @@ def outcome_view(outcome: RunOutcome) -> RenderableType:
         *_asked_for(record),
         *_failures_parts(folder, outcome.rows, outcome.told_failures),
         *_glance(folder, outcome.rows, record),
-        *([Text(f"by range, class and scan: fidpipe show {folder} --all")] if record.findings else ()),
+        *([Text(f"by range, class and scan: fidpipe show {quote(str(folder))} --all")] if record.findings else ()),
         *_report_parts(folder, record),
         *_frames_parts(outcome.rows, record),
     )
@@ -110,7 +111,9 @@ def _report_parts(folder: Path, record: RunRecord) -> list[RenderableType]:
         return []
     if page.exists() and page.stat().st_mtime >= pairs.stat().st_mtime:
         return [Text(f"report: {page}")]
-    return [Text(f"{'the report there is older; ' * page.exists()}to look at them: fidpipe report {folder}")]
+    return [
+        Text(f"{'the report there is older; ' * page.exists()}to look at them: fidpipe report {quote(str(folder))}")
+    ]
 
 
 def _asked_for(record: RunRecord) -> list[RenderableType]:
@@ -142,9 +145,8 @@ def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> 
         return []
     new = [row for row in failures if row["pair_id"] not in told]
     count, n_told = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
-    above = (
-        f", {'' if n_told == len(failures) else f'{n_told} of them '}as told above; again with: fidpipe show {folder}"
-    )
+    which = "" if n_told == len(failures) else f"{n_told} of them "
+    above = f", {which}as told above; again with: fidpipe show {quote(str(folder))}"
     parts: list[RenderableType] = [Text(f"{count}{above if n_told else ''}{':' if new else ''}", style="red")]
     parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
     if len(new) > _MOST_PAIRS:
