@@ -23,6 +23,7 @@ OF_MODULES |= {("np", "memmap"), ("yaml", "safe_load"), ("orjson", "load"), ("pi
 NOT_ATTACKED = {
     "pipeline.engine.cluster": "its own code and shared file, to be compared with those of the user's other machines",
     "pipeline.engine.time_limit": "notes of its own processes, in a folder that goes with them",
+    "pipeline.cli.main": "/dev/null",
     "pipeline.cli.results": "a browser, for a page that it has made",
     "pipeline.report.page.render": "its own scripts and styles",
     "pipeline.experiments.floor": "copies labels.toml, which the dataset's reader has read",

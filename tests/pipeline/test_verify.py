@@ -24,6 +24,7 @@ from fidpipe.schemas.tables import TABLES
 from fidpipe.stages.literal import method
 from runs import command, contents, rewrite, run
 from scenes import write_dataset
+from toys import TOY_TABLES
 
 SMALL = ["matching.delta_m=20"]  # the objects of so small a street are matched all the same
 WITH_EXTRAS = [*SMALL, "metrics.baselines=all", "stability.seeds=2"]
@@ -154,7 +155,8 @@ def test_every_column_of_every_table_is_compared_or_declared_not_to_be(whole):
     columns = {f"{table}.{name}" for table in [*of_runs, "pairs"] for name in TABLES[table].schema.names}
     assert columns - compared <= NOT_COMPARED.keys()
     assert NOT_COMPARED.keys() <= columns | {"timings"}, "what is declared is there"
-    assert TABLES.keys() == {*of_runs, "pairs", "timings", *(table.name for table in EXPERIMENT_TABLES)}
+    of_others = (table.name for table in (*EXPERIMENT_TABLES, *TOY_TABLES))
+    assert TABLES.keys() == {*of_runs, "pairs", "timings", *of_others}
     for name, why in NOT_COMPARED.items():
         assert f"{name}: {why}" in result.not_compared
 
