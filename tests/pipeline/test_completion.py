@@ -108,7 +108,7 @@ def completes(terminal, line, rest):
         terminal.expect_exact(line[-2:])  # a Tab among typed-ahead keys completes nothing in zsh
         terminal.send("\t")
         found = terminal.expect_exact([rest, pexpect.TIMEOUT], timeout=10)
-        terminal.sendcontrol("c")
+        terminal.sendcontrol("u")  # Ctrl-C would take along what is typed before the shell has dealt with it
         if found == 0:
             return True
     return False
