@@ -129,6 +129,7 @@ class DaskPool:
         self._cluster: Any = None
         self._client: Any = None
         self._address, self._given_memory = address, memory
+        self._memory_there = Memory(0, 0)
         self._libraries = {} if address is None else libraries
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked, self._had_workers = -_SECONDS_BETWEEN_LOOKS, monotonic()
@@ -154,7 +155,9 @@ class DaskPool:
             memory = self._given_memory or machine_memory()
             return Memory(memory, memory)
         limits = [int(worker["memory_limit"]) for worker in self._workers_now().values() if worker["memory_limit"]]
-        return Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits, default=0)))
+        if limits:  # while all are gone, those that come again are taken to be like them
+            self._memory_there = Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits)))
+        return self._memory_there
 
     @property
     def dashboard(self) -> str:
