@@ -307,8 +307,8 @@ SURFACE_SCORES = (
         "roughness_bias_m",
         "roughness bias",
         "mean roughness, simulated minus real",
-        "above 0: the simulated surface is rougher (noise); below: it is smoother. The mean follows the roughest points, "
-        "so that the medians may differ in the other direction",
+        "above 0: the simulated surface is rougher (noise); below: it is smoother. The mean follows the roughest "
+        "points, so that the medians may differ in the other direction",
         unit="m",
         low=None,
         better=None,

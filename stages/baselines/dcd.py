@@ -37,9 +37,9 @@ def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> De
     simulated point of x (of equally near ones the first by x, y, z), w_x = (n / m) / (number of real points whose
     nearest is the same y'), and the other way round (Wu, Pan, Zhang, Wang, Liu and Lin, Density-aware Chamfer distance
     as a comprehensive metric for point cloud completion, NeurIPS 2021, section 3). Of equal sizes w is 1 over the
-    count. The squared distance and the factor n / m of unequal sizes are those of the authors' code (`calc_dcd`); the article
-    writes |x - y'|. With that factor a weight can be above 1, and its term below 0: such weights are cut at 1, and
-    counted.
+    count. The squared distance and the factor n / m of unequal sizes are those of the authors' code (`calc_dcd`); the
+    article writes |x - y'|. With that factor a weight can be above 1, and its term below 0: such weights are cut at 1,
+    and counted.
 
     alpha = 1000 was chosen by its authors for objects of unit size, so that both sides are scaled by the diagonal of
     the real object's axis-aligned bounding box. This is not the score that the paper calls CDC (`metrics`).
