@@ -59,15 +59,16 @@ def evaluate(
     StageError
         A side has fewer than 8 points after cleaning or after ground removal.
     """
-    own, shares_cut = settings.input, settings.ground.shared
+    own, ground = settings.input, settings.ground
 
     # Measurements only, both sides in the real sensor's frame
     clean_real = clean_scan(real, own, frame=own.frame_of("real"))
     clean_sim = clean_scan(sim, own, frame=own.frame_of("sim"), T_real_sim=T_real_sim)
 
     # "Data Collection and Graph Build-up": the PCA Z-cut takes the road away
-    cut_real = remove_ground(clean_real.points, settings.ground)
-    cut_sim = remove_ground(clean_sim.points, settings.ground, cut_real if shares_cut else None)
+    cut_real = remove_ground(clean_real.points, ground)
+    real_cut = cut_real if ground.shared or ground.peak == "real" else None
+    cut_sim = remove_ground(clean_sim.points, ground, real_cut, None if ground.shared else clean_real.points)
 
     # "Graphs as Metrics": each side becomes a graph, and its communities are its objects
     objects_real = partition(clean_real.points[~cut_real.is_ground], settings)

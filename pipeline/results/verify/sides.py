@@ -95,9 +95,17 @@ def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
         loss: float | None = cut.loss
         iterations: int | None = cut.iterations
         height_m = cut.height_m
-        if settings.shared and side == "sim":
-            axis, tilt_deg, peak_m = np.array(real_facts["axis"]), real_facts["tilt_deg"], real_facts["peak_m"]
+        offset_m = None
+        if side == "sim" and (settings.shared or settings.peak == "real"):
+            axis = np.array(real_facts["axis"])
+            real_points = pair.sides["real"].all_points
+            offset_m = 0.0 if settings.shared else method.road_offset(real_points, own.all_points, axis)
+        if offset_m is None:
+            axis = cut.axis
+        else:
+            tilt_deg, peak_m = real_facts["tilt_deg"], real_facts["peak_m"] + offset_m
             threshold_m, iterations = real_facts["threshold_m"], real_facts["iterations"]
+            threshold_m = None if threshold_m is None else threshold_m + offset_m
             height_m = np.array([float(p @ axis) for p in own.all_points])
             loss = method.variance_loss(own.all_points, height_m, threshold_m or 0.0, peak_m, settings.loss)
         if settings.method != "pca":
