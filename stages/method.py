@@ -17,7 +17,7 @@ from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS, SHIFT_COLUMNS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
-from .clean import CleanResult, clean_scan
+from .clean import CleanResult, as_ros, clean_scan
 from .communities import find_communities
 from .coverage import cover, nearest_distances
 from .graph import build_graph
@@ -34,6 +34,7 @@ from .reference import (
     visiting_order,
 )
 from .selection import Selection, select_nodes
+from .sensing.sensor import describe_sensor, pair_columns
 from .summary import summarise_pair
 from .surface import compare_roughness, describe_surface, measure_offsets
 
@@ -77,7 +78,15 @@ def evaluate(
 
     # Not the paper's: how much of each surface the other side has, how far apart they are, and how rough
     surfaces = compare_surfaces(objects_real.points, objects_sim.points)
-    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces)
+
+    # Not the paper's: the sensor of each side, estimated in its own frame
+    sensors = [
+        pair_columns(describe_sensor(as_ros(points, own.frame_of(side))), side)
+        for side, points in zip(SIDES, (real, sim), strict=True)
+    ]
+    return Evaluation(
+        clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces, sensors[0] | sensors[1]
+    )
 
 
 def partition(
@@ -287,7 +296,8 @@ class Evaluation:
     cut_real, cut_sim : which of these are ground
     objects_real, objects_sim : the others, their graph and their communities
     scores : of the pair
-    surfaces : of the pair, whatever the objects are
+    surfaces : coverage, displacement and roughness, by column of `pairs`
+    sensors : sensor columns of `pairs`
     """
 
     clean_real: CleanResult
@@ -298,6 +308,7 @@ class Evaluation:
     objects_sim: PartitionedScan
     scores: PairScores
     surfaces: dict[str, Number]
+    sensors: dict[str, Number]
 
 
 def _summarise(

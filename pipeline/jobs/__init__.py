@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from ...schemas.settings import Settings
 from ..stage import Stage
-from . import baselines, communities, coverage, graph, ground, matching, metrics, seeds, selection, surface
+from . import baselines, communities, coverage, graph, ground, matching, metrics, seeds, selection, sensor, surface
 
 STAGES = (
-    *(ground.STAGE, graph.STAGE, communities.STAGE, matching.STAGE),
+    *(ground.STAGE, sensor.STAGE, graph.STAGE, communities.STAGE, matching.STAGE),
     *(coverage.STAGE, surface.STAGE, selection.STAGE, metrics.STAGE),
 )
 
