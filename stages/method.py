@@ -17,7 +17,7 @@ from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS, SHIFT_COLUMNS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
-from .clean import CleanResult, clean_scan
+from .clean import CleanResult, as_ros, clean_scan
 from .communities import find_communities
 from .coverage import cover, nearest_distances
 from .graph import build_graph
@@ -35,6 +35,7 @@ from .reference import (
     visiting_order,
 )
 from .selection import Selection, select_nodes
+from .sensing.sensor import describe_sensor, pair_columns
 from .summary import summarise_pair
 from .surface import compare_roughness, describe_surface, measure_offsets
 
@@ -84,6 +85,13 @@ def evaluate(
     scan_sim = CutScan(clean_sim.points, cut_sim.is_ground, cut_sim.height_m)
     pieces = find_pieces(scan_real, scan_sim, settings.pieces)
     surfaces |= count_pieces(*pieces)
+
+    # Not the paper's: the sensor of each side, estimated in its own frame
+    sensors = [
+        pair_columns(describe_sensor(as_ros(points, own.frame_of(side))), side)
+        for side, points in zip(SIDES, (real, sim), strict=True)
+    ]
+    surfaces |= sensors[0] | sensors[1]
     return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces, pieces)
 
 
@@ -294,7 +302,7 @@ class Evaluation:
     cut_real, cut_sim : which of these are ground
     objects_real, objects_sim : the others, their graph and their communities
     scores : of the pair
-    surfaces : of the pair, regardless of its objects
+    surfaces : coverage, displacement, roughness, pieces and sensors, by column of `pairs`; regardless of the objects
     pieces : missing and invented ones
     """
 
