@@ -138,7 +138,7 @@ def check_pages(path: Path, stream: BinaryIO, is_read: Callable[[str], bool] = l
 
     A run of equal values is a few bytes however long it is, and so is a page of a compressor. The footer tells of the
     rows, and each page of its own length, which pyarrow takes memory for. Both are read here: pyarrow's own view of a
-    damaged footer ends the process. Texts that are stored once and repeated by their number count as often as they occur.
+    damaged footer ends the process. A text that is stored once counts as often as it occurs.
 
     Parameters
     ----------

@@ -235,7 +235,7 @@ def test_a_long_text_that_is_stored_once_counts_as_often_as_it_occurs(tmp_path, 
     columns = dict.fromkeys("xyz", np.random.default_rng(0).random(n_rows))
     path = tmp_path / "a.parquet"
     pq.write_table(pa.table({**columns, "label": pa.DictionaryArray.from_arrays(chosen, texts)}), path)
-    with open(path, "rb") as stream:
+    with path.open("rb") as stream:
         if repeated == 1:
             bounds.check_pages(path, stream)
         else:
