@@ -34,7 +34,7 @@ from ..stages.ground import peaks_note
 from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .datasets.scan_checks import input_hashes
-from .engine.engine import Machines, RunEngine, Survey, current_records
+from .engine.engine import Machines, RunEngine, Survey, absolute_paths, current_records
 from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
@@ -140,6 +140,7 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
     KeyboardInterrupt
         As it came; the run can be gone on with.
     """
+    request = absolute_paths(request)
     dataset = read_dataset(request.dataset)
     selected = select_pairs(dataset, request.pattern)
     check_folder(request.out, request.dataset)
@@ -282,8 +283,8 @@ class _Run:
             for note in job.facts.get("notes", ()):
                 notes[job.pair_id].append(f"{job.part} side: {note}")
             if ROW in job.facts:
-                peaks = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
-                if note := peaks_note(*peaks, self._request.settings.ground):
+                real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
+                if note := peaks_note(real_m, sim_m, self._request.settings.ground):
                     notes[job.pair_id].append(note)
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)

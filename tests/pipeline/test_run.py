@@ -11,13 +11,14 @@ from typer.testing import CliRunner
 
 import fidpipe
 from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
 from pools import WatchedPool
-from runs import FOLDERS, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
+from runs import FOLDERS, JOBS_PER_PAIR, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
 N_PAIRS = 3
@@ -108,7 +109,7 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
 def test_a_second_run_makes_nothing(again, dataset):
     before = marks(again)
     outcome = run(dataset, again)
-    assert (outcome.n_made, outcome.n_reused) == (0, 33)
+    assert (outcome.n_made, outcome.n_reused) == (0, 3 * JOBS_PER_PAIR)
     assert not changed_files(again, before)
     timings = pd.read_parquet(again / "timings.parquet")
     assert timings.reused.all()
@@ -118,11 +119,11 @@ def test_a_second_run_makes_nothing(again, dataset):
 @pytest.mark.parametrize(
     ("word", "untouched"),
     [
-        ("matching.delta_m=3", ["ground", "graph", "communities", "objects", "coverage", "surface"]),
-        ("selection.t=2", ["ground", "graph", "communities", "objects", "matching", "coverage", "surface"]),
-        ("communities.seed=1", ["ground", "graph"]),
-        ("graph.k=30", ["ground"]),
-        ("ground.prior_m=0.2", []),
+        ("matching.delta_m=3", ["ground", "sensor", "graph", "communities", "objects", "coverage", "surface"]),
+        ("selection.t=2", ["ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"]),
+        ("communities.seed=1", ["ground", "sensor", "graph"]),
+        ("graph.k=30", ["ground", "sensor"]),
+        ("ground.prior_m=0.2", ["sensor"]),
         ("input.max_range_m=50", []),
     ],
 )
@@ -168,7 +169,7 @@ def test_from_makes_a_stage_and_those_after_it_again(again, dataset, stage):
     before = marks(again)
     outcome = run(dataset, again, from_stage=stage)
     redone = STAGE_NAMES[STAGE_NAMES.index(stage) :]
-    assert outcome.n_made == sum(6 if name in STAGE_NAMES[:3] else 3 for name in redone)
+    assert outcome.n_made == 3 * sum(len(stage.parts) for stage in STAGES if stage.name in redone)
     assert {name.split("/")[0] for name in changed_files(again, before)} - {"objects"} == set(redone)
 
 
@@ -244,7 +245,7 @@ def test_a_failed_pair_leaves_no_table_behind(dataset, tmp_path):
     assert set(outcome.failures) == {"001"}
     for table in ("ground", "graph", "communities", "objects"):
         assert set(pd.read_parquet(out / table).pair_id) == {"000", "002"}
-    assert (outcome.n_made, outcome.n_reused) == (22, 0)
+    assert (outcome.n_made, outcome.n_reused) == (2 * JOBS_PER_PAIR, 0)
     again = run(data, out, pattern="000")
     assert {row["pair_id"]: row["reason"] for row in again.rows}["001"] == outcome.failures["001"]
 
@@ -257,7 +258,7 @@ def test_a_mended_pair_is_scored_by_the_next_run(dataset, tmp_path):
     (data / "real" / "000.bin").write_bytes(good)
     outcome = run(data, tmp_path / "run")
     assert not outcome.failures
-    assert outcome.n_made == 11
+    assert outcome.n_made == JOBS_PER_PAIR
     assert run_status(tmp_path / "run").failures == {}
 
 
