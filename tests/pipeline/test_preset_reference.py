@@ -201,8 +201,8 @@ def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word,
     objects = pd.read_parquet(tmp_path / "run" / "objects" / "a.real.parquet")
     assert set(objects.label) == {"0", "1", "2"} - left_out
     assert objects.n_points.tolist() == own["real"].query("community_id >= 0").community_id.value_counts().tolist()
-    (row,) = outcome.rows
-    assert row["covered_real_1m"] == 1
+    coverage = pd.read_parquet(tmp_path / "run" / "coverage" / "a.parquet")
+    assert coverage.n_points[coverage.community_id.isna()].tolist() == [len(own["real"]), len(own["sim"])]
     verified = verify_run(tmp_path / "run", None)
     assert verified.passed, verified.mismatches
 
