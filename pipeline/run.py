@@ -283,8 +283,8 @@ class _Run:
             for note in job.facts.get("notes", ()):
                 notes[job.pair_id].append(f"{job.part} side: {note}")
             if ROW in job.facts:
-                peaks = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
-                if note := peaks_note(*peaks, self._request.settings.ground):
+                real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
+                if note := peaks_note(real_m, sim_m, self._request.settings.ground):
                     notes[job.pair_id].append(note)
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
