@@ -35,6 +35,18 @@ class RunFolder(TableFolder):
         return self._ledger
 
     @property
+    def is_locked(self) -> bool:
+        """True if a command is working on the folder."""
+        import fcntl
+
+        try:
+            with (self.folder / _LOCK).open() as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError as error:  # without a lock file, or a file system that locks, none is known of
+            return isinstance(error, BlockingIOError)
+        return False
+
+    @property
     def is_of_older_version(self) -> bool:
         """Whether a fidpipe wrote here whose tables do not tell of their jobs."""
         return any((self.folder / name).exists() for name in _OF_OLDER_VERSIONS)

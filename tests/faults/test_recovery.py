@@ -21,7 +21,7 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.run import RunRequest, run_dataset
+from fidpipe.pipeline.run import RunRequest, _Run, run_dataset
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError, StageError
 from fidpipe.schemas.settings import Settings, load
@@ -210,6 +210,48 @@ def test_what_an_interrupted_run_had_finished_is_kept(dataset, finished, tmp_pat
     assert set(before) & changed_files(out, before) == set()
     assert no_temporary_files(out)
     assert_same_tables(out, finished)
+
+
+def test_a_run_with_nothing_to_do_leaves_the_finished_record_until_it_has_the_next(again, dataset, monkeypatch):
+    """Readers next to it see the finished run, also if it dies."""
+    before = FinishedRun(again).record
+    seen = []
+
+    def dies(*_):
+        seen.append(FinishedRun(again).record)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Run, "write", dies)
+    with pytest.raises(KeyboardInterrupt):
+        run(dataset, again)
+    assert seen == [FinishedRun(again).record] == [before]
+
+
+def test_readers_next_to_a_working_run_say_so_and_then_that_it_has_not_ended(again, dataset, monkeypatch):
+    def dies(*_):
+        with pytest.raises(RunError, match="another fidpipe is working on this run; wait until it ends"):
+            FinishedRun(again)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Run, "write", dies)
+    with pytest.raises(KeyboardInterrupt):
+        run(dataset, again, from_stage="metrics")
+    with pytest.raises(RunError, match="the run has not ended"):
+        FinishedRun(again)
+
+
+def test_another_table_of_pairs_takes_the_finished_record_away_until_it_has_the_next(again, dataset, monkeypatch):
+    """A new pair that fails before all stages: nothing is computed, and the table of pairs has one more row."""
+    larger = shutil.copytree(dataset, again.with_name("larger"))
+    shutil.rmtree(again)
+    run(larger, again)
+    for side in ("real", "sim"):
+        (larger / side / "more.bin").write_bytes(b"no points")
+    monkeypatch.setattr(_Run, "_timing_parts", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        run(larger, again)
+    with pytest.raises(RunError, match="the run has not ended"):
+        FinishedRun(again)
 
 
 def test_tables_of_every_stage_tell_of_their_job(finished):
