@@ -155,7 +155,6 @@ class Experiment:
         self._planner = Planner(self._base, engine.settings, source.label_names, sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
         self._facts: Mapping[str, Any] = {}
-        self._has_head = False
 
     def prepare(self) -> list[PairPlan]:
         """Makes the stages that the experiment's own need; gives the pairs of which all that is done.
@@ -251,9 +250,8 @@ class Experiment:
         if survey.todo:
             self.engine.start()
         only_adds = stages is STAGES and self._finished and not survey.unwanted  # what stays is still as it was asked
-        if (survey.todo or survey.unwanted) and not self._has_head and not only_adds:
+        if (survey.todo or survey.unwanted) and not only_adds:
             self._write_record({})
-            self._has_head = True
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
         if survey.todo:
             with self.engine.scheduling_missing(survey, self._plan) as schedule:

@@ -78,15 +78,12 @@ def flip(path, position):
     path.write_bytes(content)
 
 
-def as_before_footers(out):
-    """Makes of a run what an older fidpipe would have left: no word of the job in the tables, an index of lines."""
+def without_footers(out):
+    """Rewrites the tables of a run without the job in their footers, and removes the ledger."""
     lose_ledger(out)
     for path in out.rglob("*.parquet"):
         table = pq.read_table(path)
         pq.write_table(table.replace_schema_metadata({"fidpipe.key": "key"}), path)
-    (out / "index.jsonl").write_text('0123 {"kind":"job"}\n')
-    (out / ".journal").mkdir()
-    (out / ".journal" / "token.0").write_text("0123 torn")
 
 
 @pytest.mark.parametrize("spoil", LEDGERS)
@@ -163,21 +160,8 @@ def test_a_folder_that_may_not_be_written_is_shown_and_judged_but_not_run(again,
     assert f"run {again}: cannot be written (Permission denied); give another --out" in " ".join(refused.stderr.split())
 
 
-def test_an_older_run_is_replaced_with_a_word_about_it(again, finished, dataset):
-    as_before_footers(again)
-    outcome, told = run_told(dataset, again)
-    assert (outcome.n_made, outcome.failures) == (N_JOBS, {})
-    assert "replacing all tables: an older fidpipe wrote them" in told
-    assert not (again / "index.jsonl").exists()
-    assert not (again / ".journal").exists()
-    assert_same_tables(again, finished)
-    again_told = run_told(dataset, again)
-    assert again_told[0].n_made == 0
-    assert "older fidpipe" not in again_told[1]
-
-
-def test_an_older_run_is_not_shown_as_if_it_were_whole(again):
-    as_before_footers(again)
+def test_a_run_whose_tables_lost_their_footers_is_not_shown_as_if_it_were_whole(again):
+    without_footers(again)
     with pytest.raises(RunError, match=r"pairs\.parquet is damaged or gone; run it again with: fidpipe run"):
         FinishedRun(again)
     assert run_status(again).stages == {stage: {"to do": 2} for stage in STAGE_NAMES}
