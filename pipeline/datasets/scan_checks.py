@@ -24,7 +24,7 @@ from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.sensing.frames import FRAMES_VERSION, can_move, check_frames
 from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
 from ..storage.files import hash_file, key_of
-from .frame_checks import FrameFacts, frame_warning, recall_frames, shared_files, swapped_sides
+from .frame_checks import FrameFacts, frame_warning, place_warning, recall_frames, shared_files, swapped_sides
 from .pairs import ScanPair, read_dataset
 from .readers import files_of, formats, holds_frames, read_scan, stem_of, suffix_of
 from .readers.frames import address_of
@@ -223,6 +223,8 @@ def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts], frames: FrameFact
             )
     if frames and frames.suspect:
         warnings.append(frame_warning(frames.suspect))
+    if frames and frames.check and frames.check.is_elsewhere:
+        warnings.append(place_warning(frames.check))
     return warnings
 
 
