@@ -344,6 +344,30 @@ class Failing(_Band):
     words: str
 
 
+class Cause(Result):
+    """A flaw of the simulator with the setting that controls it; see `pipeline.results.causes`.
+
+    words, detail : the flaw with its number and direction; further evidence, "" if none
+    estimate, low, high : mean over pairs with its 95 % interval in `unit`; the interval is null below 3 pairs
+    unit : "m", "deg", "share" or "" for a count
+    real, sim : values behind the estimate: of each side, or of the other surface and of this one
+    severity : share of the surface that it affects, 0 to 1; causes are ordered by it
+    """
+
+    name: str
+    words: str
+    detail: str
+    setting: str
+    estimate: float
+    low: float | None
+    high: float | None
+    unit: str
+    n_pairs: int
+    real: float
+    sim: float
+    severity: float
+
+
 class Caution(Result):
     """What limits the trust in the numbers.
 
