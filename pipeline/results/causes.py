@@ -20,6 +20,8 @@ from ...schemas.results import Cause
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M
 
+#: Names of the causes from coverage by range and by class.
+FAR, CLASS = "far surface", "class"
 #: Fewer pairs have no interval: a cause is then named if each of them is beyond the tolerance.
 LEAST_FOR_INTERVAL = 3
 CONFIDENCE = 0.95
@@ -100,6 +102,16 @@ CAUSE_KINDS = (
 )
 
 
+#: Columns of `pairs` that the causes are estimated from.
+CAUSE_COLUMNS = tuple(
+    dict.fromkeys(
+        column
+        for kind in CAUSE_KINDS
+        for column in (*(kind.column.format(side=side) for side in SIDES), *([kind.count] if kind.count else []))
+    )
+) + ("shift_z_m",)
+
+
 @dataclass(frozen=True)
 class GroupCoverage:
     """Object points of a side by group (range band or class), and those without a counterpart within 0.3 m.
@@ -113,10 +125,7 @@ class GroupCoverage:
 
 
 def find_causes(
-    rows: Sequence[Row],
-    floor: Mapping[str, Row] | None = None,
-    bands: GroupCoverage | None = None,
-    classes: GroupCoverage | None = None,
+    rows: Sequence[Row], floor: Mapping[str, Row] | None = None, surface: Sequence[Cause] = ()
 ) -> list[Cause]:
     """The causes that are beyond their tolerance, most severe first.
 
@@ -124,17 +133,32 @@ def find_causes(
     ----------
     rows : of `pairs`, the scored ones
     floor : by pair, rows of a floor, whose values are subtracted
-    bands, classes : real points by range band (`BAND_EDGES_M`) and by class
+    surface : from `surface_causes`
     """
     named = [cause for kind in CAUSE_KINDS if (cause := _cause_of(kind, rows, floor or {}))]
-    if bands is not None and (cause := _far_cause(bands)):
-        named.append(cause)
-    if classes is not None and len(classes.names) > 1:
-        for i, name in enumerate(classes.names):
-            words = f"{name or 'no class'}: {{sim}} of the surface missing"
-            if cause := _coverage_cause("class", words, "assets", classes, np.arange(len(classes.names)) == i):
-                named.append(cause)
-    return sorted(named, key=lambda cause: -cause.severity)
+    return sorted([*named, *surface], key=lambda cause: -cause.severity)
+
+
+def surface_causes(bands: GroupCoverage, classes: GroupCoverage) -> list[Cause]:
+    """Range bands and classes of which much more is missing than of the rest.
+
+    Parameters
+    ----------
+    bands, classes : of the real side, by range band (`BAND_EDGES_M`) and by class ("" for none)
+    """
+    far = [
+        _coverage_cause(FAR, f"beyond {edge_m:g} m {{sim}} of the surface missing", "range, dropoff", bands, is_far)
+        for i, edge_m in list(enumerate(BAND_EDGES_M))[1:]
+        for is_far in [np.arange(len(BAND_EDGES_M)) >= i]
+    ]
+    farthest = max((cause for cause in far if cause), key=lambda cause: cause.estimate, default=None)
+    named = [
+        _coverage_cause(CLASS, f"{name}: {{sim}} of the surface missing", "assets", classes, is_own)
+        for i, name in enumerate(classes.names)
+        if name
+        for is_own in [np.arange(len(classes.names)) == i]
+    ]
+    return [cause for cause in (farthest, *named) if cause]
 
 
 def mean_interval(values: FloatArray) -> tuple[float, float, float]:
@@ -203,24 +227,6 @@ def _cause_of(kind: CauseKind, rows: Sequence[Row], floor: Mapping[str, Row]) ->
         sim=sim,
         severity=min(1.0, abs(mean) / (kind.full or abs(real) or 1.0)),
     )
-
-
-def _far_cause(bands: GroupCoverage) -> Cause | None:
-    """The distance beyond which most more is missing than nearer; None if none stands out."""
-    found = [
-        cause
-        for i, edge_m in list(enumerate(BAND_EDGES_M))[1:]
-        if (
-            cause := _coverage_cause(
-                "far surface",
-                f"beyond {edge_m:g} m {{sim}} of the surface missing",
-                "range, dropoff",
-                bands,
-                np.arange(len(BAND_EDGES_M)) >= i,
-            )
-        )
-    ]
-    return max(found, key=lambda cause: cause.estimate, default=None)
 
 
 def _coverage_cause(name: str, words: str, setting: str, groups: GroupCoverage, is_inside: BoolArray) -> Cause | None:

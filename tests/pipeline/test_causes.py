@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.results.causes import CAUSE_KINDS, GroupCoverage, find_causes
+from fidpipe.pipeline.results.causes import CAUSE_KINDS, GroupCoverage, find_causes, surface_causes
 from fidpipe.stages.statistics.findings import BAND_EDGES_M
 
+NO_CLASSES = GroupCoverage(("",), np.ones((4, 1)), np.ones((4, 1)))
 #: A healthy pair: the second measurement has a little more noise and loss.
 HEALTHY = {
     "ground_real_peak_m": -1.77,
@@ -119,15 +120,16 @@ def test_unknown_values_name_nothing():
 def test_far_surface_is_named_at_the_distance_where_it_stands_out():
     n_points = np.full((4, len(BAND_EDGES_M)), 1000.0)
     missing = n_points * [0.1, 0.12, 0.1, 0.14, 0.78]
-    (far,) = find_causes(rows_of(), bands=GroupCoverage(("",) * 5, n_points, missing))
+    (far,) = surface_causes(GroupCoverage(("",) * 5, n_points, missing), NO_CLASSES)
     assert far.words == "beyond 50 m 78 % of the surface missing"
     assert far.setting == "range, dropoff"
     assert far.severity == pytest.approx((0.78 - 0.115) / 5)
-    assert find_causes(rows_of(), bands=GroupCoverage(("",) * 5, n_points, n_points * 0.4)) == []
+    assert surface_causes(GroupCoverage(("",) * 5, n_points, n_points * 0.4), NO_CLASSES) == []
 
 
 def test_a_class_is_named_where_much_more_of_it_is_missing():
     n_points = np.full((4, 3), 500.0)
     classes = GroupCoverage(("car", "pole", "tree"), n_points, n_points * [0.1, 0.9, 0.2])
-    (pole,) = find_causes(rows_of(), classes=classes)
+    bands = GroupCoverage(("",) * 5, np.full((4, 5), 500.0), np.full((4, 5), 100.0))
+    (pole,) = surface_causes(bands, classes)
     assert pole.words == "pole: 90 % of the surface missing"
