@@ -230,6 +230,19 @@ class MatchingSettings(_Group):
     )
 
 
+class PieceSettings(_Group):
+    """What counts as a missing or invented piece of surface."""
+
+    reach_m: Annotated[
+        float, Field(gt=0, description="object points with nothing of the other side this near are in pieces")
+    ] = 1.0
+    link_m: Annotated[
+        float,
+        Field(gt=0, description="points this near to each other are of one piece, or of one hallucinated object"),
+    ] = 0.6
+    min_points: Annotated[int, Field(ge=1, description="points that a piece has at least")] = 10
+
+
 class SelectionSettings(_Group):
     """Which nodes stand for an object."""
 
@@ -317,6 +330,7 @@ class Settings(_Group):
     graph: GraphSettings = GraphSettings()
     communities: CommunitySettings = CommunitySettings()
     matching: MatchingSettings = MatchingSettings()
+    pieces: PieceSettings = PieceSettings()
     selection: SelectionSettings = SelectionSettings()
     metrics: MetricsSettings = MetricsSettings()
     stability: StabilitySettings = StabilitySettings()

@@ -26,6 +26,7 @@ from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
+from .pieces import CutScan, Pieces, count_pieces, find_pieces
 from .reference import (
     Annotation,
     ReferenceObjects,
@@ -75,9 +76,14 @@ def evaluate(
     # "Graph-Based Validation Metrics": the objects that both sides have are scored
     scores = compare(objects_real, objects_sim, settings)
 
-    # Not the paper's: how much of each surface the other side has, how far apart they are, and how rough
+    # Not the paper's: how much of each surface the other side has, how far apart they are, how rough, and in which
+    # pieces it is missing or invented
     surfaces = compare_surfaces(objects_real.points, objects_sim.points)
-    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces)
+    scan_real = CutScan(clean_real.points, cut_real.is_ground, cut_real.height_m)
+    scan_sim = CutScan(clean_sim.points, cut_sim.is_ground, cut_sim.height_m)
+    pieces = find_pieces(scan_real, scan_sim, settings.pieces)
+    surfaces |= count_pieces(*pieces)
+    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces, pieces)
 
 
 def partition(
@@ -287,7 +293,8 @@ class Evaluation:
     cut_real, cut_sim : which of these are ground
     objects_real, objects_sim : the others, their graph and their communities
     scores : of the pair
-    surfaces : of the pair, whatever the objects are
+    surfaces : of the pair, regardless of its objects
+    pieces : missing and invented ones
     """
 
     clean_real: CleanResult
@@ -298,6 +305,7 @@ class Evaluation:
     objects_sim: PartitionedScan
     scores: PairScores
     surfaces: dict[str, Number]
+    pieces: tuple[Pieces, Pieces]
 
 
 def _summarise(
