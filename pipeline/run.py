@@ -287,7 +287,7 @@ class _Run:
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        columns = dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS, "found"))
+        columns = dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS))
         rows = pairs.select([name for name in columns if name in pairs.column_names]).to_pylist()
         scored = [row for row in rows if row["status"] == "scored"]
         scored_ids = [row["pair_id"] for row in scored]

@@ -346,17 +346,12 @@ class Caution(Result):
 class ObjectOverview(Result):
     """Overview of the objects and pieces of all scored pairs; see `pipeline.results.overview` for the rules.
 
-    missing_pieces, invented_pieces : pieces per pair
-    found : matched / real objects, mean over pairs; null without real objects
     causes : what to fix first, most severe first
     pieces : the largest pieces
     surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
     """
 
-    missing_pieces: float | None
-    invented_pieces: float | None
-    found: float | None
     causes: tuple[Cause, ...]
     pieces: tuple[Piece, ...]
     surface: tuple[SurfaceGroup, ...]

@@ -7,7 +7,7 @@ memory of its own.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from heapq import nlargest
 from pathlib import Path
 from typing import Any, overload
@@ -21,7 +21,6 @@ from ...schemas.settings import MatchingSettings
 from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
-from ...stages.summary import mean_and_std
 from ..datasets.frame_checks import frames_summary
 from ..storage.files import path_exists
 from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
@@ -113,16 +112,13 @@ class Tally:
         }
         real = classes["real"]
         of_class = np.stack([*real.values()], axis=-1) if real else np.zeros((2, self._n_pairs, 0))
-        of_surface = surface_causes(
-            GroupCoverage(BAND_NAMES, *bands["real"]), GroupCoverage(tuple(real), *of_class)
-        )
+        of_surface = surface_causes(GroupCoverage(BAND_NAMES, *bands["real"]), GroupCoverage(tuple(real), *of_class))
         by_band = zip(BAND_NAMES, *(own.sum(axis=1).T for own in bands.values()), strict=True)
         labels = sorted({label for own in classes.values() for label in own if label})
-        by_class = ((label, *(own.get(label, np.zeros((2, 1))).sum(axis=1) for own in classes.values())) for label in labels)
+        by_class = (
+            (label, *(own.get(label, np.zeros((2, 1))).sum(axis=1) for own in classes.values())) for label in labels
+        )
         return ObjectOverview(
-            missing_pieces=_mean(row.get("n_missing_pieces") for row in rows),
-            invented_pieces=_mean(row.get("n_invented_pieces") for row in rows),
-            found=_mean(row.get("found") for row in rows),
             causes=tuple(find_causes(rows, surface=of_surface)),
             pieces=tuple(piece for _, piece in self._pieces),
             surface=tuple(
@@ -215,10 +211,6 @@ def _group(kind: str, name: str, real: FloatArray, sim: FloatArray) -> SurfaceGr
         n_sim=int(sim[0]),
         invented_share=shares[1],
     )
-
-
-def _mean(values: Iterable[float | None]) -> float | None:
-    return mean_and_std(np.array([*values], dtype=np.float64))[0]
 
 
 def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
