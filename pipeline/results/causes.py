@@ -93,23 +93,18 @@ CAUSE_KINDS = (
     CauseKind("azimuth step", "deg", "sensor_{side}_azimuth_step_deg", 0, 0.2, 0, _STEP, _RATE),
     CauseKind("range steps", "m", "sensor_{side}_range_quantum_m", 0.01, 0, 0.1, _QUANTUM, "range format", null_as=0.0),
     *(
-        CauseKind(f"{what} pieces", "share", f"{what}_pieces_share", 0.005, 0, 1, _PIECES % what, setting, count=count)
-        for what, setting, count in (
-            ("missing", "assets, map", "n_missing_pieces"),
-            ("invented", "assets, map, clutter", "n_invented_pieces"),
-        )
+        CauseKind(f"{what} pieces", "share", f"{what}_pieces_share", 0.005, 0, 1, _PIECES % what, "assets", count=count)
+        for what, count in (("missing", "n_missing_pieces"), ("invented", "n_invented_pieces"))
     ),
 )
 
 
 #: Columns of `pairs` that the causes are estimated from.
-CAUSE_COLUMNS = tuple(
-    dict.fromkeys(
-        column
-        for kind in CAUSE_KINDS
-        for column in (*(kind.column.format(side=side) for side in SIDES), *([kind.count] if kind.count else []))
-    )
-) + ("shift_z_m",)
+CAUSE_COLUMNS = (
+    *dict.fromkeys(kind.column.format(side=side) for kind in CAUSE_KINDS for side in SIDES),
+    *(kind.count for kind in CAUSE_KINDS if kind.count),
+    "shift_z_m",
+)
 
 
 @dataclass(frozen=True)
@@ -247,7 +242,7 @@ def _coverage_cause(name: str, words: str, setting: str, groups: GroupCoverage, 
     return Cause(
         name=name,
         words=words.format(sim=size_words(sim, "share")),
-        detail=f"elsewhere {size_words(real, 'share')}",
+        detail=f"{size_words(real, 'share')} {'nearer' if name == FAR else 'elsewhere'}",
         setting=setting,
         estimate=mean,
         low=low if has_interval else None,

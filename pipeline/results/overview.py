@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...schemas.columns import Row
 from ...schemas.record import RunRecord
 from ...schemas.results import Caution, Findings, ObjectOverview, Overview, Piece, SurfaceGroup
 from ...schemas.settings import MatchingSettings
-from ...stages.arrays import BoolArray, FloatArray, IntArray
+from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from ..datasets.frame_checks import frames_summary
@@ -167,12 +168,12 @@ def independence(findings: Findings | None) -> list[str]:
     return []
 
 
-def _points_of(side: SideRows, group: IntArray, n_pairs: int, n_groups: int) -> FloatArray:
+def _points_of(side: SideRows, group: NDArray[np.integer[Any]], n_pairs: int, n_groups: int) -> FloatArray:
     """Points of each pair and group, and those without a counterpart within 0.3 m, (2, n_pairs, n_groups)."""
     alone = side.n_points * (1 - np.nan_to_num(side.covered))
     place = side.pair.astype(np.int64) * n_groups + group
     counts = [np.bincount(place, own, n_pairs * n_groups) for own in (side.n_points.astype(np.float64), alone)]
-    return np.stack(counts).reshape(2, n_pairs, n_groups)
+    return np.stack(counts).astype(np.float64).reshape(2, n_pairs, n_groups)
 
 
 def _pieces_of(rows: ObjectRows) -> Iterator[tuple[tuple[int, str, str, int], Piece]]:
@@ -184,7 +185,7 @@ def _pieces_of(rows: ObjectRows) -> Iterator[tuple[tuple[int, str, str, int], Pi
         own: dict[str, Any] = {name: column[i] for name, column in pieces.items()}
         is_moved = own["fate"] == "moved"
         fate = "moved" if is_moved else "missing" if own["side"] == "real" else "invented"
-        extents = tuple(float(own[f"extent_{axis}"]) for axis in "xyz")
+        extents = float(own["extent_x"]), float(own["extent_y"]), float(own["extent_z"])
         piece = Piece(
             pair_id=rows.pair_ids[own["pair"]],
             side=own["side"],
@@ -225,8 +226,8 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="frames", words=frames_summary(record.frames, n_pairs))
     n_independent = max((claim.n_pairs for claim in record.claims), default=pairs.scored)
     if n_independent < LEAST_PAIRS:
-        few = f"{n_independent} independent pair{'s' * (n_independent != 1)}"
-        yield Caution(kind="pairs", words=f"{few}: too few to tell change from chance, which takes {LEAST_PAIRS}")
+        few = f"{n_independent} independent pair{'s' * (n_independent != 1)}: too few for a verdict ({LEAST_PAIRS})"
+        yield Caution(kind="pairs", words=few)
     for words in independence(record.findings):
         yield Caution(kind="independence", words=words)
     if objects.n_aligned and objects.n_badly_aligned >= _MANY_BADLY_ALIGNED * objects.n_aligned:

@@ -15,19 +15,17 @@ def size_word(length_m: float, width_m: float, height_m: float) -> str:
     >>> [size_word(*box) for box in ((4.2, 1.8, 1.5), (0.6, 0.4, 1.7), (0.3, 0.2, 4.0), (12, 0.4, 2), (9, 8, 6))]
     ['car-sized', 'person-sized', 'pole', 'wall', 'large']
     """
-    if height_m >= 1.5 and length_m <= 0.6 and height_m >= 4 * length_m:
-        return "pole"
-    if 0.8 <= height_m <= 2.2 and length_m <= 1.2:
-        return "person-sized"
-    if length_m >= 3 and height_m >= 1 and width_m <= length_m / 8:
-        return "wall"
-    if height_m <= 0.4 and length_m >= 1:
-        return "flat"
-    if 2.5 <= length_m <= 5.5 and width_m <= 4 and 0.8 <= height_m <= 2.2:
-        return "car-sized"
-    if length_m <= 1 and height_m <= 1:
-        return "small"
-    return "tree-sized" if height_m >= 2.5 and length_m <= height_m else "large"
+    sizes = {
+        "pole": height_m >= 1.5 and length_m <= height_m / 4,
+        "person-sized": 0.8 <= height_m <= 2.2 and length_m <= 1.2,
+        "wall": length_m >= 3 and height_m >= 1 and width_m <= length_m / 8,
+        "flat": height_m <= 0.4 and length_m >= 1,
+        "car-sized": 2.5 <= length_m <= 5.5 and width_m <= 4.5 and 0.8 <= height_m <= 2.4,
+        "small": length_m <= 1 and height_m <= 1,
+        "tree-sized": height_m >= 2 and length_m <= height_m,
+        "bush-sized": length_m <= 3,
+    }
+    return next((word for word, fits in sizes.items() if fits), "large")
 
 
 def direction(bearing_deg: float) -> str:

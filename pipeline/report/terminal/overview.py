@@ -5,8 +5,9 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from textwrap import wrap
+from textwrap import TextWrapper
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
@@ -24,6 +25,7 @@ _SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 #: Cautions that are shown above the answer.
 _SHOWN_ABOVE = ("failed", "frames")
+_WRAPPER = partial(TextWrapper, break_long_words=False, break_on_hyphens=False)
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,6 @@ class FirstAnswer:
         if record.previous:
             yield "Last run", [(change_words(record), "", "")]
         trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE]
-        n_more = len(overview.causes[len(causes) :]) + len(trust[n_cautions:] if n_cautions else [])
         show = shlex.join(["fidpipe", "show", str(self.folder), "--all"])
         yield (
             "Trust",
@@ -156,16 +157,12 @@ def change_words(record: RunRecord) -> str:
 
 
 def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:
-    """An item in lines: its words, at their end the setting if it fits, then the detail."""
+    """An item in lines: words, detail, and at the end of the first line the setting; what does not fit comes below."""
     words, detail, setting = item
-    hang = "   " if words[:1].isdigit() and words[1:3] == "  " else "  "
-    own = wrap(words, width, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False)
-    room = width - len(own[-1]) - len(setting)
-    if setting and room >= 2:
-        own[-1] += " " * room + setting
-        setting = ""
-    rest = "   ".join(filter(None, (detail, setting)))
-    yield from own
-    yield from wrap(
-        rest, width, initial_indent=hang, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False
-    )
+    hang = " " * 3 * words[:1].isdigit()
+    if detail and len(words) + len(detail) + len(setting) + 5 <= width:
+        words, detail = f"{words}   {detail}", ""
+    if setting and len(words) + len(setting) + 2 <= width:
+        words, setting = words.ljust(width - len(setting)) + setting, ""
+    for text, indent in ((words, ""), ("   ".join(filter(None, (detail, setting))), hang)):
+        yield from _WRAPPER(width=width, initial_indent=indent, subsequent_indent=hang).wrap(text)
