@@ -35,6 +35,8 @@ _SCORES = (
 )
 #: Causes on the first screen.
 _MOST_CAUSES = 6
+#: Surroundings of a piece in its picture.
+_AROUND_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -227,6 +229,7 @@ def _picture(results: RunResults, piece: Piece) -> Picture:
         points = clouds[side].points[inside(clouds[side].points, low, high)]
         alone[side] = points[KDTree(everything[other]).query(points)[0] > reach_m]
     low, high = box_around(np.concatenate([*alone.values()]))
+    low, high = low - _AROUND_M, high + _AROUND_M
     around = np.concatenate([points[inside(points, low, high)] for points in everything.values()])
     communities = own.community[inside(own.points, *box_around(alone[piece.side]))]
     camera = Camera(low, high)

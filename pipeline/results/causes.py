@@ -176,7 +176,7 @@ def size_words(value: float, unit: str) -> str:
     value = abs(value)
     if unit == "m":
         mm = round(value * 1000)
-        return f"{mm} mm" if mm < 100 else f"{value * 100:.0f} cm" if value < 1 else f"{value:.1f} m"
+        return f"{mm} mm" if mm < 50 else f"{value * 100:.0f} cm" if value < 1 else f"{value:.1f} m"
     return f"{100 * value:.0f} %" if unit == "share" else f"{value:.3g} {unit}".rstrip()
 
 

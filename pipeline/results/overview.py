@@ -31,7 +31,7 @@ from .floor import FLOOR_RECIPE
 from .places import moved_words, place_words
 
 #: Number of the largest pieces that are kept.
-N_PIECES = 6
+N_PIECES = 4
 #: An alignment is bad beyond this share of the diagonal of the real object's bounding box. Paired at random, the points
 #: of a filled cube give 0.41: the distance of two of them (root mean square: edge / sqrt 2) over edge sqrt 3.
 BAD_ALIGNMENT = 0.25
