@@ -34,7 +34,7 @@ class PairResult:
     """The tables of one pair as pandas frames, with the columns of `schemas.tables`.
 
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
-    points, edges, communities, objects : by side, "real" and "sim"
+    points, sensor, edges, communities, objects : by side, "real" and "sim"
     matching, coverage, surface, pieces, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
@@ -42,6 +42,7 @@ class PairResult:
 
     summary: dict[str, Any]
     points: dict[str, pd.DataFrame]
+    sensor: dict[str, pd.DataFrame]
     edges: dict[str, pd.DataFrame]
     communities: dict[str, pd.DataFrame]
     objects: dict[str, pd.DataFrame]
@@ -116,6 +117,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     return PairResult(
         summary=summary,
         points=by_side("ground"),
+        sensor=by_side("sensor"),
         edges=by_side("graph"),
         communities=by_side("communities"),
         objects=by_side("objects"),

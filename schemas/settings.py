@@ -171,6 +171,11 @@ class GroundSettings(_Group):
         "removed", description="scatter of the removed points along the axis, or relative change of the total variance"
     )
     shared: bool = Field(False, description="cut both sides with the real side's axis and threshold (method pca)")
+    peak: Literal["own", "real"] = Field(
+        "own",
+        description="road of the simulated side: its own fullest window; or axis, peak and threshold of the real side, "
+        "moved by the height of the simulated road above the real one (of no effect with shared = true)",
+    )
 
     @model_validator(mode="after")
     def _shared_needs_pca(self) -> GroundSettings:
@@ -349,7 +354,11 @@ class Settings(_Group):
 #: objects on the real side, for comparing simulators.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {},
-    "reference": {"graph": {"ties": "coordinates"}, "communities": {"objects": "reference"}},
+    "reference": {
+        "ground": {"peak": "real"},
+        "graph": {"ties": "coordinates"},
+        "communities": {"objects": "reference"},
+    },
 }
 
 #: What the objects of each preset are.

@@ -59,6 +59,35 @@ GROUND = Table(
     ("point_id",),
 )
 
+SENSOR = Table(
+    "sensor",
+    pa.schema(
+        [
+            PAIR,
+            SIDE,
+            column("model", STRING, "known sensor with these beams", optional=True),
+            column("n_beams", INT32, "beams", optional=True),
+            column("lowest_deg", FLOAT64, "elevation of the lowest beam", "deg", optional=True),
+            column("highest_deg", FLOAT64, "elevation of the highest beam", "deg", optional=True),
+            column(
+                "origin_height_m",
+                FLOAT64,
+                "height above the origin of the file's frame at which beams start; the mean of two blocks",
+                "m",
+                optional=True,
+            ),
+            column("azimuth_step_deg", FLOAT64, "between two firings of a beam", "deg", optional=True),
+            column("range_quantum_m", FLOAT64, "ranges are multiples of it; null if none is seen", "m", optional=True),
+            column("range_noise_m", FLOAT64, "standard deviation along the ray on smooth surfaces", "m", optional=True),
+            column(
+                "lost_share", FLOAT64, "share of the pulses within visible surfaces that have no return", optional=True
+            ),
+            column("reason", STRING, "why a value is null", optional=True),
+        ]
+    ),
+    ("side",),
+)
+
 GRAPH = Table(
     "graph",
     pa.schema(
@@ -305,6 +334,14 @@ def _pairs_schema() -> pa.Schema:
             number(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
         ]
     fields += [score_column(metric) for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)]
+    for side in SIDES:
+        fields += [
+            count(f"sensor_{side}_beams", "beams of the sensor, estimated from the scan"),
+            number(f"sensor_{side}_azimuth_step_deg", "angle between two firings of a beam", "deg"),
+            number(f"sensor_{side}_range_quantum_m", "ranges are multiples of it; null if none is seen", "m"),
+            number(f"sensor_{side}_range_noise_m", "standard deviation along the ray on smooth surfaces", "m"),
+            number(f"sensor_{side}_lost_share", "share of the pulses within visible surfaces that have no return"),
+        ]
     return pa.schema(fields)
 
 
@@ -319,8 +356,7 @@ TIMINGS = Table(
             column(
                 "stage",
                 STRING,
-                "ground, graph, communities, matching, coverage, surface, pieces, selection, metrics, baselines or "
-                "seeds",
+                "name of the stage, such as ground",
             ),
             column("step", STRING, "read, write, or a step of the method"),
             column("seconds", FLOAT64, "wall time of the step", "s"),
@@ -334,7 +370,7 @@ TIMINGS = Table(
 TABLES = {
     table.name: table
     for table in (
-        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, SELECTION, METRICS),
+        *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, SELECTION, METRICS),
         *(BASELINES, SEEDS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )

@@ -17,7 +17,7 @@ from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS, SHIFT_COLUMNS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
-from .clean import CleanResult, clean_scan
+from .clean import CleanResult, as_ros, clean_scan
 from .communities import find_communities
 from .coverage import cover, nearest_distances
 from .graph import build_graph
@@ -35,6 +35,7 @@ from .reference import (
     visiting_order,
 )
 from .selection import Selection, select_nodes
+from .sensing.sensor import describe_sensor, pair_columns
 from .summary import summarise_pair
 from .surface import compare_roughness, describe_surface, measure_offsets
 
@@ -59,15 +60,16 @@ def evaluate(
     StageError
         A side has fewer than 8 points after cleaning or after ground removal.
     """
-    own, shares_cut = settings.input, settings.ground.shared
+    own, ground = settings.input, settings.ground
 
     # Measurements only, both sides in the real sensor's frame
     clean_real = clean_scan(real, own, frame=own.frame_of("real"))
     clean_sim = clean_scan(sim, own, frame=own.frame_of("sim"), T_real_sim=T_real_sim)
 
     # "Data Collection and Graph Build-up": the PCA Z-cut takes the road away
-    cut_real = remove_ground(clean_real.points, settings.ground)
-    cut_sim = remove_ground(clean_sim.points, settings.ground, cut_real if shares_cut else None)
+    cut_real = remove_ground(clean_real.points, ground)
+    real_cut = cut_real if ground.shared or ground.peak == "real" else None
+    cut_sim = remove_ground(clean_sim.points, ground, real_cut, None if ground.shared else clean_real.points)
 
     # "Graphs as Metrics": each side becomes a graph, and its communities are its objects
     objects_real = partition(clean_real.points[~cut_real.is_ground], settings)
@@ -83,6 +85,13 @@ def evaluate(
     scan_sim = CutScan(clean_sim.points, cut_sim.is_ground, cut_sim.height_m)
     pieces = find_pieces(scan_real, scan_sim, settings.pieces)
     surfaces |= count_pieces(*pieces)
+
+    # Not the paper's: the sensor of each side, estimated in its own frame
+    sensors = [
+        pair_columns(describe_sensor(as_ros(points, own.frame_of(side))), side)
+        for side, points in zip(SIDES, (real, sim), strict=True)
+    ]
+    surfaces |= sensors[0] | sensors[1]
     return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces, pieces)
 
 
@@ -293,7 +302,7 @@ class Evaluation:
     cut_real, cut_sim : which of these are ground
     objects_real, objects_sim : the others, their graph and their communities
     scores : of the pair
-    surfaces : of the pair, regardless of its objects
+    surfaces : coverage, displacement, roughness, pieces and sensors, by column of `pairs`; regardless of the objects
     pieces : missing and invented ones
     """
 

@@ -8,10 +8,23 @@ from __future__ import annotations
 
 from ...schemas.settings import Settings
 from ..stage import Stage
-from . import baselines, communities, coverage, graph, ground, matching, metrics, pieces, seeds, selection, surface
+from . import (
+    baselines,
+    communities,
+    coverage,
+    graph,
+    ground,
+    matching,
+    metrics,
+    pieces,
+    seeds,
+    selection,
+    sensor,
+    surface,
+)
 
 STAGES = (
-    *(ground.STAGE, graph.STAGE, communities.STAGE, matching.STAGE),
+    *(ground.STAGE, sensor.STAGE, graph.STAGE, communities.STAGE, matching.STAGE),
     *(coverage.STAGE, surface.STAGE, pieces.STAGE, selection.STAGE, metrics.STAGE),
 )
 

@@ -73,7 +73,9 @@ def gather_metrics(context: Context, tables: Tables) -> Facts:
         )
         | context.facts("coverage")
         | context.facts("surface")
-        | context.facts("pieces"),
+        | context.facts("pieces")
+        | context.facts("sensor", "real")["pairs"]
+        | context.facts("sensor", "sim")["pairs"],
         "unmatched": _unmatched_surface(context.table("coverage"), ids, statuses),
     }
 
@@ -109,6 +111,7 @@ STAGE = Stage(
         "coverage": _COVERED,
         "surface": (),
         "pieces": (),
+        "sensor": (),
     },
     gives=("metrics",),
     grain=Grain.OBJECT,
