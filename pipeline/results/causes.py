@@ -19,6 +19,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.results import Cause
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M
+from .places import short_label
 
 #: Names of the causes from coverage by range and by class.
 FAR, CLASS = "far surface", "class"
@@ -148,7 +149,7 @@ def surface_causes(bands: GroupCoverage, classes: GroupCoverage) -> list[Cause]:
     ]
     farthest = max((cause for cause in far if cause), key=lambda cause: cause.estimate, default=None)
     named = [
-        _coverage_cause(CLASS, f"{name}: {{sim}} of the surface missing", "assets", classes, is_own)
+        _coverage_cause(CLASS, f"{short_label(name)}: {{sim}} of the surface missing", "assets", classes, is_own)
         for i, name in enumerate(classes.names)
         if name
         for is_own in [np.arange(len(classes.names)) == i]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import atan2, degrees, hypot
 
 _DIRECTIONS = ("ahead", "ahead left", "left", "behind left", "behind", "behind right", "right", "ahead right")
+_LABEL = 25
 
 
 def size_word(length_m: float, width_m: float, height_m: float) -> str:
@@ -28,6 +29,17 @@ def size_word(length_m: float, width_m: float, height_m: float) -> str:
     return next((word for word, fits in sizes.items() if fits), "large")
 
 
+def short_label(label: str) -> str:
+    """The end of a long class name, which tells classes apart.
+
+    Examples
+    --------
+    >>> short_label("movable_object.pushable_pullable")
+    '…object.pushable_pullable'
+    """
+    return label if len(label) <= _LABEL else f"…{label[1 - _LABEL :]}"
+
+
 def direction(bearing_deg: float) -> str:
     """One of eight directions; 0 is ahead, positive to the left.
 
@@ -49,7 +61,8 @@ def place_words(label: str | None, extents_m: tuple[float, float, float], range_
     """
     length, width, height = *sorted(extents_m[:2], reverse=True), extents_m[2]
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
-    return f"{label or size_word(length, width, height)}, {size}, {range_m:.0f} m {direction(bearing_deg)}"
+    what = short_label(label) if label else size_word(length, width, height)
+    return f"{what}, {size}, {range_m:.0f} m {direction(bearing_deg)}"
 
 
 def moved_words(x_m: float, y_m: float, z_m: float) -> str:

@@ -16,11 +16,11 @@ from ....schemas.metrics import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
 from ...results.floor import RunExcess
-from .layout import number, percent, signed
+from .layout import number, percent, shortened, signed
 
 #: Causes, places and cautions that are shown without --all.
 _FEW = 5, 3, 1
-_INDENT, _NARROWEST = 14, 40
+_INDENT, _NARROWEST, _PAIR = 14, 40, 16
 _SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 #: Cautions that are shown above the answer.
@@ -67,10 +67,9 @@ class FirstAnswer:
             or [("no cause stands out from what two measurements of one scene differ by", "", "")],
         )
         if overview.pieces:
-            yield (
-                "Worst places",
-                [(f"{own.pair_id}  {own.words}", "", own.fate_words) for own in overview.pieces[:n_places]],
-            )
+            pieces = overview.pieces[:n_places]
+            names = shortened({own.pair_id for own in pieces}, _PAIR)
+            yield "Worst places", [(f"{names[own.pair_id]}  {own.words}", "", own.fate_words) for own in pieces]
         yield "Objects", [(scores_words(record), "", "")]
         if record.previous:
             yield "Last run", [(change_words(record), "", "")]
