@@ -88,7 +88,7 @@ CAUSE_KINDS = (
     CauseKind("height", "m", "ground_{side}_peak_m", 0.05, 0, 0.3, _WORLD, _MOUNT, ("high", "low")),
     CauseKind("forward", "m", "shift_x_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far ahead", "far back")),
     CauseKind("sideways", "m", "shift_y_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far left", "far right")),
-    CauseKind("range noise", "m", "sensor_{side}_range_noise_m", 0.005, 0.5, 0.1, _NOISE, "noise_stddev"),
+    CauseKind("range noise", "m", "sensor_{side}_range_noise_m", 0.015, 0.5, 0.1, _NOISE, "noise_stddev"),
     CauseKind("lost pulses", "share", "sensor_{side}_lost_share", 0.05, 0, 1, _LOST, "dropoff_general_rate"),
     CauseKind("beams", "", "sensor_{side}_beams", 1.5, 0.05, 0, _BEAMS, _FOV),
     CauseKind("azimuth step", "deg", "sensor_{side}_azimuth_step_deg", 0, 0.2, 0, _STEP, _RATE),

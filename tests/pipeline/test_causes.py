@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
+from fidpipe import evaluate_pair
 from fidpipe.pipeline.results.causes import CAUSE_KINDS, GroupCoverage, find_causes, surface_causes
+from fidpipe.schemas.settings import load
+from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.sensor_models import SENSORS
 from fidpipe.stages.statistics.findings import BAND_EDGES_M
 
 NO_CLASSES = GroupCoverage(("",), np.ones((4, 1)), np.ones((4, 1)))
@@ -133,3 +137,31 @@ def test_a_class_is_named_where_much_more_of_it_is_missing():
     bands = GroupCoverage(("",) * 5, np.full((4, 5), 500.0), np.full((4, 5), 100.0))
     (pole,) = surface_causes(bands, classes)
     assert pole.words == "pole: 90 % of the surface missing"
+
+
+def re_measured(scan, rng, noise_m, lost_share, shift_z_m=0.0):
+    """The same scan with noise along the ray and lost points, moved in z."""
+    kept = scan[rng.random(len(scan)) >= lost_share]
+    range_m = np.linalg.norm(kept, axis=1, keepdims=True)
+    return kept * (1 + rng.normal(0, noise_m, (len(kept), 1)) / range_m) + [0, 0, shift_z_m]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"noise_m": 0.02, "lost_share": 0.03}, []),
+        ({"noise_m": 0.08, "lost_share": 0.03, "shift_z_m": -0.12}, ["height", "range noise"]),
+    ],
+)
+def test_scans_that_were_moved_and_made_noisy_name_both_and_healthy_ones_nothing(change, expected):
+    settings, rng, rows = load(None, [], preset="reference"), np.random.default_rng(1), []
+    for seed in range(3):
+        scan = make_pair(seed, 0, SENSORS["vlp16"], 12_000).real.rows[:, :3]
+        rows.append(evaluate_pair(scan, re_measured(scan, rng, **change), settings).summary | {"pair_id": str(seed)})
+    causes = find_causes(rows)
+    assert names(causes) == expected
+    if causes:
+        assert causes[0].estimate == pytest.approx(-0.12, abs=0.02)
+        assert (causes[0].words, causes[0].setting) == ("simulated world 12 cm too low", "mount height, T_real_sim")
+        assert causes[1].sim == pytest.approx(np.hypot(0.03, 0.08), rel=0.15)

@@ -170,7 +170,7 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     assert after.previous.means["cdc_mean"] == before["cdc_mean"].mean
     again = run(data, folder).record
     assert (again.previous, again.overview) == (after.previous, after.overview)
-    moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.3f}"
+    moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
     for shown in (text_of(as_view(FinishedRun(folder), None, None), 300), verdict_of(read_results(folder)).change):
         assert moved in shown
         assert "(1 pair of other scans); chance: fidpipe compare" in shown

@@ -16,7 +16,7 @@ from ....schemas.metrics import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
 from ...results.floor import RunExcess
-from .layout import number, percent, shortened, signed
+from .layout import number, percent, shortened
 
 #: Causes, places and cautions that are shown without --all.
 _FEW = 5, 3, 1
@@ -35,7 +35,7 @@ class FirstAnswer:
     overview : of the record, or over a floor (`over_floor`)
     excess : the run over a floor, whose coverage is shown
     with_all : all causes, places and cautions
-    seconds : that the run took, if it just ended
+    took : time and reused jobs of a run that just ended
     """
 
     folder: Path
@@ -43,11 +43,11 @@ class FirstAnswer:
     overview: Overview
     excess: RunExcess | None = None
     with_all: bool = False
-    seconds: float | None = None
+    took: str = ""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width = max(options.max_width, _NARROWEST)
-        yield Text(run_line(self.record, self.seconds), style="bold")
+        yield Text(run_line(self.record, self.took), style="bold")
         for heading, items in self.sections():
             lines = [line for item in items for line in _lines(item, width - _INDENT)]
             for i, line in enumerate(lines):
@@ -95,12 +95,11 @@ class FirstAnswer:
         return "\n\n".join(parts) + "\n"
 
 
-def run_line(record: RunRecord, seconds: float | None = None) -> str:
-    """Dataset, pairs, seconds and preset of a run."""
+def run_line(record: RunRecord, took: str = "") -> str:
+    """Dataset, pairs, time and preset of a run."""
     pairs = record.pairs
     n, n_all = pairs.scored, pairs.scored + pairs.failed + pairs.to_do
     of_all = f" of {n_all}" if n < n_all else ""
-    took = "" if seconds is None else f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     differing = f", but {' '.join(record.departures)}" if record.departures else ""
     name = Path(record.dataset).name
     return f"{name}: {n}{of_all} pair{'s' * (n_all != 1)}{took}, preset {record.preset}{differing}"
@@ -143,16 +142,15 @@ def change_words(record: RunRecord) -> str:
     if last is None:
         return ""
     moved = [
-        f"{metric_of(column).label} {signed(now - before)}"
+        f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}"
         for column in (*_COVERED, *headline_scores(record))
         if (now := record.summary[column].mean) is not None
         and (before := last.means.get(column)) is not None
-        and abs(now - before) >= 5e-4
+        and abs(now - before) >= 5e-3
     ]
     more = len(last.changes) - 1
     why = "".join(last.changes[:1]) + (f" and {more} more changes" if more > 0 else "")
-    since = f"since {last.written[:16].replace('T', ' ')}"
-    return f"{', '.join(moved) or 'no score moved'} {since}{f' ({why})' if why else ''}; chance: fidpipe compare"
+    return f"{', '.join(moved) or 'no score moved'}{f' ({why})' if why else ''}; chance: fidpipe compare"
 
 
 def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:

@@ -62,8 +62,12 @@ _COLOURS = {HOLDS: "green", FAILS: "red", UNDECIDED: "yellow"}
 def outcome_view(outcome: RunOutcome) -> RenderableType:
     """The end of a run: failures, baselines and spread over seeds if computed, and the first answer."""
     record = outcome.record
-    seconds = record.wall_s["total"] if outcome.n_made else None
-    return summary_view(outcome.folder, outcome.rows, record, record.overview, outcome.told_failures, seconds=seconds)
+    seconds = record.wall_s["total"]
+    took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
+    jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)
+    return summary_view(
+        outcome.folder, outcome.rows, record, record.overview, outcome.told_failures, took=f"{took}{jobs}"
+    )
 
 
 def summary_view(
@@ -75,7 +79,7 @@ def summary_view(
     excess: RunExcess | None = None,
     *,
     with_all: bool = False,
-    seconds: float | None = None,
+    took: str = "",
 ) -> RenderableType:
     """Failures and warnings, then the first answer; with `with_all` all tables of the run before it.
 
@@ -84,9 +88,9 @@ def summary_view(
     overview : of the record, or over a floor
     told : pairs whose failure was reported before
     excess : the run over a floor
-    seconds : that the run took, if it just ended
+    took : time and reused jobs of a run that just ended
     """
-    answer = FirstAnswer(folder, record, overview, excess, with_all, seconds) if overview else Text(run_line(record))
+    answer = FirstAnswer(folder, record, overview, excess, with_all, took) if overview else Text(run_line(record, took))
     return Group(
         *(_all_tables(rows, record) if with_all else ()),
         *_asked_for(record),
