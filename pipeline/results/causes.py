@@ -39,7 +39,7 @@ class CauseKind:
     """A flaw that can be estimated from one row of `pairs`.
 
     column : of both sides ("{side}" is replaced), or of their difference
-    tolerance, relative : not named within `tolerance` plus `relative` times the real value
+    tolerance, relative : not named within `tolerance` plus `relative` times the smaller of both values
     full : value that affects the whole surface; 0: the real value
     words : with {size} (absolute estimate), {way} (of `ways`: above and below 0), {real}, {sim}, {count}
     setting : attributes of CARLA's LiDAR blueprint where they fit
@@ -85,7 +85,7 @@ _MOUNT, _FOV, _RATE = "mount height, T_real_sim", "channels, upper_fov, lower_fo
 _NOISE, _STEP, _QUANTUM = (f"{name} {{sim}}, real {{real}}" for name in ("range noise", "azimuth step", "range steps"))
 _LOST, _BEAMS = "{sim} of the pulses lost, real {real}", "{sim} beams, real {real}"
 CAUSE_KINDS = (
-    CauseKind("height", "m", "ground_{side}_peak_m", 0.05, 0, 0.3, _WORLD, _MOUNT, ("high", "low")),
+    CauseKind("height", "m", "ground_{side}_peak_m", 0.03, 0, 0.3, _WORLD, _MOUNT, ("high", "low")),
     CauseKind("forward", "m", "shift_x_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far ahead", "far back")),
     CauseKind("sideways", "m", "shift_y_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far left", "far right")),
     CauseKind("range noise", "m", "sensor_{side}_range_noise_m", 0.015, 0.5, 0.1, _NOISE, "noise_stddev"),
@@ -189,7 +189,7 @@ def _cause_of(kind: CauseKind, rows: Sequence[Row], floor: Mapping[str, Row]) ->
     values = np.array([kind.value(row) for row in known]) - np.array([value or 0.0 for value in over])
     real, sim = np.array([kind.sides(row) for row in known], dtype=np.float64).mean(axis=0).tolist()
     mean, low, high = mean_interval(values)
-    if max(low, -high) <= kind.tolerance + kind.relative * abs(real):
+    if max(low, -high) <= kind.tolerance + kind.relative * min(abs(real), abs(sim)):
         return None
     words, setting, detail = kind.words, kind.setting, ""
     if kind.name == "height":
