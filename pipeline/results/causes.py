@@ -30,6 +30,8 @@ CONFIDENCE = 0.95
 _FOLLOWS = 1 / 3
 #: Surface of a range band or a class is a cause if more of it is missing than of the rest, by this share.
 _MORE_MISSING = 0.2
+#: Far surface begins at 20 m or beyond.
+_FIRST_FAR = BAND_EDGES_M.index(20.0)
 #: A band or a class is judged in pairs with this many points in it, and outside.
 _FEWEST_POINTS = 50
 
@@ -144,10 +146,10 @@ def surface_causes(bands: GroupCoverage, classes: GroupCoverage) -> list[Cause]:
     """
     far = [
         _coverage_cause(FAR, f"beyond {edge_m:g} m {{sim}} of the surface missing", "range, dropoff", bands, is_far)
-        for i, edge_m in list(enumerate(BAND_EDGES_M))[1:]
+        for i, edge_m in list(enumerate(BAND_EDGES_M))[_FIRST_FAR:]
         for is_far in [np.arange(len(BAND_EDGES_M)) >= i]
     ]
-    farthest = max((cause for cause in far if cause), key=lambda cause: cause.estimate, default=None)
+    farthest = max((cause for cause in far if cause), key=_contrast, default=None)
     named = [
         _coverage_cause(CLASS, f"{short_label(name)}: {{sim}} of the surface missing", "assets", classes, is_own)
         for i, name in enumerate(classes.names)
@@ -179,6 +181,12 @@ def size_words(value: float, unit: str) -> str:
         mm = round(value * 1000)
         return f"{mm} mm" if mm < 50 else f"{value * 100:.0f} cm" if value < 1 else f"{value:.1f} m"
     return f"{100 * value:.0f} %" if unit == "share" else f"{value:.3g} {unit}".rstrip()
+
+
+def _contrast(cause: Cause) -> float:
+    """Variance between both groups of points, by which the distance is chosen at which far surface begins."""
+    share = cause.severity / cause.estimate
+    return cause.estimate**2 * share * (1 - share)
 
 
 def _cause_of(kind: CauseKind, rows: Sequence[Row], floor: Mapping[str, Row]) -> Cause | None:
