@@ -335,7 +335,7 @@ class SurfaceGroup(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, pairs, independence, partition, alignment, or floor (none is known)
+    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (none is known)
     words : in one sentence
     """
 
