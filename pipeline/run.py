@@ -284,8 +284,8 @@ class _Run:
             for note in job.facts.get("notes", ()):
                 notes[job.pair_id].append(f"{job.part} side: {note}")
             if ROW in job.facts:
-                peaks = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
-                if note := peaks_note(*peaks, self._request.settings.ground):
+                real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
+                if note := peaks_note(real_m, sim_m, self._request.settings.ground):
                     notes[job.pair_id].append(note)
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
@@ -295,8 +295,7 @@ class _Run:
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        columns = dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS))
-        rows = pairs.select([name for name in columns if name in pairs.column_names]).to_pylist()
+        rows = pairs.select([*dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS))]).to_pylist()
         scored = [row for row in rows if row["status"] == "scored"]
         scored_ids = [row["pair_id"] for row in scored]
         findings, objects = self._say_together(scored, key)

@@ -215,7 +215,7 @@ def _group(kind: str, name: str, real: FloatArray, sim: FloatArray) -> SurfaceGr
 
 
 def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
-    """What limits the trust in the numbers, the gravest first."""
+    """Limits to the trust in the numbers, most important first."""
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
     if pairs.failed:
@@ -236,12 +236,12 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="independence", words=words)
     if objects.n_aligned and objects.n_badly_aligned >= _MANY_BADLY_ALIGNED * objects.n_aligned:
         share = f"{100 * objects.n_badly_aligned / objects.n_aligned:.0f} %"
-        words = f"r_lambda of {share} of the matched objects stands on a bad alignment: {BAD_ALIGNMENT_WORDS}"
+        words = f"r_lambda of {share} of the matched objects is unreliable (poor alignment: {BAD_ALIGNMENT_WORDS})"
         yield Caution(kind="alignment", words=words)
     if record.preset != "reference":
-        words = "each side is divided into objects by itself, and small changes move that; to compare simulators: "
+        words = "objects are segmented in each scan separately, so scores vary with the segmentation; to compare simulators: "
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
     if path_exists(Path(record.dataset) / FLOOR_RECIPE):
         return  # it is a floor itself
-    floor = shlex.join(["fidpipe", "floor", record.dataset])
-    yield Caution(kind="floor", words=f"what a perfect simulator would score is not known from this run: {floor}")
+    floor = shlex.join(["fidpipe", "floor", record.dataset, "--preset", record.preset])
+    yield Caution(kind="floor", words=f"no floor yet; the scores of a perfect simulator: {floor}")
