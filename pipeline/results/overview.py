@@ -239,7 +239,7 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         words = f"r_lambda of {share} of the matched objects is unreliable (poor alignment: {BAD_ALIGNMENT_WORDS})"
         yield Caution(kind="alignment", words=words)
     if record.preset != "reference":
-        words = "objects are segmented in each scan separately, so scores vary with the segmentation; to compare simulators: "
+        words = "each scan is segmented separately, so scores vary with the segmentation; to compare simulators: "
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
     if path_exists(Path(record.dataset) / FLOOR_RECIPE):
         return  # it is a floor itself
