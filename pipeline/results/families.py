@@ -206,7 +206,7 @@ def _changes(
     p_values = adjusted_p_values(block_means(change, blocks), least, step)
     scores = []
     for i, score in enumerate(compared):
-        own = paired_difference(*values[i].T, blocks)
+        own = paired_difference(values[i, :, 0], values[i, :, 1], blocks)
         if own.n_pairs:
             towards = ("worse" if np.nanmean(worse_by[i]) > 0 else "better") if own.difference else ""
             is_same = own.low == own.high == 0
@@ -246,7 +246,8 @@ def _points_change(rows: Mapping[str, tuple[Row, Row]]) -> _Points:
             right = n * np.mean([number(row, f"covered_sim_{reach}") for reach in COVERAGE_REACHES])
             counts.append((right, n - right, n))
     before, after = np.array(counts).reshape(-1, 2, 3).mean(axis=0)
-    return _Points(*(after - before)[:2], after[2] / before[2] - 1)
+    right, invented, _ = (after - before).tolist()
+    return _Points(right, invented, after[2] / before[2] - 1)
 
 
 def _decided(family: FamilyChange, moved: Mapping[str, set[str]], points: _Points) -> FamilyChange:
@@ -357,7 +358,6 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
     ----------
     preset : of both runs; "paper" compares the match rate in place of the share of real objects that are found
     """
-    roughness, noise = ("roughness_bias_m", "roughness_area_m"), "range_noise_m"
     return {
         SURFACE_MISSING: (*_covered("real")[1:], _covered("real")[0], *_pieces("missing")),
         SURFACE_INVENTED: (*_covered("sim")[1:], _covered("sim")[0], *_pieces("invented")),
@@ -366,11 +366,9 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
             _excess("ground_sim_peak_m", "ground_real_peak_m", "road height (m)", 0.02),
         ),
         SURFACE_NOISE: (
-            *(
-                _column(column, best, 0.003, is_direct=False)
-                for column, best in zip(roughness, ("zero", "low"), strict=True)
-            ),
-            _excess(f"sensor_sim_{noise}", f"sensor_real_{noise}", "range noise (m)", 0.002),
+            _column("roughness_bias_m", "zero", 0.003, is_direct=False),
+            _column("roughness_area_m", "low", 0.003, is_direct=False),
+            _excess("sensor_sim_range_noise_m", "sensor_real_range_noise_m", "range noise (m)", 0.002),
         ),
         "sensor": (
             _sensor("beams", "beams"),

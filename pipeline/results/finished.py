@@ -135,8 +135,8 @@ class FinishedRun:
     def object_points(self, pair_id: str, side: str = "real") -> FloatArray:
         """(n, 3) the points of a side without ground, metres, in the real sensor's frame."""
         table = self.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
-        points = np.column_stack([table[axis] for axis in "xyz"])
-        return points[~table["is_ground"].to_numpy()]
+        points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])[~table["is_ground"].to_numpy()]
+        return points
 
     def edges(self, pair_id: str, side: str) -> pd.DataFrame:
         """The graph of a side, one row per edge: `src`, `dst` (ids of points), `length_m`."""

@@ -244,10 +244,11 @@ def _directions(n: int) -> FloatArray:
     """(k, n) vectors of length sqrt(n): signs, all or some of them, or directions of the sphere; the first is all 1."""
     rng = np.random.default_rng(n)
     if n < LEAST_FLIPPED:
-        drawn = rng.normal(size=(DRAWS, n))
-        drawn *= np.sqrt(n) / np.sqrt((drawn**2).sum(axis=1, keepdims=True))
+        normal = rng.normal(size=(DRAWS, n))
+        drawn = normal * np.sqrt(n / (normal**2).sum(axis=1, keepdims=True))
     elif n <= MOST_ENUMERATED:  # an opposite has the same T: the first sign stays
         drawn = 1.0 - 2.0 * ((np.arange(1, 2 ** (n - 1))[:, None] >> np.arange(n)) & 1)
     else:
         drawn = rng.choice([-1.0, 1.0], size=(DRAWS, n))
-    return np.vstack([np.ones(n), drawn])
+    directions: FloatArray = np.vstack([np.ones(n), drawn])
+    return directions
