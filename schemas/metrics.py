@@ -318,6 +318,50 @@ SURFACE_SCORES = (
     ),
 )
 
+#: Surface pieces of a pair, and its objects that were found, in the order of the columns of `pairs`.
+PIECE_SCORES = (
+    Metric(
+        "n_missing_pieces",
+        "missing pieces",
+        "connected parts of real objects without any simulated point within pieces.reach_m",
+        "connected parts of real objects where the simulation has nothing",
+        is_count=True,
+        source="fidpipe",
+    ),
+    Metric(
+        "n_invented_pieces",
+        "invented pieces",
+        "connected parts of simulated objects without any real point within pieces.reach_m",
+        "connected parts of simulated objects where the real scan has nothing",
+        is_count=True,
+        source="fidpipe",
+    ),
+    Metric(
+        "missing_pieces_share",
+        "share in missing pieces",
+        "share of the real object points that are in missing pieces",
+        high=1.0,
+        source="fidpipe",
+    ),
+    Metric(
+        "invented_pieces_share",
+        "share in invented pieces",
+        "share of the simulated object points that are in invented pieces",
+        high=1.0,
+        source="fidpipe",
+    ),
+    Metric(
+        "found",
+        "found",
+        "n_matched / (n_matched + n_missing)",
+        "share of the real objects that have a simulated counterpart; 1 is best",
+        high=1.0,
+        better="higher",
+        equal=1.0,
+        source="fidpipe",
+    ),
+)
+
 #: Those that say how far the simulated surface is displaced.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 
@@ -433,7 +477,8 @@ BASELINES = (
 
 #: Every score by its column.
 METRIC = {
-    metric.column: metric for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *SURFACE_SCORES, *BASELINES)
+    metric.column: metric
+    for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES, *BASELINES)
 }
 
 #: The object scores whose mean and standard deviation stand in `pairs`, in that order.
@@ -449,7 +494,7 @@ SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
 DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
 #: The same of a run, which also measures surfaces.
-RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES)))
+RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)))
 #: What a summary for people shows of each pair and of the dataset.
 HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
 #: What may be given to the setting metrics.baselines.

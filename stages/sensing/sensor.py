@@ -19,6 +19,8 @@ from .plausibility import widest_azimuth_gap_deg
 
 #: Limits of the bands of range, metres, for which the share of lost pulses is told.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
+#: Columns of table `sensor` that `pairs` has for both sides.
+PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 _FEWEST_POINTS = 500
 _QUANTA_M = (0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
@@ -42,6 +44,7 @@ class SensorFacts:
     range_quantum_m : that ranges are multiples of
     range_noise_m : standard deviation along the ray on smooth surfaces
     lost_share : by band of range, see `LOST_BANDS_M`: share of the pulses that are missing in surfaces that are seen
+    lost_in_all : share over all bands together
     has_ring, has_time : whether each point has its beam's number, and its time
     model : title of the known sensor with these beams
     untold : by field, why it is not told
@@ -58,6 +61,7 @@ class SensorFacts:
     range_quantum_m: float | None = None
     range_noise_m: float | None = None
     lost_share: tuple[float | None, ...] = ()
+    lost_in_all: float | None = None
     has_ring: bool = False
     has_time: bool = False
     model: str | None = None
@@ -99,7 +103,7 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
-    lost, untold["lost_share"] = _lost_share(sweep, step)
+    lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, step)
     model, untold["model"] = recognise(pattern)
     return replace(
         facts,
@@ -112,9 +116,33 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
         range_quantum_m=quantum,
         range_noise_m=noise,
         lost_share=lost,
+        lost_in_all=lost_in_all,
         model=model,
         untold={name: why for name, why in untold.items() if why},
     )
+
+
+def sensor_row(sensor: SensorFacts) -> dict[str, Any]:
+    """Columns of table `sensor`; None if undetermined, and then `reason` has the causes."""
+    low, high = _limits(sensor) if sensor.elevation_deg else (None, None)
+    return {
+        "model": sensor.model,
+        "n_beams": len(sensor.elevation_deg) or None,
+        "lowest_deg": low,
+        "highest_deg": high,
+        "origin_height_m": float(np.mean(_heights(sensor))) if sensor.elevation_deg else None,
+        "azimuth_step_deg": sensor.azimuth_step_deg,
+        "range_quantum_m": sensor.range_quantum_m,
+        "range_noise_m": sensor.range_noise_m,
+        "lost_share": sensor.lost_in_all,
+        "reason": "; ".join(f"{name}: {why}" for name, why in sensor.untold.items()) or None,
+    }
+
+
+def pair_columns(sensor: SensorFacts, side: str) -> dict[str, Any]:
+    """Columns of `pairs` for the sensor of a side, "real" or "sim"."""
+    row = sensor_row(sensor)
+    return {f"sensor_{side}_{name.removeprefix('n_')}": row[name] for name in PAIR_COLUMNS}
 
 
 def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
@@ -309,9 +337,10 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
 
 
-def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | None, ...], str]:
+def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | None, ...], float | None, str]:
+    """Share by band and over all bands."""
     if step_deg is None:
-        return (), "no azimuth step is told"
+        return (), None, "no azimuth step is told"
     n_firings = np.round(sweep.gap_deg / step_deg)
     nearer, farther = (
         np.minimum(sweep.range_m[:-1], sweep.range_m[1:]),
@@ -319,8 +348,10 @@ def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | No
     )
     is_surface = (n_firings >= 1) & (n_firings <= _HOLE + 1) & (farther - nearer < 0.03 * nearer + 0.05)
     shares: list[float | None] = []
-    for low_m, high_m in pairwise(LOST_BANDS_M):
+    for low_m, high_m in (*pairwise(LOST_BANDS_M), (LOST_BANDS_M[0], LOST_BANDS_M[-1])):
         firings = n_firings[is_surface & (nearer >= low_m) & (nearer < high_m)]
         enough = len(firings) >= _FEWEST_POINTS
-        shares.append(round(float(1.0 - len(firings) / firings.sum()), 3) if enough else None)
-    return tuple(shares), ""
+        shares.append(round(float(1.0 - len(firings) / firings.sum()), 4) if enough else None)
+    *by_band, in_all = shares
+    why = f"fewer than {_FEWEST_POINTS} gaps between returns of one surface"
+    return tuple(by_band), in_all, why if in_all is None else ""

@@ -105,7 +105,7 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
 def test_a_second_run_makes_nothing(again, dataset):
     before = marks(again)
     outcome = run(dataset, again)
-    assert (outcome.n_made, outcome.n_reused) == (0, 33)
+    assert (outcome.n_made, outcome.n_reused) == (0, 39)
     assert not changed_files(again, before)
     timings = pd.read_parquet(again / "timings.parquet")
     assert timings.reused.all()
@@ -115,11 +115,11 @@ def test_a_second_run_makes_nothing(again, dataset):
 @pytest.mark.parametrize(
     ("word", "untouched"),
     [
-        ("matching.delta_m=3", ["ground", "graph", "communities", "objects", "coverage", "surface"]),
-        ("selection.t=2", ["ground", "graph", "communities", "objects", "matching", "coverage", "surface"]),
-        ("communities.seed=1", ["ground", "graph"]),
-        ("graph.k=30", ["ground"]),
-        ("ground.prior_m=0.2", []),
+        ("matching.delta_m=3", ["ground", "sensor", "graph", "communities", "objects", "coverage", "surface"]),
+        ("selection.t=2", ["ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"]),
+        ("communities.seed=1", ["ground", "sensor", "graph"]),
+        ("graph.k=30", ["ground", "sensor"]),
+        ("ground.prior_m=0.2", ["sensor"]),
         ("input.max_range_m=50", []),
     ],
 )

@@ -86,7 +86,7 @@ def test_all_numbers_of_a_run_agree(whole):
     assert result.passed, result.mismatches
     assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
     assert {table.table for table in result.tables} == {
-        *("files", "scan", "ground", "graph", "communities", "objects", "matching", "coverage", "surface"),
+        *("files", "scan", "ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"),
         *("selection", "metrics", "baselines", "seeds", "pairs", "run.json", "rows"),
     }
     assert all(table.n_numbers > 0 for table in result.tables)
@@ -95,6 +95,7 @@ def test_all_numbers_of_a_run_agree(whole):
 
 FILES = {
     "ground": "ground/000.sim.parquet",
+    "sensor": "sensor/000.real.parquet",
     "graph": "graph/000.real.parquet",
     "communities": "communities/000.sim.parquet",
     "objects": "objects/000.real.parquet",
@@ -111,6 +112,7 @@ CHANGES = [
 #: One column a table, for a fast test.
 ONE_EACH = {
     "ground": "x",
+    "sensor": "reason",
     "graph": "length_m",
     "communities": "community_id",
     "objects": "cx",

@@ -29,6 +29,7 @@ WORDS = {
     "rows": "names of pair and side, order by keys, none twice",
     "scan": "points kept of the scan, and where they lie",
     "ground": "cut, heights, flags of all points",
+    "sensor": "the scan, described again by the same code",
     "graph": "all edge lengths; all edges of drawn nodes",
     "communities": "Louvain again; numbering; reference: nearest real points",
     "objects": "sizes; place and shape of drawn objects",

@@ -12,7 +12,9 @@ from ....schemas.columns import SIDES, Row
 from ....schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS
 from ....schemas.tables import TABLES
 from ....stages.arrays import FloatArray, IndexArray
+from ....stages.clean import as_ros
 from ....stages.literal import method, surfaces
+from ....stages.sensing.sensor import PAIR_COLUMNS, describe_sensor, sensor_row
 from ...datasets.readers import read_scan
 from .comparisons import LENGTH_M, MODULARITY, Comparisons, point_names
 from .stored import StoredPair, StoredSide
@@ -22,6 +24,7 @@ _DESCRIBED = ("cx", "cy", "cz", "range_m", "extent_x", "extent_y", "extent_z", "
 _SAMPLE_POINTS = 2000
 _ROUGHNESS = ("real_m", "sim_m", "bias_m", "area_m")
 _FEWEST_FOR_PLANES = 20
+_SENSOR_WORDS = ("model", "reason")
 #: What the scans tell, and nothing else.
 _OF_SCANS = (
     *(f"ground.{name}" for name in ("point_id", "x", "y", "z", "intensity", "label", "instance")),
@@ -47,6 +50,24 @@ def check_rows(pair: StoredPair, comparisons: Comparisons) -> None:
             is_after |= is_same & (before < after)
             is_same &= before == after
         comparisons.compare(place, f"rows of {table} not in order, or twice", (~is_after).sum(), 0)
+
+
+def check_sensor(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The description of both sensors, by the same code; the columns of `pairs` against the table."""
+    for side in SIDES:
+        stored, place = pair.columns("sensor", side), pair.place("sensor", side)
+        for name in PAIR_COLUMNS:
+            column = f"sensor_{side}_{name.removeprefix('n_')}"
+            comparisons.compare(pair.place("pairs"), column, pair.row[column], stored[name])
+        path = None if pair.scans is None else pair.scans.path(side)
+        if path is None:
+            comparisons.excuse(["sensor"])
+            continue
+        settings = pair.settings.input
+        scan = read_scan(path, settings.columns_of(side))
+        sensor = describe_sensor(as_ros(scan.points, settings.frame_of(side)), scan.rings, scan.times_s is not None)
+        for name, value in sensor_row(sensor).items():
+            comparisons.compare(place, name, stored[name], value, tolerance=0.0 if name in _SENSOR_WORDS else LENGTH_M)
 
 
 def check_scan(pair: StoredPair, comparisons: Comparisons) -> None:
@@ -95,9 +116,17 @@ def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
         loss: float | None = cut.loss
         iterations: int | None = cut.iterations
         height_m = cut.height_m
-        if settings.shared and side == "sim":
-            axis, tilt_deg, peak_m = np.array(real_facts["axis"]), real_facts["tilt_deg"], real_facts["peak_m"]
+        offset_m = None
+        if side == "sim" and (settings.shared or settings.peak == "real"):
+            axis = np.array(real_facts["axis"])
+            real_points = pair.sides["real"].all_points
+            offset_m = 0.0 if settings.shared else method.road_offset(real_points, own.all_points, axis)
+        if offset_m is None:
+            axis = cut.axis
+        else:
+            tilt_deg, peak_m = real_facts["tilt_deg"], real_facts["peak_m"] + offset_m
             threshold_m, iterations = real_facts["threshold_m"], real_facts["iterations"]
+            threshold_m = None if threshold_m is None else threshold_m + offset_m
             height_m = np.array([float(p @ axis) for p in own.all_points])
             loss = method.variance_loss(own.all_points, height_m, threshold_m or 0.0, peak_m, settings.loss)
         if settings.method != "pca":

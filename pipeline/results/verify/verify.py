@@ -37,6 +37,7 @@ _CHECKS: dict[str, Callable[[StoredPair, Comparisons], None]] = {
     "rows": sides.check_rows,
     "scan": sides.check_scan,
     "ground": sides.check_ground,
+    "sensor": sides.check_sensor,
     "graph": sides.check_graph,
     "communities": sides.check_communities,
     "objects": sides.check_objects,
@@ -56,6 +57,7 @@ _IN_PAIRS = {
     "scan": ("n_real_raw", "n_sim_raw"),
     "ground": ("ground_", "n_real_", "n_sim_"),
     "coverage": ("covered_",),
+    "sensor": ("sensor_",),
     "surface": ("shift_", "roughness_"),
 }
 _VERSIONS = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
