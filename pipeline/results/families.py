@@ -335,19 +335,24 @@ def _sensor(what: str, heading: str) -> ComparedScore:
     return ComparedScore(f"{heading} ratio", ratio, "one", 0.02)
 
 
+def _excess_quantum(row: Row) -> float:
+    """Range steps of the simulated sensor minus the real one; a recognised sensor without any has 0."""
+    steps = [
+        0.0 if math.isnan(step) and number(row, f"sensor_{side}_beams") > 0 else step
+        for side in ("sim", "real")
+        for step in [number(row, f"sensor_{side}_range_quantum_m")]
+    ]
+    return steps[0] - steps[1]
+
+
 def _excess(sim: str, real: str, heading: str, least: float) -> ComparedScore:
     """The simulated value minus the real one."""
     return ComparedScore(heading, lambda row: number(row, sim) - number(row, real), "zero", least)
 
 
-def _found(row: Row) -> float:
-    n_matched, n_missing = number(row, "n_matched"), number(row, "n_missing")
-    return n_matched / (n_matched + n_missing) if n_matched + n_missing > 0 else math.nan
-
-
 _FOUND = {
     "paper": _column("match_rate", "high", 0.005, step=0.04),
-    "reference": ComparedScore("objects found", _found, "high", 0.005, step=0.04),
+    "reference": _column("found", "high", 0.005, "objects found", step=0.04),
 }
 
 
@@ -373,7 +378,7 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
         "sensor": (
             _sensor("beams", "beams"),
             _sensor("azimuth_step_deg", "azimuth step"),
-            _sensor("range_quantum_m", "range quantum"),
+            ComparedScore("range steps (m)", _excess_quantum, "zero", 0.005),
             _excess("sensor_sim_lost_share", "sensor_real_lost_share", "pulses lost", 0.01),
         ),
         OBJECTS: (
@@ -397,4 +402,4 @@ def overall(decided: Sequence[FamilyChange]) -> str:
         return "worse"
     if "better" in called:
         return "mixed" if any(family.tendency == "worse" for family in decided) else "better"
-    return "same" if called <= {"same"} else "undecided"
+    return "same" if {family.verdict for family in decided} <= {"same"} else "undecided"
