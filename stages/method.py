@@ -109,7 +109,7 @@ def partition(
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
-    settings : of the graph and the communities
+    settings : of the graph, the communities and the pieces
     edges : the graph of these points, where it is known already; such as for another seed of the communities
     reference : of the simulated side, the real side's objects; unused where `communities.objects` is "independent"
     annotation : of the real side, labels and instances of these points, where `communities.reference` asks for them
@@ -125,7 +125,7 @@ def partition(
         elif reference is None:
             labels = find_reference_objects(points, edges, own, annotation)
         else:
-            labels = assign_to_reference(points, edges, reference, own)
+            labels = assign_to_reference(points, reference, own, settings.pieces.link_m)
     with watch("describe"):
         objects = describe(points, labels, settings, 0 if reference is None else reference.n_objects)
     return PartitionedScan(points, edges, labels, objects)

@@ -22,6 +22,7 @@ MOVED_WITHIN_M = 3.0
 #: ... and if their extents differ, along each axis, by at most this or by a third of the larger one.
 SIZE_SLACK_M = 0.5
 SIZE_SLACK = 1 / 3
+_ROUNDED_DIGITS, _ROUNDING_M = 9, 1e-6  #: two distances that differ by less are equal
 
 
 @dataclass(frozen=True)
@@ -128,14 +129,13 @@ def _describe(own: CutScan, labels: IntArray) -> Objects:
 
 def _match_moved(missing: Objects, invented: Objects) -> tuple[IndexArray, IndexArray]:
     """Ids, (m,) and (m,), of missing and invented pieces that are each other's nearest of similar size."""
-    near = cKDTree(missing.centroid).sparse_distance_matrix(
-        cKDTree(invented.centroid), MOVED_WITHIN_M, output_type="ndarray"
-    )
-    near = near[np.lexsort((near["j"], near["i"], near["v"]))]
-    a, b = missing.extent[near["i"]], invented.extent[near["j"]]
-    near = near[(np.abs(a - b) <= np.maximum(SIZE_SLACK_M, SIZE_SLACK * np.maximum(a, b))).all(axis=1)]
-    is_first = np.zeros((2, len(near)), dtype=np.bool_)
-    for i, side in enumerate(("i", "j")):
-        is_first[i, np.unique(near[side], return_index=True)[1]] = True
-    both = near[is_first.all(axis=0)]
-    return both["i"], both["j"]
+    trees = (cKDTree(own.centroid) for own in (missing, invented))
+    near = next(trees).sparse_distance_matrix(next(trees), MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray")
+    i, j, apart_m = near["i"], near["j"], np.round(near["v"], _ROUNDED_DIGITS)
+    a, b = missing.extent[i], invented.extent[j]
+    is_alike = (np.abs(a - b) <= np.maximum(SIZE_SLACK_M, SIZE_SLACK * np.maximum(a, b))).all(axis=1)
+    chosen = np.lexsort((j, i, apart_m))
+    chosen = chosen[(is_alike & (apart_m <= MOVED_WITHIN_M))[chosen]]
+    first_of_i, first_of_j = (np.unique(ids[chosen], return_index=True)[1] for ids in (i, j))
+    both = chosen[np.intersect1d(first_of_i, first_of_j)]
+    return i[both], j[both]

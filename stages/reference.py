@@ -15,9 +15,9 @@ from sklearn.utils import murmurhash3_32
 
 from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
-from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .arrays import FloatArray, IndexArray, IntArray
 from .communities import canonical_ids, find_communities
-from .linalg.subgraph import Edges, connected_pieces
+from .linalg.subgraph import Edges, connected_pieces, connected_points
 
 #: Where a scan has what the settings may ask for.
 _WHERE = {
@@ -101,27 +101,28 @@ def find_reference_objects(
 
 
 def assign_to_reference(
-    points: FloatArray, edges: Edges, reference: ReferenceObjects, settings: CommunitySettings
+    points: FloatArray, reference: ReferenceObjects, settings: CommunitySettings, link_m: float
 ) -> IntArray:
     """The object of each point of the simulated side: real ones by their ids, then those far from any.
 
     A point belongs to the object of its nearest real point (of equally near ones the first by x, y, z) if that is at
-    most reach_m away. Those out of reach are divided by Louvain's method on the edges among them; groups of at least
-    min_points become objects of their own, points of smaller ones go to the object of their nearest real point.
+    most reach_m away. Those out of reach form connected components, as surface pieces do: points at most link_m apart
+    are linked. Components of at least min_points become objects of their own, points of smaller ones go to the object
+    of their nearest real point.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, simulated, at least one
-    edges : of their graph
     reference : points and objects of the real side
-    settings : reach_m, min_points, seed, backend
+    settings : reach_m, min_points, seed
+    link_m : of the settings `pieces`
     """
     nearest, distance_m = _nearest(reference.points, points)
     labels = reference.labels[nearest].astype(np.int32)
     outside = np.flatnonzero(distance_m > settings.reach_m)
     if len(outside):
         order = visiting_order(points[outside], settings.seed)
-        groups = find_communities(len(outside), _edges_among(outside, len(points), edges), settings, order=order).labels
+        groups = canonical_ids(connected_points(points[outside], link_m), order)
         is_object = (np.bincount(groups) >= settings.min_points)[groups]  # the largest groups have the first ids
         labels[outside[is_object]] = reference.n_objects + groups[is_object]
     return labels
@@ -179,12 +180,3 @@ def _nearest(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, Flo
         squared = ((reference[ball] - points[i]) ** 2).sum(axis=1)
         nearest[i, 0] = ball[np.lexsort((*reference[ball].T[::-1], squared))[0]]
     return nearest[:, 0], distance_m[:, 0]
-
-
-def _edges_among(nodes: IndexArray, n_nodes: int, edges: Edges) -> Edges:
-    """The edges among some nodes, ascending, by index into these."""
-    index_of = np.full(n_nodes, -1, dtype=np.int32)
-    index_of[nodes] = np.arange(len(nodes), dtype=np.int32)
-    src, dst = index_of[edges.src], index_of[edges.dst]
-    inside: BoolArray = (src >= 0) & (dst >= 0)
-    return Edges(src[inside], dst[inside], edges.length_m[inside])

@@ -97,6 +97,31 @@ def draw_ground(view, path):
         save(figure, path)
 
 
+def sensor(axis, view):
+    """Points of both sides by elevation: a peak for each beam."""
+    for side in SIDES:
+        points = view.run.points(view.pair_id, side)
+        elevation = np.degrees(np.arctan2(points.z, np.hypot(points.x, points.y)))
+        shares = np.full(len(points), 100 / len(points))
+        style_of = {"color": SIDE_COLOURS[side], "histtype": "step", "linewidth": 0.7, "label": WORDS[side]}
+        axis.hist(elevation, np.arange(-26, 16, 0.1), weights=shares, **style_of)
+    axis.set(xlabel="elevation (degrees)", ylabel="points (%), by 0.1 degrees")
+    axis.set_title("points by elevation")
+
+
+def draw_sensor(view, path):
+    """Points by elevation, and noise and losses of both sides."""
+    with style.new_figure(8.4, 3.4) as figure:
+        beams, noise, lost = figure.subplots(1, 3, width_ratios=(3, 1, 1))
+        sensor(beams, view)
+        beams.legend(loc="upper left")
+        for axis, name, factor, unit in ((noise, "range_noise_m", 1e3, "mm"), (lost, "lost_share", 100, "%")):
+            values = [factor * view.row[f"sensor_{side}_{name}"] for side in SIDES]
+            axis.bar([WORDS[side] for side in SIDES], values, color=[SIDE_COLOURS[side] for side in SIDES])
+            axis.set_title(f"{name.rsplit('_', 1)[0].replace('_', ' ')} ({unit})")
+        save(figure, path)
+
+
 def graph(axis, view):
     """The edges of one real object, and those of one of its nodes in front."""
     own = view.own.graphs["real"]
@@ -313,6 +338,7 @@ def draw_metrics(view, path):
 #: How the result of each stage is drawn, by its name.
 STAGE_PANELS = {
     "ground": ground,
+    "sensor": sensor,
     "graph": graph,
     "communities": communities,
     "matching": matching,
@@ -323,6 +349,7 @@ STAGE_PANELS = {
 }
 STAGE_PICTURES = {
     "ground": draw_ground,
+    "sensor": draw_sensor,
     "graph": draw_graph,
     "communities": draw_communities,
     "matching": draw_matching,
@@ -344,12 +371,14 @@ def fill_panel(axis):
 
 def draw_pipeline(view, path):
     """What each stage makes of the same pair, in order."""
-    with style.new_figure(9.6, 4) as figure:
-        axes = figure.subplots(2, 4).ravel()
-        for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=True), 1):
+    with style.new_figure(9.6, 3.4) as figure:
+        axes = figure.subplots(2, -(-len(STAGE_PANELS) // 2)).ravel()
+        for spare in axes[len(STAGE_PANELS) :]:
+            spare.set_axis_off()
+        for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=False), 1):
             panel(axis, view)
             axis.set(title=f"{number} {name}", xlabel="", ylabel="")
-            if name == "ground":
+            if name in ("ground", "sensor"):
                 axis.set_box_aspect(PANEL_SHAPE)
             else:
                 fill_panel(axis)

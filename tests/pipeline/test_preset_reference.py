@@ -197,7 +197,7 @@ def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path):
             "reference",
             ["graph.k=60", "communities.reach_m=0.5"],
         ),
-        ("paper", ["communities.objects=reference"], "reference", ["graph.ties=point_id"]),
+        ("paper", ["communities.objects=reference"], "reference", ["ground.peak=own", "graph.ties=point_id"]),
     ],
 )
 def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, named, departing):

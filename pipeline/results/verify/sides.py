@@ -13,7 +13,7 @@ from ....schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS
 from ....schemas.tables import TABLES
 from ....stages.arrays import FloatArray, IndexArray
 from ....stages.clean import as_ros
-from ....stages.literal import method, surfaces
+from ....stages.literal import method, pieces, surfaces
 from ....stages.sensing.sensor import PAIR_COLUMNS, describe_sensor, sensor_row
 from ...datasets.readers import read_scan
 from .comparisons import LENGTH_M, MODULARITY, Comparisons, point_names
@@ -255,15 +255,8 @@ def _compare_reference(pair: StoredPair, own: StoredSide, comparisons: Compariso
     if not pair.drawn.whole_sides:
         return
     outside = np.flatnonzero(method.nearest_distances(own.points, real.points) > settings.reach_m)
-    index_of = np.full(len(labels), -1)
-    index_of[outside] = np.arange(len(outside))
-    src, dst, length_m = own.edges
-    among = (index_of[src] >= 0) & (index_of[dst] >= 0)
     order = np.array(surfaces.visiting_order(own.points[outside], settings.seed), dtype=np.intp)
-    groups = _louvain(pair, (index_of[src[among]], index_of[dst[among]], length_m[among]), order, comparisons)
-    if groups is None:
-        return
-    groups = _canonical(groups, order)
+    groups = _canonical(np.array(pieces.components(own.points[outside], pair.settings.pieces.link_m)), order)
     is_object = np.bincount(groups)[groups] >= settings.min_points
     made, stored = (np.full(len(labels), "of a real object", dtype=object) for _ in range(2))
     made[outside[is_object]] = [f"{n_real + group}" for group in groups[is_object]]
@@ -413,6 +406,50 @@ def check_surface(pair: StoredPair, comparisons: Comparisons) -> None:
     for name, value in made.items():
         column = f"roughness_{name}"
         comparisons.compare(pair.place("pairs"), column, pair.row[column], value, tolerance=LENGTH_M)
+
+
+def check_pieces(pair: StoredPair, comparisons: Comparisons) -> None:
+    """Numbers, shares and moves of the stored pieces; of whole sides the pieces themselves."""
+    own = pair.settings.pieces
+    stored = {side: [row for row in pair.rows("pieces") if row["side"] == side] for side in SIDES}
+    for side, other, word in (("real", "sim", "missing"), ("sim", "real", "invented")):
+        n_points = sum(row["n_points"] for row in stored[side])
+        made = {f"n_{word}_pieces": len(stored[side]), f"{word}_pieces_share": n_points / len(pair.sides[side].points)}
+        for name, value in made.items():
+            comparisons.compare(pair.place("pairs"), name, pair.row[name], value, tolerance=LENGTH_M)
+        if not pair.drawn.whole_sides:
+            comparisons.excuse(["pieces"])
+            continue
+        ground, place = pair.columns("ground", side), pair.place("pieces", side)
+        points, others = pair.sides[side].all_points, pair.sides[other].all_points
+        limits = (own.reach_m, own.link_m, own.min_points)
+        found = pieces.pieces(points, ~pair.sides[side].is_object, ground["height_m"], others, *limits)
+        rows: list[Row] = []
+        for i, piece in enumerate(found):
+            labels = [label for label in ground["label"][piece.members] if label is not None]
+            label = min(set(labels), key=lambda word: (-labels.count(word), word)) if labels else None
+            measures = (*piece.about.centroid, piece.about.range_m, *piece.about.extent)
+            row = dict(zip(_DESCRIBED, measures, strict=False))
+            about = {"bearing_deg": piece.bearing_deg, "height_m": piece.height_m, "label": label or ""}
+            rows.append(row | about | {"side": side, "piece_id": i, "n_points": piece.about.n_points})
+        for name in rows[0] if rows else ("piece_id",):
+            values = [row[name] or "" if name == "label" else row[name] for row in stored[side]]
+            comparisons.compare(place, name, values, [row[name] for row in rows], tolerance=LENGTH_M)
+    places = [
+        [([row[f"c{a}"] for a in "xyz"], [row[f"extent_{a}"] for a in "xyz"]) for row in stored[side]] for side in SIDES
+    ]
+    moved = pieces.moved(*places)
+    for side, partners in (("real", moved), ("sim", {j: i for i, j in moved.items()})):
+        for i, row in enumerate(stored[side]):
+            at, partner = pair.place("pieces", side, f"piece {i}"), partners.get(i)
+            comparisons.compare(at, "fate", row["fate"], "gone" if partner is None else "moved")
+            comparisons.compare(at, "partner_id", row["partner_id"], partner)
+            for axis in "xyz":
+                vector = None
+                if partner is not None:
+                    ends = [row[f"c{axis}"], stored["sim" if side == "real" else "real"][partner][f"c{axis}"]]
+                    vector = (ends[1] - ends[0]) * (1 if side == "real" else -1)
+                comparisons.compare(at, f"moved_{axis}_m", row[f"moved_{axis}_m"], vector, tolerance=LENGTH_M)
 
 
 def _sample(points: FloatArray) -> list[int]:
