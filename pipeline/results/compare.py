@@ -14,14 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from ...schemas.errors import DatasetError, RunError
+from ...schemas.columns import Row
 from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.sensing.places import neighbours
-from ...stages.statistics.comparison import BLOCK_S, KINDS, blocks_of
+from ...stages.statistics.comparison import ALIKE, BLOCK_S, KINDS, Difference, blocks_of, paired_difference
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name
+from .causes import CAUSE_KINDS
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
@@ -29,6 +31,19 @@ from .followed import GroupChange, ObjectChange, by_class, by_range, follow, sam
 
 #: So many runs fit into one table, and into one look.
 MOST_RUNS = 8
+
+
+@dataclass(frozen=True)
+class CauseChange:
+    """The estimate of a cause in both runs, with the interval of its change.
+
+    unit, setting : see `causes.CauseKind`
+    """
+
+    name: str
+    unit: str
+    setting: str
+    difference: Difference
 
 
 @dataclass(frozen=True)
@@ -43,7 +58,8 @@ class Comparison:
     settings : settings that differ, in words
     notes : what else differs
     families : what is decided, see `families`
-    causes : estimates of causes in both runs
+    causes : those whose estimate changed: the interval excludes 0, or the change is larger than the tolerance if there
+        is one block only
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
@@ -60,7 +76,7 @@ class Comparison:
     settings: tuple[str, ...]
     notes: tuple[str, ...]
     families: tuple[FamilyChange, ...]
-    causes: tuple[ScoreChange, ...]
+    causes: tuple[CauseChange, ...]
     objects: tuple[ObjectChange, ...]
     n_blocks: int
     blocking: str
@@ -183,7 +199,7 @@ def compare_two(
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
         families=judge_families(preset, rows, blocks, noise, floors) if names else (),
-        causes=(),
+        causes=_causes(list(rows.values()), blocks),
         objects=tuple(change for own in changes.values() for change in own),
         n_blocks=len(np.unique(blocks)),
         blocking=blocking,
@@ -227,6 +243,18 @@ def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], indepen
         return blocks, f"{n} {unit} form {n_blocks} block{'s' * (n_blocks != 1)} of neighbouring frames ({found_by})"
     why = "no time stamps, and no two scans show the same place" if untimed else f"{BLOCK_S:g} s apart or more"
     return blocks, f"{n} {unit}, taken as independent ({why})"
+
+
+def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseChange, ...]:
+    found = []
+    for kind in CAUSE_KINDS:
+        values = np.array([[kind.value(row) for row in pair] for pair in rows], dtype=np.float64).reshape(-1, 2)
+        own = paired_difference(values[:, 0], values[:, 1], blocks)
+        size = abs(own.difference or 0.0)
+        reach = kind.tolerance if own.low is None or own.high is None else (own.high - own.low) / 2
+        if size > max(reach, ALIKE):
+            found.append((size / (kind.tolerance or 1.0), CauseChange(kind.name, kind.unit, kind.setting, own)))
+    return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:

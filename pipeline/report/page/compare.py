@@ -16,6 +16,7 @@ from ..charts import change_chart, history_chart
 from ..terminal.compare import (
     GROUPS_NOTE,
     OBJECTS_NOTE,
+    cause_table,
     chance,
     changed,
     class_heading,
@@ -105,6 +106,7 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
         "decision": decision(comparison),
         "chance": chance(comparison),
         "families": family_table(comparison),
+        "causes": cause_table(comparison),
         "remarks": remarks(comparison),
         "scores": score_table(comparison),
         "excess": both_excesses_table(*comparison.excess) if comparison.excess else [],

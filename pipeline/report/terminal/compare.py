@@ -11,7 +11,7 @@ from rich.text import Text
 from ....schemas.metrics import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, ScoreChange
+from ...results.families import ERROR_RATE, MARKS_NOTE, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
 from .floor import both_excesses_table, excess_notes
 from .layout import csv_table, markdown_table, number, percent, plain_table, shortened, signed
@@ -61,10 +61,10 @@ def decision(comparison: Comparison) -> str:
         for word in ("worse", "mixed", "better")
     }
     parts += [f"{word}: {', '.join(names)}" for word, names in by_verdict.items() if names]
-    if comparison.decision == "same":
-        parts.append("no score changed")
-    elif comparison.pairs and not any(by_verdict.values()):
-        parts.append("no change can be told from chance")
+    if comparison.pairs and not any(by_verdict.values()):
+        others = " of the others" * bool(comparison.failed)
+        is_same = overall(comparison.families) == "same"
+        parts.append(f"no score{others} changed" if is_same else f"no change{others} can be told from chance")
     words = [part.removeprefix(f"{comparison.decision}: ") for part in parts]
     return f"{comparison.decision}: {'; '.join(words)}"
 
@@ -141,6 +141,16 @@ def family_table(comparison: Comparison) -> list[list[str]]:
     return rows
 
 
+def cause_table(comparison: Comparison) -> list[list[str]]:
+    """Headings, then one row per cause that changed: name, before, after, change, and the setting that controls it."""
+    rows = [["cause", "before", "after", "change, 95 %", "setting"]]
+    for cause in comparison.causes:
+        own, unit = cause.difference, f" ({cause.unit})" if cause.unit else ""
+        numbers = (signed(own.before), signed(own.after), _interval(own))
+        rows.append([f"{cause.name}{unit}", *numbers, cause.setting])
+    return rows
+
+
 def score_table(comparison: Comparison) -> list[list[str]]:
     """Headings, then one row per score: name, verdict, before, after, change, its interval and p, pairs that have it.
 
@@ -213,7 +223,7 @@ def compare_markdown(comparisons: Sequence[Comparison]) -> str:
     """Each comparison for a merge request: the decision, tables of scores, classes and ranges, remarks."""
     parts = []
     for one in comparisons:
-        tables = [family_table(one), score_table(one)]
+        tables = [family_table(one), *[cause_table(one)] * bool(one.causes), score_table(one)]
         if one.objects:
             tables += [group_table(class_heading(one), one.by_class), group_table("range", one.by_range)]
         texts = [f"**{decision(one)}**\n", f"{one.other} against {one.base}, {chance(one)}; {MARKS_NOTE}.\n"]
@@ -247,6 +257,7 @@ def _parts(comparison: Comparison, with_all: bool) -> list[RenderableType]:
         Text(decision(comparison), style=f"bold {_COLOURS.get(comparison.decision, '')}"),
         Text(f"{comparison.other} against {comparison.base}: {chance(comparison)}"),
         *[_families(comparison)] * bool(comparison.families),
+        *[_causes(comparison)] * bool(comparison.causes),
     ]
     if not with_all:
         count = [Text(f"{len(comparison.objects)} real objects: {kinds}")] * bool(kinds)
@@ -291,6 +302,11 @@ def _families(comparison: Comparison) -> Table:
         rows.append([family.name, verdict, score.name, *numbers])
     columns = ("family", "verdict", "clearest change", "before", "after", "change, 95 %")
     return plain_table("", columns, rows, words=(0, 1, 2))
+
+
+def _causes(comparison: Comparison) -> Table:
+    headings, *rows = cause_table(comparison)
+    return plain_table("Causes that changed: simulated minus real", headings, rows, words=(0, 4))
 
 
 def _interval(own: Difference) -> str:
