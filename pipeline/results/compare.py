@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.errors import DatasetError, RunError
 from ...schemas.columns import Row
+from ...schemas.errors import DatasetError, RunError
 from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray

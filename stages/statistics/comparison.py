@@ -20,6 +20,8 @@ from ..arrays import BoolArray, FloatArray, IntArray
 CONFIDENCE = 0.95
 #: Fewer independent pairs decide nothing but changes far beyond the noise.
 LEAST_PAIRS = 6
+#: Fewer have no interval.
+LEAST_FOR_INTERVAL = 3
 #: From this number of blocks on, signs are flipped: 2^(1-n) is then below 5 % over six families. Below it, rotations.
 LEAST_FLIPPED = 8
 #: Up to this number of blocks, all flips of signs are enumerated; above it, `DRAWS` are drawn.
@@ -48,7 +50,7 @@ class Difference:
     n_blocks : independent blocks among them: pairs of one block count once, with their mean
     before, after, difference : means over the blocks
     std : standard deviation (n - 1) of the blocks' differences
-    low, high : interval of this score alone (Student's t); [0, 0] if nothing differs
+    low, high : interval of this score alone (Student's t), None for fewer than 3 blocks; [0, 0] if nothing differs
     """
 
     n_pairs: int = 0
@@ -82,7 +84,7 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
 def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | None = None) -> Difference:
     """Mean of after - before over the blocks, with the interval of `mean_test`.
 
-    Pairs that lack a value are left out. One block has no interval.
+    Pairs that lack a value are left out. Fewer than three blocks have no interval.
 
     Parameters
     ----------
@@ -107,8 +109,11 @@ def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | 
         return Difference(*counts, 0.0, 0.0, 0.0)
     if len(change) < 2:
         return Difference(*counts)
+    std = float(change.std(ddof=1))
+    if len(change) < LEAST_FOR_INTERVAL:
+        return Difference(*counts, std)
     _, low, high = mean_test(change)
-    return Difference(*counts, float(change.std(ddof=1)), float(low), float(high))
+    return Difference(*counts, std, float(low), float(high))
 
 
 def mean_test(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -130,7 +135,7 @@ def mean_test(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -> FloatArray:
-    """(m,) p-value of each score of one family, adjusted for all of them (maxT); NaN for a score that is constant.
+    """(m,) p-value of each score of one family, adjusted for all of them (maxT); NaN if it cannot be below 1.
 
     With x_i the change of a score in block i, moved towards 0 by `least`, and e a vector of signs,
 
@@ -141,7 +146,8 @@ def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -
     1993). That is exact for changes that are as likely as their opposites; as few blocks have few signs, below
     `LEAST_FLIPPED` e is drawn from the whole sphere of that radius instead (rotation test: Langsrud, Rotation tests,
     Stat. Comput. 2005), which is exact for normal changes and the t-test for one score. Below `LEAST_PAIRS` blocks a
-    change must also exceed `FAR_STDS` standard deviations.
+    change must also exceed `FAR_STDS` standard deviations. A score whose mean cannot exceed `least` under any signs has
+    no p-value; as that does not depend on the signs, it may be left out of all corrections.
 
     Parameters
     ----------
@@ -157,7 +163,8 @@ def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -
     few = change.shape[1] < LEAST_FLIPPED
     size = np.sqrt((x**2).sum(axis=1) + few * n_known * (step / 2) ** 2)
     p = np.full(len(change), np.nan)
-    live = (np.abs(np.where(known, change, 0.0)) > ALIKE).any(axis=1) & (n_known > 1) & (size > 0)
+    most = np.abs(np.where(known, change, 0.0)).sum(axis=1) / np.maximum(n_known, 1)  # of |mean| over all flips
+    live = (most > np.maximum(least, ALIKE)) & (n_known > 1)
     if not live.any():
         return p
     unit = x[live] / size[live, None]

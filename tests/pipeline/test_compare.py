@@ -125,7 +125,7 @@ def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
 def test_differences_are_those_of_the_tables(versions):
     found = compare_runs(versions)[0]
     good, bad = (pd.read_parquet(folder / "pairs.parquet").set_index("pair_id") for folder in versions)
-    for column, name in (("match_rate", "match rate"), ("cdc_mean", "CDC"), ("n_missing", "missing objects")):
+    for column, name in (("match_rate", "match rate"), ("cdc_mean", "CDC"), ("shift_z_m", "shift z (m)")):
         change = bad[column] - good[column]
         of = by_name(found)[name]
         assert of.of_pairs == pytest.approx(change.to_dict())
@@ -337,7 +337,10 @@ def test_each_score_stands_under_its_heading(versions):
     headings, *rows = score_table(found)
     for score, cells in zip(found.scores, rows, strict=True):
         cell, own = dict(zip(headings, cells, strict=True)), score.difference
-        assert (cell["verdict"], cell["pairs"]) == (score.verdict, str(own.n_pairs))
+        assert (cell["verdict"], cell["pairs"]) == (
+            f"{score.verdict}, {score.why}" if score.why else score.verdict,
+            str(own.n_pairs),
+        )
         assert float(cell["before"].replace(",", "")) == pytest.approx(own.before, abs=6e-3)
         assert float(cell["after"].replace(",", "")) == pytest.approx(own.after, abs=6e-3)
 
@@ -401,7 +404,11 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
     (judged,) = json.loads((tmp_path / "a.json").read_text())["comparisons"]
     assert (judged["decision"], judged["passed"]) == ("worse", False)
     faults = {check["name"]: check["fault"] for check in judged["checks"]}
-    worse = {f"{family['name']} is not worse" for family in judged["families"] if family["verdict"] == "worse"}
+    worse = {
+        f"{family['name']} is not worse"
+        for family in judged["families"]
+        if family["verdict"] == "worse" and not family["why"]
+    }
     assert {name for name, fault in faults.items() if fault} == worse > set()
     suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
     assert (suite.get("tests"), suite.get("failures")) == (str(len(faults)), str(len(worse)))

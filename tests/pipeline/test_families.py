@@ -102,7 +102,10 @@ def test_no_simulator_is_better_while_a_family_tends_to_the_worse():
     assert judged(base={"shift_x_m": 0.3}, shift_x_m=-0.3)[1] == "better"
     rises = (0.02, 0.03, -0.005, 0.03, 0.02, 0.0, 0.03, 0.01, 0.02, -0.005)
     first = PERFECT | {"shift_x_m": 0.3}
-    rows = {str(i): (first, first | {"shift_x_m": 0.0, "cdc_mean": 0.3 + rise}) for i, rise in enumerate(rises)}
+    rows = {
+        str(i): (first, first | {"shift_x_m": 0.0, "cdc_mean": 0.3 + rise, "covered_real_1m": 0.8 + 0.01 * (-1) ** i})
+        for i, rise in enumerate(rises)
+    }
     found = judge_families("reference", rows, np.arange(10, dtype=np.int32))
     families = {family.name: family for family in found}
     assert (families["objects"].verdict, families["objects"].tendency) == ("undecided", "worse")

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.metrics import METRIC
-from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
+from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
@@ -64,7 +64,9 @@ def decision(comparison: Comparison) -> str:
     if comparison.pairs and not any(by_verdict.values()):
         others = " of the others" * bool(comparison.failed)
         is_same = overall(comparison.families) == "same"
-        parts.append(f"no score{others} changed" if is_same else f"no change{others} can be told from chance")
+        few = f"{comparison.n_blocks} independent pair{'s' * (comparison.n_blocks != 1)} cannot decide"
+        unsure = few if comparison.n_blocks < LEAST_FOR_INTERVAL else f"no change{others} can be told from chance"
+        parts.append(f"no score{others} changed" if is_same else unsure)
     words = [part.removeprefix(f"{comparison.decision}: ") for part in parts]
     return f"{comparison.decision}: {'; '.join(words)}"
 
