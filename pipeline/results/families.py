@@ -32,10 +32,7 @@ ERROR_RATE = 1 - CONFIDENCE
 #: Roughness says nothing if the number of simulated points changed by more than this share.
 SAME_DENSITY = 0.05
 Best = Literal["high", "low", "zero", "one"]
-SURFACE_MISSING, SURFACE_INVENTED, SURFACE_NOISE, OBJECTS = (
-    *("surface missing", "surface invented"),
-    *("surface noise", "objects"),
-)
+SURFACE_MISSING, SURFACE_INVENTED, POSITION, OBJECTS = "surface missing", "surface invented", "position", "objects"
 #: Distance from a perfect simulator, by the value that is best.
 ERRORS: dict[str, Callable[[float], float]] = {
     "high": lambda value: -value,
@@ -283,6 +280,8 @@ def _consequence(family: str, score: ScoreChange, moved: Mapping[str, set[str]],
             return "roughness alone is not fidelity"
     if score.verdict == "worse" or not moved["worse"]:
         return ""
+    if family == POSITION and len(moved["worse"]) == 2:
+        return "both surfaces lie farther apart"
     is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
     if family == OBJECTS or (is_surface and points.right <= points.invented / 2):
         return f"follows from {' and '.join(sorted(moved['worse'], reverse=True))}"
@@ -366,11 +365,11 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
     return {
         SURFACE_MISSING: (*_covered("real")[1:], _covered("real")[0], *_pieces("missing")),
         SURFACE_INVENTED: (*_covered("sim")[1:], _covered("sim")[0], *_pieces("invented")),
-        "position": (
+        POSITION: (
             *(_of_shift(column) for column in SHIFT_COLUMNS[2::-1]),
             _excess("ground_sim_peak_m", "ground_real_peak_m", "road height (m)", 0.02),
         ),
-        SURFACE_NOISE: (
+        "surface noise": (
             _column("roughness_bias_m", "zero", 0.003, is_direct=False),
             _column("roughness_area_m", "low", 0.003, is_direct=False),
             _excess("sensor_sim_range_noise_m", "sensor_real_range_noise_m", "range noise (m)", 0.005),

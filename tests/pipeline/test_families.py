@@ -72,6 +72,12 @@ def test_a_shift_that_is_fixed_next_to_objects_that_are_lost_is_mixed():
     assert (families["position"].verdict, families["surface missing"].verdict, decision) == ("better", "worse", "mixed")
 
 
+def test_a_displacement_that_shrinks_while_both_surfaces_get_worse_does_not_count():
+    steps = {"shift_x_m": -0.1, "covered_real_0p3m": -0.05, "covered_sim_0p3m": -0.05}
+    families, decision = judged(base={"shift_x_m": 0.2}, **steps)
+    assert (families["position"].why, decision) == ("both surfaces lie farther apart", "worse")
+
+
 def test_scores_of_one_family_that_move_both_ways_are_mixed():
     families, decision = judged(cdc_mean=-0.05, found=-0.2)
     assert (families["objects"].verdict, decision) == ("mixed", "mixed")
