@@ -34,7 +34,7 @@ import fidpipe
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.families import judge_families, overall
-from fidpipe.stages.sensing.places import neighbours
+from fidpipe.stages.sensing.neighbours import neighbours
 from fidpipe.stages.statistics.claim_rules import HOLDS
 from fidpipe.stages.statistics.claims import check_claims
 from fidpipe.stages.statistics.comparison import adjusted_p_values, blocks_of, holm

@@ -18,7 +18,7 @@ from ...schemas.errors import DatasetError, RunError
 from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
-from ...stages.sensing.places import neighbours
+from ...stages.sensing.neighbours import neighbours
 from ...stages.statistics.comparison import ALIKE, BLOCK_S, KINDS, Difference, blocks_of, paired_difference
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
