@@ -23,7 +23,6 @@ from ...stages.statistics.comparison import ALIKE, BLOCK_S, KINDS, Difference, b
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name
-from .causes import CAUSE_KINDS
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
@@ -246,6 +245,10 @@ def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], indepen
 
 
 def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseChange, ...]:
+    try:
+        from .causes import CAUSE_KINDS
+    except ImportError:
+        return ()
     found = []
     for kind in CAUSE_KINDS:
         values = np.array([[kind.value(row) for row in pair] for pair in rows], dtype=np.float64).reshape(-1, 2)
