@@ -266,11 +266,10 @@ class _Run:
         )
 
     def replace(self, survey: Survey) -> None:
-        """Removes what is out of date, and writes the head of the record."""
+        """Removes what is out of date; a finished record gives way to its head only if there is something to do."""
+        if survey.todo or survey.unwanted:
+            self._write_record(self._header(self._replaced))
         self._engine.replace(survey, self._changes, list(self._versions))
-        settings = to_toml(self._request.settings).encode()
-        write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
-        write_record(self._request.out, self._header(self._replaced).as_dict(), self._folder.check_token)
 
     def write(self, survey: Survey) -> RunOutcome:
         """Writes the tables of the whole run and its record."""
@@ -283,11 +282,14 @@ class _Run:
             for note in job.facts.get("notes", ()):
                 notes[job.pair_id].append(f"{job.part} side: {note}")
             if ROW in job.facts:
-                peaks = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
-                if note := peaks_note(*peaks, self._request.settings.ground):
+                real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
+                if note := peaks_note(real_m, sim_m, self._request.settings.ground):
                     notes[job.pair_id].append(note)
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
+        before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
+        if before is None or before.key != key:
+            self._write_record(self._header(self._replaced))
         pairs = self._write_table(PAIRS, key, self._pair_parts(survey))
         made_by = self._folder.token if self._engine.n_made else ""  # where nothing was made, all rows are reused
         self._write_table(TIMINGS, key_of(key, list(self._versions), made_by), self._timing_parts(pair_ids))
@@ -319,11 +321,17 @@ class _Run:
             record = record.model_copy(update={"previous": PreviousRun.recorded(self._before.get("previous"))})
         if findings and objects:
             record = record.model_copy(update={"overview": overview_of(findings.key, objects, record)})
-        write_record(self._request.out, record.as_dict(), self._folder.check_token)
+        self._write_record(record)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
         n_made, told = self._engine.n_made, frozenset(self._engine.failures)
         return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras, told)
+
+    def _write_record(self, record: RunHeader) -> None:
+        """Writes the settings and the record, or the head of one."""
+        settings = to_toml(self._request.settings).encode()
+        write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
+        write_record(self._request.out, record.as_dict(), self._folder.check_token)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair that are wanted."""

@@ -364,8 +364,6 @@ class RunEngine(Engine):
                 if record is not None:
                     self.folder.forget(record)
         survey.unwanted.clear()
-        if self.folder.is_of_older_version:
-            self.reporter.say("replacing all tables: an older fidpipe wrote them")
         if n_strays := self.folder.remove_strays():
             self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
         self.folder.ledger.commit()

@@ -87,16 +87,18 @@ class FinishedRun:
                 f"run {folder}: was written by fidpipe {made_by}, whose tables are {folder}/{made_by}*.parquet; "
                 "a folder written by fidpipe run is wanted"
             )
+        self.store = RunFolder(folder)
         try:
             self.record = RunRecord.from_dict(record)
             if self.record.metrics is None:
                 raise ValueError("metrics")
         except ValueError as error:
+            if self.store.is_locked:
+                raise RunError(f"run {folder}: another fidpipe is working on this run; wait until it ends") from error
             raise RunError(
                 f"run {folder}: the run has not ended, or an older fidpipe wrote it; "
                 f"finish it with: {command_again(folder, record.get('dataset'))}"
             ) from error
-        self.store = RunFolder(folder)
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
         if "" in self._row_of or len(self._row_of) < len(self.rows):

@@ -47,7 +47,9 @@ def test_every_table_has_the_schema_of_the_contract(finished):
     assert not outcome.failures
     for folder in FOLDERS:
         files = list((out / folder).glob("*.parquet"))
-        assert len(files) == (3 if folder in ("matching", "coverage", "surface", "selection", "metrics") else 6)
+        assert len(files) == (
+            3 if folder in ("matching", "coverage", "surface", "pieces", "selection", "metrics") else 6
+        )
         for path in files:
             table = pq.read_table(path)
             TABLES[folder].check(table)
@@ -119,10 +121,14 @@ def test_a_second_run_makes_nothing(again, dataset):
 @pytest.mark.parametrize(
     ("word", "untouched"),
     [
-        ("matching.delta_m=3", ["ground", "sensor", "graph", "communities", "objects", "coverage", "surface"]),
-        ("selection.t=2", ["ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"]),
-        ("communities.seed=1", ["ground", "sensor", "graph"]),
-        ("graph.k=30", ["ground", "sensor"]),
+        (
+            "matching.delta_m=3",
+            ["ground", "sensor", "graph", "communities", "objects", "coverage", "surface", "pieces"],
+        ),
+        ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
+        ("communities.seed=1", ["ground", "sensor", "graph", "pieces"]),
+        ("graph.k=30", ["ground", "sensor", "pieces"]),
+        ("pieces.reach_m=2", ["ground", "sensor", "graph", "coverage"]),
         ("ground.prior_m=0.2", ["sensor"]),
         ("input.max_range_m=50", []),
     ],

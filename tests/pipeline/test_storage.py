@@ -290,17 +290,5 @@ def test_no_flipped_bit_makes_a_wrong_table_believed(written, tmp_path):
     assert believed < len(content) / 6
 
 
-def test_a_folder_of_an_older_version_says_so_until_it_is_cleared(tmp_path):
-    (tmp_path / ".journal").mkdir()
-    (tmp_path / ".journal" / "token").write_text("{}")
-    (tmp_path / "index.jsonl").write_text("{}")
-    folder = RunFolder(tmp_path)
-    assert folder.is_of_older_version
-    with folder.locked():
-        folder.remove_strays()
-    assert not folder.is_of_older_version
-    assert not (tmp_path / ".journal").exists()
-
-
 def contents(folder):
     return {pair_id: folder.ledger.jobs(pair_id) for pair_id in folder.ledger.pair_ids()}
