@@ -15,6 +15,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
@@ -23,6 +24,7 @@ from ...schemas.metrics import metric_of
 from ...schemas.record import RunRecord
 from ...schemas.results import JsonObject
 from ...schemas.tables import TABLES
+from ...stages.arrays import FloatArray
 from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
@@ -131,6 +133,12 @@ class FinishedRun:
         points = _frame(self._of_side("ground", pair_id, side))
         labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]
         return points.merge(labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1")
+
+    def object_points(self, pair_id: str, side: str = "real") -> FloatArray:
+        """(n, 3) the points of a side without ground, metres, in the real sensor's frame."""
+        table = self.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
+        points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])[~table["is_ground"].to_numpy()]
+        return points
 
     def edges(self, pair_id: str, side: str) -> pd.DataFrame:
         """The graph of a side, one row per edge: `src`, `dst` (ids of points), `length_m`."""
