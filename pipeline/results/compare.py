@@ -18,7 +18,7 @@ from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.sensing.places import neighbours
-from ...stages.statistics.comparison import BLOCK_S, KINDS, blocks_of
+from ...stages.statistics.comparison import BLOCK_S, KINDS, LEAST_FLIPPED, blocks_of
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name
@@ -26,6 +26,7 @@ from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
 from .followed import GroupChange, ObjectChange, by_class, by_range, follow, same_real_side
+from .sectors import N_SECTORS, sector_rows
 
 #: So many runs fit into one table, and into one look.
 MOST_RUNS = 8
@@ -169,6 +170,15 @@ def compare_two(
     excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
     blocks, blocking = _blocks(base, other, names, independent)
     rows = {name: (base.row(name), other.row(name)) for name in names}
+    sectors = None
+    if len(np.unique(blocks)) < min(LEAST_FLIPPED, len(names)):
+        parts = {
+            f"{name}/{i}": pair
+            for name in names
+            for i, pair in enumerate(zip(*(sector_rows(run, name) for run in (base, other)), strict=True))
+        }
+        sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS, dtype=np.int32)).ravel()
+        blocks = np.arange(len(names), dtype=np.int32)
     noise = {column: _both_seed_noise(base, other, names, column) for column in SEEDED_SCORES}
     floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
     preset = base.preset if base.preset == other.preset else "paper"
@@ -182,7 +192,7 @@ def compare_two(
         unfollowed=tuple(name for name in names if name not in changes),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        families=judge_families(preset, rows, blocks, noise, floors) if names else (),
+        families=judge_families(preset, rows, blocks, noise, floors, sectors) if names else (),
         causes=(),
         objects=tuple(change for own in changes.values() for change in own),
         n_blocks=len(np.unique(blocks)),
