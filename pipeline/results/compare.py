@@ -18,7 +18,7 @@ from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.sensing.places import neighbours
-from ...stages.statistics.comparison import BLOCK_S, KINDS, LEAST_FLIPPED, blocks_of
+from ...stages.statistics.comparison import BLOCK_S, KINDS, LEAST_FLIPPED, LEAST_PAIRS, blocks_of
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name
@@ -47,6 +47,7 @@ class Comparison:
     causes : estimates of causes in both runs
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
+    by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
     excess : of the base and of the other run over the floor; None without one
     """
@@ -65,8 +66,14 @@ class Comparison:
     objects: tuple[ObjectChange, ...]
     n_blocks: int
     blocking: str
+    by_direction: bool
     on_partition: str
     excess: tuple[RunExcess, RunExcess] | None = None
+
+    @property
+    def is_small(self) -> bool:
+        """True if so few pairs are compared that only changes far beyond the noise are decided."""
+        return (len(self.pairs) if self.by_direction else self.n_blocks) < LEAST_PAIRS
 
     @property
     def decision(self) -> str:
@@ -170,8 +177,8 @@ def compare_two(
     excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
     blocks, blocking = _blocks(base, other, names, independent)
     rows = {name: (base.row(name), other.row(name)) for name in names}
-    sectors = None
-    if len(np.unique(blocks)) < min(LEAST_FLIPPED, len(names)):
+    n_blocks, sectors = len(np.unique(blocks)), None
+    if n_blocks < min(LEAST_FLIPPED, len(names)):
         parts = {
             f"{name}/{i}": pair
             for name in names
@@ -195,8 +202,9 @@ def compare_two(
         families=judge_families(preset, rows, blocks, noise, floors, sectors) if names else (),
         causes=(),
         objects=tuple(change for own in changes.values() for change in own),
-        n_blocks=len(np.unique(blocks)),
+        n_blocks=n_blocks,
         blocking=blocking,
+        by_direction=sectors is not None,
         on_partition=partition_note((base, other)),
         excess=excess,
     )
