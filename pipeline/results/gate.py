@@ -161,7 +161,7 @@ class BaseResult:
         notes = [f"not decided, but with a tendency to the worse: {', '.join(tending)}"] * bool(tending)
         if self.comparison.is_small and "undecided" not in self.fail_on:
             notes.append(
-                f"with {self.comparison.n_blocks} independent pairs (at least {LEAST_PAIRS} are required for a verdict) "
+                f"with {self.comparison.n_blocks} independent pairs (a verdict requires {LEAST_PAIRS}) "
                 "this gate fails only on changes far beyond the noise; use --fail-on undecided to fail instead"
             )
         return "; ".join(notes)
