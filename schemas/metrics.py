@@ -258,6 +258,7 @@ COVERAGE_SCORES = tuple(
 )
 
 _ROUGHNESS = "standard deviation of the 20 nearest points from their plane"
+_MEDIAN = "roughness of a typical point; not the mean that the bias is of"
 
 #: What is said of the place and the roughness of the surfaces of a pair, in the order of the columns of `pairs`.
 SURFACE_SCORES = (
@@ -278,6 +279,7 @@ SURFACE_SCORES = (
         "shift_m",
         "shift",
         "length of the displacement in the directions that the real surface tells",
+        "mean over pairs: of the lengths, which noise makes larger; the mean vector is that of shift x, y and z",
         unit="m",
         source="fidpipe; Chen and Medioni 1992",
     ),
@@ -285,6 +287,7 @@ SURFACE_SCORES = (
         "roughness_real_m",
         "roughness, real",
         f"median over real points: {_ROUGHNESS}",
+        _MEDIAN,
         unit="m",
         better=None,
         equal=None,
@@ -294,6 +297,7 @@ SURFACE_SCORES = (
         "roughness_sim_m",
         "roughness, simulated",
         f"median over simulated points: {_ROUGHNESS}",
+        _MEDIAN,
         unit="m",
         better=None,
         equal=None,
@@ -302,8 +306,9 @@ SURFACE_SCORES = (
     Metric(
         "roughness_bias_m",
         "roughness bias",
-        "mean roughness, simulated less real",
-        "above 0: the simulated surface is rougher (noise); below: it is smoother",
+        "mean roughness, simulated minus real",
+        "above 0: the simulated surface is rougher (noise); below: it is smoother. The mean follows the roughest "
+        "points, so that the medians may differ in the other direction",
         unit="m",
         low=None,
         better=None,

@@ -208,6 +208,12 @@ class CommunitySettings(_Group):
         "louvain",
         description="objects of the real side: communities, connected pieces of one label, or the input's instances",
     )
+    leave_out: tuple[str, ...] = Field(
+        ("0", "unlabelled", "unlabeled", "void"),
+        description="reference labels or instances: classes of the real side whose points belong to no object, by name "
+        "in any case (by number if labels.toml has no name); unlabelled also stands for points without a label",
+        examples=[["0", "unlabelled", "road"]],
+    )
     reach_m: Annotated[
         float,
         Field(
@@ -218,6 +224,15 @@ class CommunitySettings(_Group):
     min_points: Annotated[
         int, Field(ge=1, description="points that a simulated object, or a piece of one label, has at least to count")
     ] = 8
+
+    @field_validator("leave_out", mode="before", json_schema_input_type=tuple[str, ...] | str)
+    @classmethod
+    def _split_classes(cls, value: Any) -> Any:
+        """`0,road` is read as a list, and numbers are read as text."""
+        value = value.split(",") if isinstance(value, str) else [value] if isinstance(value, int) else value
+        if not isinstance(value, list | tuple):
+            return value
+        return [str(name).strip().lower() for name in value if str(name).strip()]
 
     @model_validator(mode="after")
     def _annotations_need_reference(self) -> CommunitySettings:

@@ -22,6 +22,7 @@ STEP_M = 0.05
 DEPTH_M = 1.0
 CELL_M = 0.5
 MIN_COMMON_CELLS = 20
+PEAKS_APART_M = 0.05
 _ROUNDING_M = 1e-9
 
 
@@ -132,6 +133,18 @@ def remove_ground(
             f"lower ground.prior_m (now {settings.prior_m:g}) or choose another ground.method (now {settings.method})"
         )
     return GroundResult(is_ground, height - peak_m, axis, tilt_deg, peak_m, threshold_m, loss, iterations, tuple(notes))
+
+
+def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) -> str:
+    """A note if the sides are cut at road peaks of their own that differ by more than 5 cm, else ""."""
+    above_m = sim_peak_m - real_peak_m
+    if settings.shared or settings.peak == "real" or abs(above_m) <= PEAKS_APART_M:
+        return ""
+    return (
+        f"the simulated road's peak is {100 * abs(above_m):.0f} cm {'above' if above_m > 0 else 'below'} the real one, "
+        "and each side is cut at its own: strips of road may remain as objects. Correct the height of the simulated "
+        "scan, or set ground.peak=real"
+    )
 
 
 def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:

@@ -44,7 +44,7 @@ class ReferenceObjects:
     """What the real side says about which objects there are.
 
     points : (m, 3) float64, metres, its object points, at least one
-    labels : (m,) int32, object of each, ids from 0 without gaps
+    labels : (m,) int32, object of each, ids from 0 without gaps; -1 for none
     """
 
     points: FloatArray
@@ -59,27 +59,27 @@ class ReferenceObjects:
 def find_reference_objects(
     points: FloatArray, edges: Edges, settings: CommunitySettings, annotation: Annotation | None = None
 ) -> IntArray:
-    """The object of each point of the real side, (n,) int32; it does not depend on the order of rows.
+    """The object of each point of the real side, (n,) int32, -1 for none; it does not depend on the order of rows.
 
     louvain : communities, nodes visited in the order of `visiting_order` (python-louvain draws an order of its own)
     labels : connected pieces of one label; points are connected by edges of the graph that are at most reach_m long.
-        Points without a label are pieces too. One of fewer than min_points points goes to the nearest larger piece of
-        its label, if there is one
+        One of fewer than min_points points goes to the nearest larger piece of its label, if there is one
     instances : points of one label and one instance; those without an instance fall into pieces as above
 
-    Ids are by size descending, of equal sizes by first point in visiting order.
+    Of labels and instances, points of the classes in `leave_out` belong to no object, -1. Ids are by size descending,
+    of equal sizes by first point in visiting order.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
     edges : of their graph
-    settings : reference, seed, backend, reach_m, min_points
+    settings : reference, leave_out, seed, backend, reach_m, min_points
     annotation : of the same points; needed for labels and instances
 
     Raises
     ------
     StageError
-        The real side has no labels or instances, and the settings ask for them.
+        The real side has no labels or instances, and the settings ask for them; or all its classes are left out.
     """
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
@@ -91,13 +91,23 @@ def find_reference_objects(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
             f"{_WHERE[settings.reference]}; or set communities.reference=louvain"
         )
-    names = ["" if label is None else str(label) for label in ([] if annotation.labels is None else annotation.labels)]
+    own = () if annotation.labels is None else annotation.labels
+    names = ["unlabelled" if label is None else str(label) for label in own]
     classes = np.unique(names, return_inverse=True)[1].ravel() if names else np.zeros(len(points), dtype=np.intp)
     things = annotation.instances if settings.reference == "instances" else None
     things = np.zeros(len(points), dtype=np.int32) if things is None else things
     codes = np.unique(np.column_stack([classes, things]), axis=0, return_inverse=True)[1].ravel()
     pieces = _without_crumbs(points, _pieces(len(points), edges, codes, settings.reach_m), codes, settings.min_points)
-    return canonical_ids(np.where(things > 0, len(points) + codes, pieces), order)
+    objects = canonical_ids(np.where(things > 0, len(points) + codes, pieces), order)
+    kept = np.array([name.lower() not in settings.leave_out for name in names] or [True] * len(points))
+    if not kept.any():
+        raise StageError(
+            "all object points of the real side are of classes that communities.leave_out names "
+            f"({', '.join(sorted(set(names)))}); name fewer"
+        )
+    objects[~kept] = -1
+    objects[kept] = np.unique(objects[kept], return_inverse=True)[1].ravel()
+    return objects
 
 
 def assign_to_reference(
@@ -105,10 +115,10 @@ def assign_to_reference(
 ) -> IntArray:
     """The object of each point of the simulated side: real ones by their ids, then those far from any.
 
-    A point belongs to the object of its nearest real point (of equally near ones the first by x, y, z) if that is at
-    most reach_m away. Those out of reach form connected components, as surface pieces do: points at most link_m apart
-    are linked. Components of at least min_points become objects of their own, points of smaller ones go to the object
-    of their nearest real point.
+    A point belongs to the object of its nearest real point (of equally near ones the first by x, y, z), or to none (-1)
+    like that point, if that is at most reach_m away. Those out of reach form connected components, as surface pieces
+    do: points at most link_m apart are linked. Components of at least min_points become objects of their own, points of
+    smaller ones go to the object of their nearest real point.
 
     Parameters
     ----------
@@ -117,7 +127,7 @@ def assign_to_reference(
     settings : reach_m, min_points, seed
     link_m : of the settings `pieces`
     """
-    nearest, distance_m = _nearest(reference.points, points)
+    nearest, distance_m = nearest_points(reference.points, points)
     labels = reference.labels[nearest].astype(np.int32)
     outside = np.flatnonzero(distance_m > settings.reach_m)
     if len(outside):
@@ -162,14 +172,14 @@ def _without_crumbs(points: FloatArray, pieces: IndexArray, codes: IndexArray, m
         large, small = (np.flatnonzero((codes == code) & chosen) for chosen in (is_large, ~is_large))
         if len(large):
             ids, of_small = np.unique(pieces[small], return_inverse=True)
-            nearest, distance_m = _nearest(points[large], points[small])
+            nearest, distance_m = nearest_points(points[large], points[small])
             closest = np.lexsort((*points[small].T[::-1], distance_m, of_small))
             place = np.searchsorted(of_small[closest], np.arange(len(ids)))
             joined[small] = pieces[large[nearest[closest[place]]]][of_small]
     return joined
 
 
-def _nearest(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
+def nearest_points(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
     """Index and distance of each point's nearest reference point, (n,), of equally near ones the first by x, y, z."""
     tree = cKDTree(reference)
     distance_m, nearest = tree.query(points, k=min(2, len(reference)))

@@ -7,9 +7,12 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from typer.testing import CliRunner
 
 import fidpipe
+from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
@@ -334,6 +337,23 @@ def test_a_mirrored_simulator_is_put_right(tmp_path):
 def test_a_shared_cut_is_the_real_sides(dataset, tmp_path):
     for row in run(dataset, tmp_path / "run", settings_of("ground.shared=true")).rows:
         assert row["ground_sim_threshold_m"] == row["ground_real_threshold_m"]
+
+
+def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at_its_own(tmp_path):
+    scan = street()
+    write_bin(tmp_path / "data" / "real" / "a.bin", scan)
+    write_bin(tmp_path / "data" / "sim" / "a.bin", scan + [0, 0, 0.12])
+    notes = {}
+    for preset, tolerance_m in (("paper", 0.02), ("reference", 0.001)):
+        outcome = run(tmp_path / "data", tmp_path / preset, load(None, preset=preset))
+        notes[preset] = outcome.record.notes
+        (row,) = outcome.rows
+        assert row["ground_sim_threshold_m"] - row["ground_real_threshold_m"] == pytest.approx(0.12, abs=tolerance_m)
+    assert notes["reference"] == {}
+    (note,) = notes["paper"]["a"]
+    assert note.startswith("the simulated road's peak is 11 cm above the real one")
+    assert any(note in caution.words for caution in FinishedRun(tmp_path / "paper").record.overview.trust)
+    assert note in CliRunner().invoke(app, ["show", str(tmp_path / "paper"), "a"]).output.replace("\n", " ")
 
 
 @pytest.mark.parametrize("word", ["graph.edges=intersection", "matching.method=optimal", "ground.method=none"])

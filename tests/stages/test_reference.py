@@ -139,14 +139,24 @@ def test_labels_and_instances_of_the_input_are_the_objects():
     labels = np.array(["car"] * 150 + [None] * 30, dtype=object)
     instances = np.array([1] * 60 + [2] * 40 + [3] * 50 + [0] * 30, dtype=np.int32)
     edges = build_graph(points, GraphSettings())
-    by_label, by_instance = (
-        find_reference_objects(
-            points, edges, CommunitySettings(objects="reference", reference=kind), Annotation(labels, instances)
-        )
-        for kind in ("labels", "instances")
+    (by_label, by_instance), (of_cars, _) = (
+        [
+            find_reference_objects(
+                points,
+                edges,
+                CommunitySettings(objects="reference", reference=kind, leave_out=leave_out),
+                Annotation(labels, instances),
+            )
+            for kind in ("labels", "instances")
+        ]
+        for leave_out in ((), ("unlabelled",))
     )
     assert by_label.tolist() == [0] * 100 + [1] * 50 + [2] * 30  # the two cars that touch are one piece
     assert by_instance.tolist() == [0] * 60 + [2] * 40 + [1] * 50 + [3] * 30
+    assert of_cars.tolist() == [0] * 100 + [1] * 50 + [-1] * 30
+    with pytest.raises(StageError, match=r"classes that communities.leave_out names \(car, unlabelled\)"):
+        everything = CommunitySettings(objects="reference", reference="labels", leave_out=("unlabelled", "Car"))
+        find_reference_objects(points, edges, everything, Annotation(labels))
 
 
 def test_crumbs_of_a_label_go_to_its_nearest_larger_piece():

@@ -220,7 +220,9 @@ def check_communities(pair: StoredPair, comparisons: Comparisons) -> None:
             _compare_reference(pair, own, comparisons)
             continue
         order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(len(own.points)))
-        made = _canonical(own.labels, order)
+        in_object = order[own.labels[order] >= 0]
+        made = np.full(len(own.points), -1, dtype=np.intp)
+        made[in_object] = method.canonical(own.labels[in_object].tolist())
         comparisons.compare(place, "community_id", own.labels, made, rows=point_names(own.point_ids))
         if is_reference and settings.reference != "louvain":
             comparisons.leave_out(f"which points are one object by their {settings.reference}")
@@ -239,7 +241,7 @@ def _compare_reference(pair: StoredPair, own: StoredSide, comparisons: Compariso
     """Whether simulated points have the object of the nearest real point, or, out of reach, one of their own."""
     settings, real, labels = pair.settings.communities, pair.sides["real"], own.labels
     n_real, place, ids = int(real.labels.max()) + 1, pair.place("communities", own.side), own.point_ids
-    sizes = np.bincount(labels)
+    sizes = np.bincount(labels[labels >= 0])
     for community in pair.drawn_ids(own.side):
         for i in own.members(community).tolist():
             apart = method.distances(real.points, own.points[i])
@@ -288,7 +290,7 @@ def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
     """How many points every object has; where the drawn ones are, how large, of what shape."""
     for side, own in pair.sides.items():
         stored = pair.rows("objects", side)
-        sizes = np.bincount(own.labels, minlength=len(stored))
+        sizes = np.bincount(own.labels[own.labels >= 0], minlength=len(stored))
         place = pair.place("objects", side)
         comparisons.compare(place, "community_id", [row["community_id"] for row in stored], list(range(len(sizes))))
         comparisons.compare(
@@ -317,8 +319,13 @@ def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
     """What the other side has of each drawn object; of whole sides the mean of their objects."""
     rows = pair.rows("coverage")
     stored = {(row["side"], row["community_id"]): row for row in rows}
-    sizes = {side: np.bincount(own.labels, minlength=pair.n_objects(side)).tolist() for side, own in pair.sides.items()}
-    wanted = [(side, i, n) for side in SIDES for i, n in [*enumerate(sizes[side]), (None, sum(sizes[side]))]]
+    sizes = {
+        side: np.bincount(own.labels[own.labels >= 0], minlength=pair.n_objects(side)).tolist()
+        for side, own in pair.sides.items()
+    }
+    wanted = [
+        (side, i, n) for side in SIDES for i, n in [*enumerate(sizes[side]), (None, len(pair.sides[side].points))]
+    ]
     for name, column in zip(("side", "community_id", "n_points"), zip(*wanted, strict=True), strict=True):
         comparisons.compare(pair.place("coverage"), name, [row[name] for row in rows], column)
     for side, other in (SIDES, SIDES[::-1]):
@@ -346,6 +353,9 @@ def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
         whole = stored[side, None]
         if pair.drawn.whole_sides:
             compare(whole, np.arange(len(own.points)), "")
+        if (own.labels < 0).any():
+            comparisons.leave_out("coverage of a whole side as the mean of its objects, where points belong to none")
+            continue
         objects = [
             row for (own_side, i), row in stored.items() if own_side == side and i is not None and row["n_points"]
         ]
