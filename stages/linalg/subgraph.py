@@ -69,11 +69,11 @@ def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
 
 
 def connected_points(points: FloatArray, link_m: float) -> IndexArray:
-    """The connected component of each point, (n,), numbered from 0, with points at most `link_m` apart linked.
+    """The connected component of each point, (n,), any numbers, with points at most `link_m` apart linked.
 
-    Links to the 16 nearest neighbours give nearly all components. Two of them that are still to be joined both have
-    points with more neighbours within the link, so that only these are compared. Memory is O(n), however dense the
-    points are.
+    Links to the 16 nearest neighbours give nearly all components. A link that is still missing joins two points that
+    both have more neighbours than these. Components of such points are numbered; for each bit of the numbers, those
+    with a 0 are linked to the nearest point with a 1, until no link is left. Memory is O(n), however dense the points.
 
     Parameters
     ----------
@@ -94,17 +94,17 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
     distance_m, nearest = cKDTree(points).query(points, k, distance_upper_bound=bound)
     is_linked = distance_m <= link_m
     labels = _components(n, np.nonzero(is_linked)[0], nearest[is_linked])
-    full = np.flatnonzero(is_linked[:, -1])
-    ids, counts = np.unique(labels[full], return_counts=True)
-    src, dst = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
-    for label in np.delete(ids, counts.argmax()) if len(ids) else ids:
-        own, others = full[labels[full] == label], full[labels[full] != label]
-        low, high = points[own].min(axis=0) - bound, points[own].max(axis=0) + bound
-        others = others[((points[others] >= low) & (points[others] <= high)).all(axis=1)]
-        apart_m, of_own = cKDTree(points[own]).query(points[others], distance_upper_bound=bound)
-        src.append(labels[others[apart_m <= link_m]])
-        dst.append(labels[own[of_own[apart_m <= link_m]]])
-    return _components(n, np.concatenate(src), np.concatenate(dst))[labels]
+    dense = np.flatnonzero(is_linked[:, -1])
+    n_before = -1
+    while (n_now := len(np.unique(labels[dense]))) not in (n_before, 1):
+        n_before, numbers = n_now, np.unique(labels[dense], return_inverse=True)[1]
+        for bit in range((n_now - 1).bit_length()):
+            ones = (numbers >> bit) % 2 == 1
+            distance_m, nearest = cKDTree(points[dense[ones]]).query(points[dense[~ones]], distance_upper_bound=bound)
+            is_linked = distance_m <= link_m
+            ends = dense[~ones][is_linked], dense[ones][nearest[is_linked]]
+            labels = _components(n, *(labels[end] for end in ends))[labels]
+    return labels
 
 
 def _components(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:

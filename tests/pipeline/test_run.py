@@ -128,7 +128,7 @@ def test_a_second_run_makes_nothing(again, dataset):
         ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
         ("communities.seed=1", ["ground", "sensor", "graph", "pieces"]),
         ("graph.k=30", ["ground", "sensor", "pieces"]),
-        ("pieces.reach_m=2", ["ground", "sensor", "graph", "coverage"]),
+        ("pieces.reach_m=2", ["ground", "sensor", "graph"]),
         ("ground.prior_m=0.2", ["sensor"]),
         ("input.max_range_m=50", []),
     ],
