@@ -38,6 +38,7 @@ from .engine.engine import Machines, RunEngine, Survey, absolute_paths, current_
 from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
+from .results.causes import CAUSE_COLUMNS
 from .results.findings import run_findings
 from .results.overview import Tally, overview_of
 from .stage import ROW, Stage
@@ -296,9 +297,10 @@ class _Run:
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        rows = pairs.select(["pair_id", *SUMMARISED]).to_pylist()
-        scored_ids = [row["pair_id"] for row in rows if row["status"] == "scored"]
-        findings, objects = self._say_together(scored_ids, key)
+        rows = pairs.select([*dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS))]).to_pylist()
+        scored = [row for row in rows if row["status"] == "scored"]
+        scored_ids = [row["pair_id"] for row in scored]
+        findings, objects = self._say_together(scored, key)
         extras = {
             stage.name: stage.summarise(list(self._records(scored_ids, [stage.name])), self._request.settings)
             for stage in self._stages
@@ -337,13 +339,13 @@ class _Run:
         """The jobs of a pair that are wanted."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
-    def _say_together(self, scored_ids: list[str], key: str) -> tuple[Findings | None, ObjectOverview | None]:
-        """The findings and the overview of the objects; those of the last record where nothing is other."""
+    def _say_together(self, scored: list[Row], key: str) -> tuple[Findings | None, ObjectOverview | None]:
+        """The findings and the overview of the objects; those of the last record if nothing has changed."""
         before = Overview.recorded(self._before.get("overview"))
         tally = Tally()
         findings = run_findings(
             self._folder,
-            scored_ids,
+            [row["pair_id"] for row in scored],
             {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs},
             self._hashes,
             key,
@@ -352,7 +354,7 @@ class _Run:
             watch=tally.add,
         )
         is_same = findings is not None and before is not None and before.key == findings.key
-        return findings, before if is_same else tally.objects()
+        return findings, before if is_same else tally.objects(scored) if scored else None
 
     def _header(self, previous: PreviousRun | None) -> RunHeader:
         return run_header(self._request.dataset, self._request.settings, self._versions, previous)

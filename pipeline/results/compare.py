@@ -19,14 +19,25 @@ from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.sensing.neighbours import neighbours
-from ...stages.statistics.comparison import ALIKE, BLOCK_S, KINDS, Difference, blocks_of, paired_difference
+from ...stages.statistics.comparison import (
+    ALIKE,
+    BLOCK_S,
+    KINDS,
+    LEAST_FLIPPED,
+    LEAST_PAIRS,
+    Difference,
+    blocks_of,
+    paired_difference,
+)
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name
+from .causes import CAUSE_KINDS
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
 from .followed import GroupChange, ObjectChange, by_class, by_range, follow, same_real_side
+from .sectors import N_SECTORS, sector_rows
 
 #: So many runs fit into one table, and into one look.
 MOST_RUNS = 8
@@ -61,6 +72,7 @@ class Comparison:
         is one block only
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
+    by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
     excess : of the base and of the other run over the floor; None without one
     """
@@ -79,8 +91,14 @@ class Comparison:
     objects: tuple[ObjectChange, ...]
     n_blocks: int
     blocking: str
+    by_direction: bool
     on_partition: str
     excess: tuple[RunExcess, RunExcess] | None = None
+
+    @property
+    def is_small(self) -> bool:
+        """True if so few pairs are compared that only changes far beyond the noise are decided."""
+        return (len(self.pairs) if self.by_direction else self.n_blocks) < LEAST_PAIRS
 
     @property
     def decision(self) -> str:
@@ -184,6 +202,15 @@ def compare_two(
     excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
     blocks, blocking = _blocks(base, other, names, independent)
     rows = {name: (base.row(name), other.row(name)) for name in names}
+    n_blocks, sectors = len(np.unique(blocks)), None
+    if n_blocks < min(LEAST_FLIPPED, len(names)):
+        parts = {
+            f"{name}/{i}": pair
+            for name in names
+            for i, pair in enumerate(zip(*(sector_rows(run, name) for run in (base, other)), strict=True))
+        }
+        sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS, dtype=np.int32)).ravel()
+        blocks = np.arange(len(names), dtype=np.int32)
     noise = {column: _both_seed_noise(base, other, names, column) for column in SEEDED_SCORES}
     floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
     preset = base.preset if base.preset == other.preset else "paper"
@@ -197,11 +224,12 @@ def compare_two(
         unfollowed=tuple(name for name in names if name not in changes),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        families=judge_families(preset, rows, blocks, noise, floors) if names else (),
+        families=judge_families(preset, rows, blocks, noise, floors, sectors) if names else (),
         causes=_causes(list(rows.values()), blocks),
         objects=tuple(change for own in changes.values() for change in own),
-        n_blocks=len(np.unique(blocks)),
+        n_blocks=n_blocks,
         blocking=blocking,
+        by_direction=sectors is not None,
         on_partition=partition_note((base, other)),
         excess=excess,
     )
@@ -245,10 +273,6 @@ def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], indepen
 
 
 def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseChange, ...]:
-    try:
-        from .causes import CAUSE_KINDS
-    except ImportError:
-        return ()
     found = []
     for kind in CAUSE_KINDS:
         values = np.array([[kind.value(row) for row in pair] for pair in rows], dtype=np.float64).reshape(-1, 2)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...schemas.columns import Row
 from ...schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS, metric_of, reach_words
-from ...stages.arrays import IntArray
+from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     CONFIDENCE,
     Difference,
@@ -27,6 +27,7 @@ from ...stages.statistics.comparison import (
 )
 
 Reading = Callable[[Row], float]
+PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
 #: Changes that chance makes in under this share of the comparisons are decided.
 ERROR_RATE = 1 - CONFIDENCE
 #: Roughness says nothing if the number of simulated points changed by more than this share.
@@ -142,10 +143,11 @@ class FamilyChange:
 
 def judge_families(
     preset: str,
-    rows: Mapping[str, tuple[Row, Row]],
+    rows: PairRows,
     blocks: IntArray,
     seed_noise: Mapping[str, float | None] | None = None,
     floors: Mapping[str, float | None] | None = None,
+    sectors: tuple[PairRows, IntArray] | None = None,
 ) -> tuple[FamilyChange, ...]:
     """The families with their verdicts; of equal simulators any is better or worse in under 5 % of the comparisons.
 
@@ -159,10 +161,12 @@ def judge_families(
     rows : by pair, its rows of `pairs` before and after
     blocks : (n,) block of each pair
     seed_noise, floors : by column of `pairs`, see `ScoreChange`
+    sectors : rows of the sectors of all pairs (`sectors.sector_rows`) and the block of each, where neighbouring frames
+        leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
     """
     noise, floors = seed_noise or {}, floors or {}
     found = [
-        FamilyChange(name, "undecided", None, "", "", _changes(compared, rows, blocks, noise, floors))
+        FamilyChange(name, "undecided", None, "", "", _changes(compared, rows, blocks, noise, floors, sectors))
         for name, compared in families(preset).items()
     ]
     found = [family for family in found if family.scores]
@@ -188,19 +192,23 @@ def judge_families(
 
 def _changes(
     compared: Sequence[ComparedScore],
-    rows: Mapping[str, tuple[Row, Row]],
+    rows: PairRows,
     blocks: IntArray,
     seed_noise: Mapping[str, float | None],
     floors: Mapping[str, float | None],
+    sectors: tuple[PairRows, IntArray] | None,
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
-    values, errors = (
-        np.array([[[read(row) for row in pair] for pair in rows.values()] for read in reads]).reshape(-1, len(rows), 2)
-        for reads in ([score.value for score in compared], [score.error for score in compared])
-    )
-    change, worse_by = (np.diff(own)[..., 0] for own in (values, errors))
+    values = _read([score.value for score in compared], rows)
+    change, worse_by = (np.diff(own)[..., 0] for own in (values, _read([score.error for score in compared], rows)))
     least, step = (np.array([getattr(score, field) for score in compared]) for field in ("least", "step"))
     p_values = adjusted_p_values(block_means(change, blocks), least, step)
+    if sectors is not None:
+        parts = np.diff(_read([score.value for score in compared], sectors[0]))[..., 0]
+        parts = block_means(parts, sectors[1])
+        with_parts = ~np.isnan(parts).all(axis=1)
+        by_sector = adjusted_p_values(parts[with_parts], least[with_parts], np.zeros(with_parts.sum()))
+        p_values[with_parts] = np.maximum(p_values[with_parts], by_sector)
     scores = []
     for i, score in enumerate(compared):
         own = paired_difference(values[i, :, 0], values[i, :, 1], blocks)
@@ -226,6 +234,13 @@ def _changes(
     return tuple(sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity)))
 
 
+def _read(reads: Sequence[Reading], rows: PairRows) -> FloatArray:
+    """(m, n, 2) by score and pair, before and after; NaN if null."""
+    return np.array([[[read(row) for row in pair] for pair in rows.values()] for read in reads]).reshape(
+        -1, len(rows), 2
+    )
+
+
 @dataclass(frozen=True)
 class _Points:
     """Mean changes of the numbers of right and of invented simulated points, and of all relative to before."""
@@ -235,7 +250,7 @@ class _Points:
     density: float
 
 
-def _points_change(rows: Mapping[str, tuple[Row, Row]]) -> _Points:
+def _points_change(rows: PairRows) -> _Points:
     counts = []
     for pair in rows.values():
         for row in pair:

@@ -1,6 +1,6 @@
 """The findings of a run: reads the objects and scores of its pairs, and keeps what they say together in `run.json`.
 
-Reads a few columns of four small files per pair, and only when the results have changed.
+Reads a few columns of five small files per pair, and only when the results have changed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..storage.files import key_of
 from ..storage.tables import TableFolder, read_bounded
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
-_VERSION = 4
+_VERSION = 5
 _FILES_AT_ONCE = 200
 
 #: What an object is called by its shape, in the order of the columns that tell it.
@@ -35,6 +35,10 @@ _EXTENTS = ("extent_x", "extent_y", "extent_z")
 _OF_OBJECTS = ("community_id", "n_points", "range_m", "label", *_EXTENTS, *SHAPE_COLUMNS)
 _OF_COVERAGE = ("side", "community_id", "covered_0p3m")
 _OF_METRICS = ("real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap", "alignment_rms_m")
+_OF_PIECES = (
+    *("side", "piece_id", "n_points", "range_m", "bearing_deg", *_EXTENTS, "label", "fate"),
+    *("moved_x_m", "moved_y_m", "moved_z_m"),
+)
 _Objects = TypeVar("_Objects", SideObjects, MatchedObjects)
 
 
@@ -69,6 +73,7 @@ class ObjectRows:
     pair : (m,) of each matched object, its place among `pair_ids`
     scores : columns of `metrics`, (m,) each, NaN where null
     real_rows, sim_rows : (m,) places of the matched objects in `real` and `sim`
+    pieces : columns of `pieces`, (p,) each, and `pair`, the place among `pair_ids`
     """
 
     pair_ids: list[str]
@@ -78,6 +83,7 @@ class ObjectRows:
     scores: dict[str, NDArray[Any]]
     real_rows: IndexArray
     sim_rows: IndexArray
+    pieces: dict[str, NDArray[Any]]
 
 
 def run_findings(
@@ -104,7 +110,7 @@ def run_findings(
     tables_key : hash of all that the tables were made of
     before : the findings of the last record
     by_reference : whether the real side fixed the objects
-    watch : is told of the objects as they are read
+    watch : called with the objects as they are read
     """
     if not pair_ids:
         return None
@@ -130,7 +136,7 @@ def read_objects(
     Parameters
     ----------
     by_reference : the real side fixed the objects: what little is simulated of a missing one is no simulated object
-    watch : is told of the objects, some pairs at a time, with more that is known of them
+    watch : called with the objects, some pairs at a time, with further columns
     """
     reals, sims, matched = [], [], []
     for first, rows in _rows_of(folder, pair_ids, by_reference):
@@ -188,7 +194,9 @@ def _rows_of(folder: TableFolder, pair_ids: list[str], by_reference: bool) -> It
             is_own = sides["sim"].is_matched | (sides["sim"].object_id >= n_real[sides["sim"].pair])
             sides["sim"] = SideRows(**{name: column[is_own] for name, column in vars(sides["sim"]).items()})
             rows["sim"] = (np.cumsum(is_own) - 1)[rows["sim"]]
-        yield first, ObjectRows(names, sides["real"], sides["sim"], pair, scores, rows["real"], rows["sim"])
+        pieces, pair_of_piece = read_columns([folder.path("pieces", name) for name in names], _OF_PIECES)
+        pieces["pair"] = pair_of_piece
+        yield first, ObjectRows(names, sides["real"], sides["sim"], pair, scores, rows["real"], rows["sim"], pieces)
 
 
 def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArray) -> NDArray[np.str_]:

@@ -159,11 +159,10 @@ class BaseResult:
         """Families that tend to the worse though the gate passed, and what too few pairs cannot show; "" if nothing."""
         tending = [family.name for family in self.comparison.families if family.tendency == "worse"]
         notes = [f"not decided, but with a tendency to the worse: {', '.join(tending)}"] * bool(tending)
-        n = self.comparison.n_blocks
-        if n < LEAST_PAIRS and "undecided" not in self.fail_on:
+        if self.comparison.is_small and "undecided" not in self.fail_on:
             notes.append(
-                f"with {n} independent pairs (at least {LEAST_PAIRS} are required for a verdict) this gate fails only "
-                "on changes far beyond the noise; use --fail-on undecided to fail instead"
+                f"with {self.comparison.n_blocks} independent pairs (at least {LEAST_PAIRS} are required for a verdict) "
+                "this gate fails only on changes far beyond the noise; use --fail-on undecided to fail instead"
             )
         return "; ".join(notes)
 

@@ -141,3 +141,27 @@ def test_a_change_that_seeds_alone_make_is_undecided():
     blocks = np.arange(10, dtype=np.int32)
     assert overall(judge_families("reference", rows, blocks, {"cdc_mean": 0.01})) == "worse"
     assert overall(judge_families("reference", rows, blocks, {"cdc_mean": 0.1})) == "undecided"
+
+
+def changed_in(n_changed, n_frames=10):
+    """The decision on frames of one place if the coverage of some of its eight sectors falls."""
+    rng = np.random.default_rng(1)
+    rows, parts = {}, {}
+    for i in range(n_frames):
+        steps = -0.1 * (np.arange(8) < n_changed) + rng.normal(0, 0.002, 8)
+        rows[str(i)] = PERFECT, PERFECT | {"covered_real_0p3m": 0.8 + steps.mean()}
+        for k, step in enumerate(steps):
+            parts[f"{i}/{k}"] = {"covered_real_0p3m": 0.8}, {"covered_real_0p3m": 0.8 + step}
+    sectors = parts, np.tile(np.arange(8, dtype=np.int32), n_frames)
+    own = np.arange(n_frames, dtype=np.int32)
+    return overall(judge_families("reference", rows, own)), overall(
+        judge_families("reference", rows, own, None, None, sectors)
+    )
+
+
+def test_neighbouring_frames_decide_what_changed_in_all_directions():
+    assert changed_in(8) == ("worse", "worse")
+
+
+def test_neighbouring_frames_do_not_decide_what_changed_at_one_place():
+    assert changed_in(1) == ("worse", "undecided")

@@ -97,10 +97,6 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(finished):
     findings = json.loads((out / "run.json").read_text())["findings"]
     n_hallucinated = sum(band["n_hallucinated"] for band in findings["range_m"]["bands"])
     assert n_hallucinated == sum(row["n_hallucinated"] for row in outcome.rows)
-    verdict = outcome.record.overview.verdict
-    assert verdict.hallucinated == n_hallucinated, "what little is simulated of a missing object is no object"
-    assert verdict.missing == sum(row["n_missing"] for row in outcome.rows)
-    assert verdict.n_real == sum(row["n_communities_real"] for row in outcome.rows)
 
 
 def test_coverage_and_what_is_behind_the_unmatched_agree_with_the_points(finished):

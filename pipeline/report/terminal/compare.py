@@ -13,6 +13,7 @@ from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, L
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
+from ...results.sectors import N_SECTORS
 from .floor import both_excesses_table, excess_notes
 from .layout import csv_table, markdown_table, number, percent, plain_table, shortened, signed
 
@@ -73,13 +74,16 @@ def decision(comparison: Comparison) -> str:
 
 def chance(comparison: Comparison) -> str:
     """The second line: how pairs were counted, and how often equal simulators are called better or worse."""
-    n = comparison.n_blocks
-    if n < LEAST_PAIRS and len(comparison.pairs) >= n:
-        few = f"{comparison.blocking}; fewer than {LEAST_PAIRS} decide only changes far beyond the noise"
-        hint = "; --independent counts each pair, for a decision about these places only"
-        return few + hint * (n < len(comparison.pairs))
+    counted = comparison.blocking
+    if comparison.by_direction:
+        counted += (
+            f"; a change counts if it is consistent over the frames and over {N_SECTORS} directions from each place "
+            "(--independent: over the frames alone, for a decision about these places only)"
+        )
+    if comparison.is_small:
+        return f"{counted}; fewer than {LEAST_PAIRS} pairs decide only changes far beyond the noise"
     rate = f"{100 * ERROR_RATE:.0f} %"
-    return f"{comparison.blocking}; error rate over all families at most {rate} for equal simulators"
+    return f"{counted}; error rate over all families at most {rate} for equal simulators"
 
 
 def remarks(comparison: Comparison) -> list[str]:
