@@ -63,7 +63,8 @@ def test_a_displacement_far_beyond_the_noise_is_decided_by_three_pairs_and_a_mer
 def test_changes_up_to_the_least_one_that_matters_are_none():
     small = [0.004, 0.005, 0.006, 0.004, 0.005, 0.006, 0.004, 0.005]
     assert p_of(small) == [1 / 128]
-    assert p_of(small, least=0.005) == [1.0]
+    assert np.isnan(p_of(small, least=0.005)).all(), "no signs make it larger"
+    assert p_of([0.02, -0.02, 0.02, -0.02, 0.02, -0.02, 0.02, -0.01], least=0.005) == [1.0]
     assert p_of(np.array(small) + 0.1, least=0.005) == [1 / 128]
 
 
