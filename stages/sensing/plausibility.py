@@ -61,7 +61,7 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
             + (
                 f"{left:.1%} are kept by input.min_range_m={min_range_m:g}; input.min_range_m={EGO_RANGE_M:g} or "
                 "input.exclude_box drops them"
-                if left
+                if left >= 0.0005
                 else f"they are already dropped by input.min_range_m={min_range_m:g}"
             )
         )
