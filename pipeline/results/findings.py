@@ -32,7 +32,7 @@ _FILES_AT_ONCE = 200
 SHAPES = ("linear", "planar", "scattered")
 SHAPE_COLUMNS = ("linearity", "planarity", "scattering")
 _EXTENTS = ("extent_x", "extent_y", "extent_z")
-_OF_OBJECTS = ("community_id", "n_points", "range_m", "label", *_EXTENTS, *SHAPE_COLUMNS)
+_OF_OBJECTS = ("community_id", "n_points", "range_m", "label", *_EXTENTS)
 _OF_COVERAGE = ("side", "community_id", "covered_0p3m")
 _OF_METRICS = ("real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap", "alignment_rms_m")
 _OF_PIECES = (
@@ -48,7 +48,7 @@ class SideRows:
 
     pair : place of the pair among `ObjectRows.pair_ids`
     object_id : from 0 in each pair
-    label, shape : class, "" where there is none, and which of `SHAPES` it is
+    label : class, "" if none
     diagonal_m : of the axis-aligned bounding box
     covered : share of its points that the other side has within 0.3 m
     is_matched : whether the other side has it too
@@ -59,7 +59,6 @@ class SideRows:
     n_points: IntArray
     range_m: FloatArray
     label: NDArray[Any]
-    shape: NDArray[np.str_]
     diagonal_m: FloatArray
     covered: FloatArray
     is_matched: BoolArray
@@ -184,7 +183,6 @@ def _rows_of(folder: TableFolder, pair_ids: list[str], by_reference: bool) -> It
                 n_points=objects["n_points"],
                 range_m=objects["range_m"],
                 label=np.array([label or "" for label in objects["label"]], dtype=object),
-                shape=shape_of(*(objects[name] for name in SHAPE_COLUMNS)),
                 diagonal_m=np.sqrt(np.sum([objects[name] ** 2 for name in _EXTENTS], axis=0)),
                 covered=coverage["covered_0p3m"][own],
                 is_matched=is_matched,

@@ -57,11 +57,8 @@ def side_of(rows):
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     range_m, n_points, covered, is_matched, label = columns
     ids = np.arange(len(rows), dtype=np.int32)
-    shape = np.full(len(rows), "planar")
     size = np.full(len(rows), 10.0)
-    return SideRows(
-        0 * ids, ids, n_points, range_m, label.astype(object), shape, size, covered, is_matched.astype(bool)
-    )
+    return SideRows(0 * ids, ids, n_points, range_m, label.astype(object), size, covered, is_matched.astype(bool))
 
 
 def pieces_of(*rows):

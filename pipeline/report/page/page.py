@@ -21,7 +21,7 @@ from .render import render
 PAGE = "report.html"
 PAGES = "report"
 FIGURES = "figures"
-#: A page holds the points of so many pairs, a third of them worst, median and best each, and of the worst objects'.
+#: A page holds the points of so many pairs, a third of them worst, median and best each, and of the largest pieces.
 MOST_VIEWS = 15
 _PLOTLY = "plotly.min.js"
 _INDEX = "index.html"
@@ -128,7 +128,7 @@ def _view_note(n_shown: int, n_chosen: int, n_all: int, pattern: str | None) -> 
     chosen = f"the {n_chosen} pairs that match {pattern}" if pattern else f"{n_all} pairs"
     if n_shown == n_chosen:
         return f"{chosen.capitalize() if pattern else chosen}, worst first."
-    n, besides = MOST_VIEWS // 3, " and those of the worst objects" if n_shown > MOST_VIEWS else ""
+    n, besides = MOST_VIEWS // 3, " and those of the largest pieces" if n_shown > MOST_VIEWS else ""
     return (
         f"Of {chosen} the page holds the points of {n_shown}: the {n} worst, {n} in the middle, the {n} best{besides}. "
         "--pairs PATTERN chooses others, --folder makes a page for each."
