@@ -6,6 +6,7 @@ Which stages there are stands in `jobs`, what one of them is in `stage`, what ea
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -16,7 +17,7 @@ from time import perf_counter
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..schemas.columns import Row, Table
+from ..schemas.columns import SIDES, Row, Table
 from ..schemas.errors import DatasetError, RunError
 from ..schemas.record import RunHeader, RunRecord
 from ..schemas.results import (
@@ -29,6 +30,7 @@ from ..schemas.results import (
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
+from ..stages.ground import peaks_note
 from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .datasets.scan_checks import input_hashes
@@ -273,11 +275,16 @@ class _Run:
         """Writes the tables of the whole run and its record."""
         self._end_phase("stages")
         seconds, pair_ids = StageSeconds(), [pair.pair_id for pair in survey.usable]
-        keys, n_current = [], 0
+        keys, n_current, notes = [], 0, defaultdict[str, list[str]](list)
         for job in self._records(pair_ids):
             seconds.add(job)
             n_current += 1
+            for note in job.facts.get("notes", ()):
+                notes[job.pair_id].append(f"{job.part} side: {note}")
             if ROW in job.facts:
+                real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
+                if note := peaks_note(real_m, sim_m, self._request.settings.ground):
+                    notes[job.pair_id].append(note)
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
         before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
@@ -307,6 +314,7 @@ class _Run:
             findings,
             n_to_do,
             self._engine.frames,
+            notes,
             extras,
         )
         if has_same_summary(self._before, record):  # the same results again: what they replaced stays as it was

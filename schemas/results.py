@@ -347,7 +347,7 @@ class Failing(_Band):
 class Caution(Result):
     """What limits the trust in the numbers.
 
-    kind : failed, to_do, frames, pairs, independence, partition, alignment, or floor (that none is known)
+    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (that none is known)
     words : in one sentence
     """
 

@@ -21,7 +21,7 @@ from ...stages.coverage import nearest_distances
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
-from ...stages.sensing.sensor import SensorFacts, describe_sensor
+from ...stages.sensing.sensor import SensorFacts
 from ..engine.pool import one_blas_thread
 from ..results.findings import SHAPE_COLUMNS, shape_of
 from ..results.finished import FinishedRun
@@ -171,9 +171,9 @@ class PairTables:
 
     @cached_property
     def sensors(self) -> dict[str, SensorFacts]:
-        """What the clean points of each side tell of its sensor; of a simulated one that was moved they tell little."""
-        points = {side: self._columns("ground", side, ["x", "y", "z"]).to_numpy() for side in SIDES}
-        return {side: describe_sensor(own) for side, own in points.items()}
+        """The sensor of each side, as stage `sensor` describes it."""
+        jobs = self._run.store.ledger.jobs(self._pair_id)
+        return {side: SensorFacts(**jobs["sensor", side].facts["sensor"]) for side in SIDES}
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:

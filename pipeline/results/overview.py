@@ -327,6 +327,10 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="to_do", words=f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet")
     if record.frames:
         yield Caution(kind="frames", words=frames_summary(record.frames, n_pairs))
+    if record.notes:
+        pair_id, (note, *_) = next(iter(record.notes.items()))
+        words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
+        yield Caution(kind="ground", words=words)
     n_independent = max((claim.n_pairs for claim in record.claims), default=pairs.scored)
     if n_independent < LEAST_PAIRS:
         few = f"{n_independent} independent pair{'s' * (n_independent != 1)}"

@@ -6,10 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
 
 from ..arrays import Float32Array, FloatArray, IndexArray, IntArray
+
+_NEAREST = 16  #: neighbours by which `connected_points` links most points at once
 
 
 @dataclass(frozen=True)
@@ -61,10 +65,54 @@ def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
     >>> connected_pieces(3, Edges(*ends, np.zeros(1, np.float32))).tolist()
     [0, 1, 0]
     """
-    joined = np.ones(len(edges.src), dtype=np.bool_)
-    graph = sparse.coo_matrix((joined, (edges.src, edges.dst)), shape=(n_nodes, n_nodes))
-    pieces: IndexArray = csgraph.connected_components(graph, directed=False)[1]
-    return pieces
+    return _components(n_nodes, edges.src, edges.dst)
+
+
+def connected_points(points: FloatArray, link_m: float) -> IndexArray:
+    """The connected component of each point, (n,), numbered from 0, with points at most `link_m` apart linked.
+
+    Links to the 16 nearest neighbours give nearly all components. Two of them that are still to be joined both have
+    points with more neighbours within the link, so that only these are compared. Memory is O(n), however dense the
+    points are.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    link_m : inclusive
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> connected_points(np.array([[0.0, 0, 0], [9, 0, 0], [0.5, 0, 0]]), 0.6).tolist()
+    [0, 1, 0]
+    """
+    n = len(points)
+    if not n:
+        return np.empty(0, dtype=np.intp)
+    bound = link_m * (1 + 1e-9)  # scipy's is exclusive
+    k = np.arange(1, min(n, _NEAREST + 1) + 1)  # the point itself is the first
+    distance_m, nearest = cKDTree(points).query(points, k, distance_upper_bound=bound)
+    is_linked = distance_m <= link_m
+    labels = _components(n, np.nonzero(is_linked)[0], nearest[is_linked])
+    full = np.flatnonzero(is_linked[:, -1])
+    ids, counts = np.unique(labels[full], return_counts=True)
+    src, dst = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
+    for label in np.delete(ids, counts.argmax()) if len(ids) else ids:
+        own, others = full[labels[full] == label], full[labels[full] != label]
+        low, high = points[own].min(axis=0) - bound, points[own].max(axis=0) + bound
+        others = others[((points[others] >= low) & (points[others] <= high)).all(axis=1)]
+        apart_m, of_own = cKDTree(points[own]).query(points[others], distance_upper_bound=bound)
+        src.append(labels[others[apart_m <= link_m]])
+        dst.append(labels[own[of_own[apart_m <= link_m]]])
+    return _components(n, np.concatenate(src), np.concatenate(dst))[labels]
+
+
+def _components(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:
+    """The connected component of each node, (n,), numbered from 0."""
+    joined = np.ones(len(src), dtype=np.bool_)
+    graph = sparse.coo_matrix((joined, (src, dst)), shape=(n_nodes, n_nodes))
+    components: IndexArray = csgraph.connected_components(graph, directed=False)[1]
+    return components
 
 
 def split_by_community(

@@ -186,7 +186,7 @@ def fill(disk, free):
     (disk / "ballast").write_bytes(bytes(max(0, left)))
 
 
-STAGES = ["ground", "graph", "communities", "matching", "selection", "metrics", "coverage", "surface"]
+STAGES = ["ground", "sensor", "graph", "communities", "matching", "selection", "metrics", "coverage", "surface"]
 
 
 @pytest.mark.parametrize("stage", times(["graph"], STAGES))

@@ -55,6 +55,8 @@ REFERENCE = [
     "graph.ties=point_id",
     "graph.edges=intersection",
     "ground.shared=true",
+    "ground.peak=own",
+    "ground.method=none",
 ]
 CHOICES = {
     "graph.k": (3, 25, 90),
@@ -70,6 +72,7 @@ CHOICES = {
     "selection.t": (0.2, 1.0, 6.0),
     "ground.loss": ("removed", "total"),
     "ground.shared": ("true", "false"),
+    "ground.peak": ("own", "real"),
     "ground.prior_m": (0.0, 0.3),
 }
 

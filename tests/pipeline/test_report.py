@@ -150,8 +150,9 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ru
 def test_the_verdict_has_coverage_displacement_and_roughness_over_pairs(by_reference):
     pairs = pd.read_parquet(by_reference / "pairs.parquet")
     verdict = verdict_of(read_results(by_reference))
-    assert f"displaced by {pairs.shift_m.mean():.3f} m a pair" in verdict.surface
-    assert f"roughness is {pairs.roughness_sim_m.mean():.3f} m, that of the real one" in verdict.surface
+    vector = ", ".join(f"{axis} {pairs[f'shift_{axis}_m'].mean():.3f}" for axis in "xyz")
+    assert f"displaced by {vector} m (mean over pairs; mean length {pairs.shift_m.mean():.3f} m)" in verdict.surface
+    assert f"median roughness is {pairs.roughness_sim_m.mean():.3f} m, that of the real one" in verdict.surface
     headings, real, sim = verdict.coverage
     assert headings[1:] == ["within 0.1 m", "within 0.3 m", "within 1 m"]
     for side, row in (("real", real), ("sim", sim)):

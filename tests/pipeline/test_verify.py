@@ -86,8 +86,8 @@ def test_all_numbers_of_a_run_agree(whole):
     assert result.passed, result.mismatches
     assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
     assert {table.table for table in result.tables} == {
-        *("files", "scan", "ground", "graph", "communities", "objects", "matching", "coverage", "surface"),
-        *("selection", "metrics", "baselines", "seeds", "pairs", "run.json", "rows"),
+        *("files", "scan", "ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"),
+        *("pieces", "selection", "metrics", "baselines", "seeds", "pairs", "run.json", "rows"),
     }
     assert all(table.n_numbers > 0 for table in result.tables)
     assert result.tables[-1].largest < 1e-12
@@ -95,10 +95,11 @@ def test_all_numbers_of_a_run_agree(whole):
 
 FILES = {
     "ground": "ground/000.sim.parquet",
+    "sensor": "sensor/000.real.parquet",
     "graph": "graph/000.real.parquet",
     "communities": "communities/000.sim.parquet",
     "objects": "objects/000.real.parquet",
-    **{name: f"{name}/000.parquet" for name in ("matching", "coverage", "surface", "selection", "metrics")},
+    **{name: f"{name}/000.parquet" for name in ("matching", "coverage", "surface", "pieces", "selection", "metrics")},
     **{name: f"{name}/000.parquet" for name in ("baselines", "seeds")},
     "pairs": "pairs.parquet",
 }
@@ -111,12 +112,14 @@ CHANGES = [
 #: One column a table, for a fast test.
 ONE_EACH = {
     "ground": "x",
+    "sensor": "reason",
     "graph": "length_m",
     "communities": "community_id",
     "objects": "cx",
     "matching": "sim_id",
     "coverage": "covered_0p3m",
     "surface": "shift_m",
+    "pieces": "fate",
     "selection": "sim_point_id",
     "metrics": "r_lambda",
     "baselines": "value",

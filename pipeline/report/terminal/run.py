@@ -273,12 +273,12 @@ def coverage_rows(record: RunRecord) -> list[list[str]]:
 
 
 def surface_line(record: RunRecord) -> str:
-    """How far the simulated surface is displaced, and how rough both are: means over pairs."""
+    """The displacement vector of the simulated surface, and the median roughness of both: means over pairs."""
     scores = ("shift_m", "shift_x_m", "shift_y_m", "shift_z_m", "roughness_real_m", "roughness_sim_m")
     length, x, y, z, real, sim = (number(record.summary[score].mean) for score in scores)
     return (
-        f"the simulated surface is displaced by {length} m a pair (with its sign: x {x}, y {y}, z {z} m); "
-        f"its roughness is {sim} m, that of the real one {real} m"
+        f"the simulated surface is displaced by x {x}, y {y}, z {z} m (mean over pairs; mean length {length} m); "
+        f"its median roughness is {sim} m, that of the real one {real} m"
     )
 
 

@@ -66,8 +66,9 @@ def as_view(
     if pair is not None and name is not None:
         return object_view(pair, object_facts(run, pair, name))
     if pair is not None:
-        view = pair_view(pair_facts(run, pair))
-        return view if excess is None else Group(view, pair_excess_view(excess, pair))
+        notes = (Text(f"note: {note}", style="yellow") for note in (run.record.notes or {}).get(pair, ()))
+        own = Group(pair_view(pair_facts(run, pair)), *notes)
+        return own if excess is None else Group(own, pair_excess_view(excess, pair))
     overview = run_overview(run)
     if overview and excess:
         trust = tuple(caution for caution in overview.trust if caution.kind != "floor")
