@@ -15,6 +15,7 @@ from unittest import mock
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.cli.main import main
@@ -94,6 +95,14 @@ def _in_this_process(words, cwd):
         stream.flush()
     stdout, stderr = (stream.buffer.getvalue().decode() for stream in streams)
     return subprocess.CompletedProcess(words, code, stdout, stderr)
+
+
+def some_of(values, always):
+    """Parameters of a test: all values, of which those that are not always tried are marked as exhaustive."""
+    rest = [value for value in values if value not in always]
+    assert len(rest) + len(always) == len(values)
+    sets = [value if isinstance(value, tuple) else (value,) for value in rest]
+    return [*always, *(pytest.param(*one, marks=pytest.mark.exhaustive) for one in sets)]
 
 
 def tables(run_folder):
