@@ -1,16 +1,18 @@
 """How often are verdicts wrong by chance: of `fidpipe compare`, and of the paper's claims in `fidpipe show --paper`?
 
     python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims]
-    python benchmarks/false_alarms.py --of runs --datasets ../shared/data/kitti_twin TWINS \\
-        --sequence ../shared/data/kitti_sequence --out false_alarms.csv
+    python benchmarks/false_alarms.py --make ../shared/data/kitti_sequence worlds
+    for i in worlds/*; do fidpipe run $i --preset reference --out runs/$(basename $i); done
+    python benchmarks/false_alarms.py --of runs --draws ../shared/data/kitti_twin TWINS --worlds runs/w*
 
 `compare`: six families of four scores of equal simulators, by the distribution of the scores' changes; scores of a
 family are correlated at 0.6, those of different families at 0.2. A false alarm is any family that is decided. Power:
 how often the first family is decided if its first score changes by 0.5, 1 or 2 standard deviations.
 
-`runs`: scans of real streets. *Independent draws*: the simulated side re-measured twice (2 cm, 3 %). *Fixed in the
-world*: ten neighbouring frames by simulators that each have 12 holes and 8 ghosts at random places of the street. All
-simulators of a kind are equal in distribution, so that each verdict is a false alarm. Rows are kept in the CSV file.
+`runs`: scans of real streets, every eighth row. *Independent draws*: the simulated side re-measured twice (2 cm, 3 %).
+*Fixed in the world*: ten neighbouring frames by simulators that each have 12 holes and 8 ghosts at random places of the
+street; every two of their runs are compared. All simulators of a kind are equal in distribution, so that each verdict
+is a false alarm.
 
 `claims`: datasets whose numbers know nothing of each other, and how often each claim holds on them; beside it how often
 the estimate alone is on the claim's side, which was the rule before. Power: datasets as the paper describes them.
@@ -33,11 +35,11 @@ from scipy import stats
 import fidpipe
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.families import judge_families, overall
-from fidpipe.stages.sensing.neighbours import neighbours
 from fidpipe.stages.statistics.claim_rules import HOLDS
 from fidpipe.stages.statistics.claims import check_claims
-from fidpipe.stages.statistics.comparison import adjusted_p_values, blocks_of, holm
+from fidpipe.stages.statistics.comparison import adjusted_p_values, holm
 from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects
 
 N_FAMILIES, N_SCORES = 6, 4
@@ -120,15 +122,6 @@ def read(path):
     return points[np.isfinite(points).all(axis=1)]
 
 
-def scored(kind, name, variant, real, sim, pose):
-    rng = np.random.default_rng([variant, *name.encode()])
-    points = remeasured(read(sim), rng)
-    if pose is not None:
-        points = in_world(points, pose, variant)
-    summary = fidpipe.evaluate_pair(read(real), points, {"preset": "reference"}).summary
-    return {"kind": kind, "pair": name, "variant": variant} | summary
-
-
 def poses_of(folder):
     """(4, 4) of each scan, sensor to world, from poses in TUM format."""
     from scipy.spatial.transform import Rotation
@@ -139,63 +132,60 @@ def poses_of(folder):
         yield pose
 
 
-def measure(args):
+def write(path, points):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(path)
+
+
+def make_worlds(sequence, out):
+    """Writes a dataset of neighbouring frames for each of 16 simulators with their own defects of the street."""
+    for path, pose in zip(sorted(sequence.glob("*.bin")), poses_of(sequence), strict=True):
+        for i in range(WORLDS):
+            rng = np.random.default_rng([i, *path.stem.encode()])
+            write(out / f"w{i:02d}" / "real" / path.name, read(path))
+            write(out / f"w{i:02d}" / "sim" / path.name, in_world(remeasured(read(path), rng), pose, i))
+
+
+def scored(name, draw, real, sim):
+    points = remeasured(read(sim), np.random.default_rng([draw, *name.encode()]))
+    return {"pair": name, "draw": draw} | fidpipe.evaluate_pair(read(real), points, {"preset": "reference"}).summary
+
+
+def measure_draws(args):
+    """Rows of `pairs` for 8 draws of each simulated scan; those in the CSV file are kept."""
     rows = pd.read_csv(args.out).to_dict("records") if args.out.exists() else []
-    done = {(row["kind"], row["pair"], row["variant"]) for row in rows}
-    pairs = [
-        (f"{folder.name}/{own.pair_id}", own.real, own.sim)
-        for folder in args.datasets
-        for own in read_dataset(folder).pairs
-    ]
-    frames = sorted(args.sequence.glob("*.bin"))
-    tasks = [("draws", name, i, real, sim, None) for name, real, sim in pairs for i in range(DRAWS)]
-    tasks += [
-        ("world", path.stem, i, path, path, pose)
-        for path, pose in zip(frames, poses_of(args.sequence), strict=True)
-        for i in range(WORLDS)
-    ]
+    done = {(row["pair"], row["draw"]) for row in rows}
+    datasets = [(folder.name, pair) for folder in args.draws for pair in read_dataset(folder).pairs]
+    tasks = [(f"{name}/{own.pair_id}", i, own.real, own.sim) for name, own in datasets for i in range(DRAWS)]
     with ProcessPoolExecutor(args.workers) as pool:
-        futures = [pool.submit(scored, *task) for task in tasks if task[:3] not in done]
+        futures = [pool.submit(scored, *task) for task in tasks if task[:2] not in done]
         for n, future in enumerate(futures, 1):
             rows.append(future.result())
             if n % 20 == 0 or n == len(futures):
                 pd.DataFrame(rows).to_csv(args.out, index=False)
-    return pd.DataFrame(rows)
+    rows = pd.DataFrame(rows)
+    return {(row["pair"], row["draw"]): row for row in rows.astype(object).where(rows.notna(), None).to_dict("records")}
+
+
+def print_rate(words, decisions):
+    rate = np.isin(decisions, ["better", "worse", "mixed"]).mean()
+    print(f"| {words} | {len(decisions)} | {100 * rate:.1f} % |", flush=True)
 
 
 def of_runs(args):
-    rows = measure(args)
-    rows = rows.astype(object).where(rows.notna(), None)
-    table = {
-        kind: {(row["pair"], row["variant"]): row for row in own.to_dict("records")}
-        for kind, own in rows.groupby("kind")
-    }
-    names = {kind: sorted({pair for pair, _ in own}) for kind, own in table.items()}
-    rng = np.random.default_rng(0)
-    draws = [{name: rng.choice(DRAWS, 2, replace=False) for name in names["draws"]} for _ in range(args.repeats)]
-    worlds = [dict.fromkeys(names["world"], both) for both in combinations(range(WORLDS), 2)]
-    scans = [
-        own[np.abs(own[:, 2] - np.median(own[:, 2])) > 0.4] for own in map(read, sorted(args.sequence.glob("*.bin")))
-    ]
-    chained = blocks_of(names["world"], [None] * len(scans), neighbours(scans))
-    print("| equal simulators | pairs as | comparisons | better, worse or mixed |")
-    print("|---|---|---|---|")
-    for words, kind, chosen, blocks in (
-        ("independent draws", "draws", draws, None),
-        ("defects fixed in the world", "world", worlds, chained),
-        ("the same with --independent", "world", worlds, None),
-    ):
-        own = np.arange(len(names[kind]), dtype=np.int32) if blocks is None else blocks
-        decisions = [
-            overall(
-                judge_families(
-                    "reference", {name: tuple(table[kind][name, i] for i in both) for name, both in one.items()}, own
-                )
-            )
-            for one in chosen
-        ]
-        rate = np.isin(decisions, ["better", "worse", "mixed"]).mean()
-        print(f"| {words} | {len(np.unique(own))} blocks | {len(chosen)} | {100 * rate:.1f} % |")
+    print("| equal simulators | comparisons | better, worse or mixed |")
+    print("|---|---|---|")
+    if args.draws:
+        rows, rng, decisions = measure_draws(args), np.random.default_rng(0), []
+        names = sorted({pair for pair, _ in rows})
+        for _ in range(args.repeats):
+            chosen = {name: tuple(rows[name, i] for i in rng.choice(DRAWS, 2, replace=False)) for name in names}
+            decisions.append(overall(judge_families("reference", chosen, np.arange(len(names), dtype=np.int32))))
+        print_rate(f"independent draws of {len(names)} pairs", decisions)
+    couples = list(combinations(args.worlds or [], 2))
+    for words, independent in (("defects fixed in the world, as neighbouring frames", False), ("--independent", True)):
+        if couples:
+            print_rate(words, [compare_runs(both, independent=independent)[0].decision for both in couples])
 
 
 N_OBJECTS = 24  # matched objects of a pair, on average
@@ -319,12 +309,15 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=400)
     parser.add_argument("--of", choices=("compare", "runs", "claims"), default="compare")
-    parser.add_argument("--datasets", type=Path, nargs="+", help="folders of pairs, for --of runs")
-    parser.add_argument("--sequence", type=Path, help="neighbouring frames with poses.tum, for --of runs")
+    parser.add_argument("--draws", type=Path, nargs="+", help="folders of pairs, for --of runs")
+    parser.add_argument("--worlds", type=Path, nargs="+", help="finished runs of the datasets of --make")
+    parser.add_argument("--make", type=Path, nargs=2, metavar=("SEQUENCE", "OUT"), help="write those and stop")
     parser.add_argument("--out", type=Path, default=Path("false_alarms.csv"))
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     chosen = parser.parse_args()
-    if chosen.of == "claims":
+    if chosen.make:
+        make_worlds(*chosen.make)
+    elif chosen.of == "claims":
         of_claims(chosen.repeats)
     elif chosen.of == "compare":
         of_compare(chosen.repeats)

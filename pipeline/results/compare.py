@@ -204,12 +204,12 @@ def compare_two(
     rows = {name: (base.row(name), other.row(name)) for name in names}
     n_blocks, sectors = len(np.unique(blocks)), None
     if n_blocks < min(LEAST_FLIPPED, len(names)):
-        parts = {
-            f"{name}/{i}": pair
+        parts: dict[str, tuple[Row, Row]] = {
+            f"{name}/{i}": (before, after)
             for name in names
-            for i, pair in enumerate(zip(*(sector_rows(run, name) for run in (base, other)), strict=True))
+            for i, (before, after) in enumerate(zip(sector_rows(base, name), sector_rows(other, name), strict=True))
         }
-        sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS, dtype=np.int32)).ravel()
+        sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
         blocks = np.arange(len(names), dtype=np.int32)
     noise = {column: _both_seed_noise(base, other, names, column) for column in SEEDED_SCORES}
     floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}

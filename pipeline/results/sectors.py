@@ -72,4 +72,5 @@ def _parts(objects: Sequence[Row], values: Sequence[float]) -> FloatArray:
     """(8,) sums over the objects of each sector, times the number of sectors; one without points is in the first."""
     bearing = np.array([np.arctan2(row["cy"] or 0.0, row["cx"] or 0.0) for row in objects], dtype=np.float64)
     sector: IndexArray = np.floor(bearing / (2 * np.pi) * N_SECTORS).astype(np.intp) % N_SECTORS
-    return N_SECTORS * np.bincount(sector, np.array(values, dtype=np.float64), N_SECTORS)
+    totals = np.bincount(sector, np.array(values, dtype=np.float64), N_SECTORS)
+    return np.asarray(N_SECTORS * totals, dtype=np.float64)

@@ -169,8 +169,8 @@ def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -
         return p
     unit = x[live] / size[live, None]
     own = np.abs(unit.sum(axis=1))
-    highest = np.abs(_directions(change.shape[1]) @ unit.T).max(axis=1)
-    p[live] = (highest[:, None] >= own - ALIKE).mean(axis=0)
+    highest = np.abs(unit @ _directions(change.shape[1]).T).max(axis=0)
+    p[live] = (highest >= own[:, None] - ALIKE).mean(axis=1)
     if change.shape[1] < LEAST_PAIRS:
         ratio_of_far = FAR_STDS / np.sqrt(1 - 1 / n_known[live] + FAR_STDS**2)  # of |mean| and root mean square
         p[live] = np.where(own / np.sqrt(n_known[live]) > ratio_of_far, p[live], 1.0)
