@@ -35,7 +35,7 @@ class PairResult:
 
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, sensor, edges, communities, objects : by side, "real" and "sim"
-    matching, coverage, surface, selection, metrics : of the pair
+    matching, coverage, surface, pieces, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
@@ -49,6 +49,7 @@ class PairResult:
     matching: pd.DataFrame
     coverage: pd.DataFrame
     surface: pd.DataFrame
+    pieces: pd.DataFrame
     selection: pd.DataFrame
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
@@ -123,6 +124,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
         matching=frame("matching"),
         coverage=frame("coverage"),
         surface=frame("surface"),
+        pieces=frame("pieces"),
         selection=frame("selection"),
         metrics=frame("metrics"),
         baselines=frame("baselines") if settings.metrics.baselines else None,

@@ -33,6 +33,7 @@ from .metrics import (
     OBJECT_METRICS,
     OBJECT_SCORES,
     PAIR_SCORES,
+    PIECE_SCORES,
     SHIFT_COLUMNS,
     SURFACE_SCORES,
     reach_words,
@@ -228,6 +229,35 @@ SURFACE = Table(
     ("real_id",),
 )
 
+PIECES = Table(
+    "pieces",
+    pa.schema(
+        [
+            PAIR,
+            column("side", STRING, "real: the piece is missing; sim: it is invented"),
+            column("piece_id", INT32, "piece of this side; 0 is the largest"),
+            column("n_points", INT32, "its points"),
+            column("cx", FLOAT64, "centroid: mean of its points", "m"),
+            column("cy", FLOAT64, "centroid", "m"),
+            column("cz", FLOAT64, "centroid", "m"),
+            column("range_m", FLOAT64, "distance of the centroid from the sensor", "m"),
+            column("bearing_deg", FLOAT64, "direction of the centroid: 0 ahead, 90 left, -90 right", "deg"),
+            column("extent_x", FLOAT64, "axis-aligned size", "m"),
+            column("extent_y", FLOAT64, "axis-aligned size", "m"),
+            column("extent_z", FLOAT64, "axis-aligned size", "m"),
+            column("height_m", FLOAT64, "height of its lowest point above the road of its side", "m"),
+            column("label", STRING, "most frequent label of its points", optional=True),
+            column("fate", STRING, "gone, or moved: a piece of similar size is missing and another invented nearby"),
+            column("partner_id", INT32, "piece of the other side that it moved to or from", optional=True),
+            *(
+                column(f"moved_{axis}_m", FLOAT64, "vector from the real to the simulated piece", "m", optional=True)
+                for axis in "xyz"
+            ),
+        ]
+    ),
+    ("side", "piece_id"),
+)
+
 BASELINES = Table(
     "baselines",
     pa.schema(
@@ -303,7 +333,7 @@ def _pairs_schema() -> pa.Schema:
             number(f"{metric}_mean", f"mean of {metric} over the objects"),
             number(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
         ]
-    fields += [score_column(metric) for metric in (*COVERAGE_SCORES, *SURFACE_SCORES)]
+    fields += [score_column(metric) for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)]
     for side in SIDES:
         fields += [
             count(f"sensor_{side}_beams", "beams of the sensor, estimated from the scan"),
@@ -340,7 +370,7 @@ TIMINGS = Table(
 TABLES = {
     table.name: table
     for table in (
-        *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, SELECTION, METRICS),
+        *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, SELECTION, METRICS),
         *(BASELINES, SEEDS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )

@@ -39,6 +39,7 @@ def measure():
         "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]].astype(float).fillna(-1.0),
         "coverage": frames["coverage"].drop(columns=["pair_id", "side"]).astype(float).fillna(-1.0),
         "surface": frames["surface"].drop(columns=["pair_id"]).astype(float).fillna(-1.0),
+        "pieces": frames["pieces"].drop(columns=["pair_id", "side", "label", "fate"]).astype(float).fillna(-1.0),
         "selection": frames["selection"].groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]].sum(),
         "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
     }

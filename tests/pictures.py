@@ -19,6 +19,7 @@ from fidpipe.schemas.metrics import METRIC
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
 from fidpipe.stages.ground import WINDOW_M
+from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.surface import describe_surface, measure_offsets
 from object_pictures import (
     GOOD_ALIGNMENT_M,
@@ -264,6 +265,31 @@ def draw_surface(view, path):
         save(figure, path)
 
 
+def pieces(axis, view, side="real"):
+    """The object points of a side from above in grey, its pieces each in a colour."""
+    points = {own: view.run.points(view.pair_id, own) for own in SIDES}
+    scans = [
+        CutScan(own[["x", "y", "z"]].to_numpy(), own.is_ground.to_numpy(), own.height_m.to_numpy())
+        for own in points.values()
+    ]
+    found = find_pieces(*scans, Settings().pieces)[SIDES.index(side)]
+    inside = found.labels >= 0
+    style.dots(axis, view.points[side], 0.6, "#dddddd")
+    places = points[side][["x", "y", "z"]].to_numpy()[inside]
+    style.dots(axis, places, 1.5, style.community_colours(len(found.partner))[found.labels[inside]])
+    word = "missing" if side == "real" else "invented"
+    axis.set_title(f"{len(found.partner)} {word} pieces, {100 * found.share:.1f} % of the {WORDS[side]} points")
+    style.from_above(axis, view.frame)
+
+
+def draw_pieces(view, path):
+    """The missing and the invented pieces."""
+    with style.new_figure(8.4, 3.6) as figure:
+        for axis, side in zip(figure.subplots(1, 2, sharex=True, sharey=True), SIDES, strict=True):
+            pieces(axis, view, side)
+        save(figure, path)
+
+
 def selection(axis, view, side="real"):
     """One object by the influence of its kept nodes; the others as rings."""
     own, nodes = view.own.graphs[side], view.own.nodes[side]
@@ -344,6 +370,7 @@ STAGE_PANELS = {
     "matching": matching,
     "coverage": coverage,
     "surface": surface,
+    "pieces": pieces,
     "selection": selection,
     "metrics": metrics,
 }
@@ -355,6 +382,7 @@ STAGE_PICTURES = {
     "matching": draw_matching,
     "coverage": draw_coverage,
     "surface": draw_surface,
+    "pieces": draw_pieces,
     "selection": draw_selection,
     "metrics": draw_metrics,
 }

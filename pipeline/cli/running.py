@@ -123,8 +123,8 @@ def run(
     """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
 
     What is there already and still right is not computed again. A finished run keeps its results: other settings need
-    --replace or another --out. It ends with the verdict, five numbers and by how much they moved since the last run of
-    the folder, the worst objects and the commonest failings. Exits with 0 if all pairs are scored, 3 if some failed.
+    --replace or another --out. It ends with how much surface is simulated, missing and invented pieces, what to fix
+    first, the worst places and the object scores. Exits with 0 if all pairs are scored, 3 if some failed.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def run(
 
     fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
 
-    fidpipe run dataset/ --json | jq '.record.overview.numbers'    progress goes to standard error
+    fidpipe run dataset/ --json | jq '.record.overview.causes'    progress goes to standard error
 
     fidpipe run dataset/ --scheduler tcp://host:8786    on a cluster: docs/cluster.md
 

@@ -26,7 +26,7 @@ from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_data
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..datasets.scan_checks import file_marks, hash_scan, input_name
-from ..engine.engine import Engine, Machines
+from ..engine.engine import Engine, Machines, absolute_paths
 from ..engine.plan import Job, PairPlan
 from ..engine.progress import Reporter, Work
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
@@ -107,6 +107,7 @@ def run_floor(request: FloorRequest, reporter: Reporter) -> RunOutcome:
         The dataset as a whole, a setting or the run's folder is wrong, the folder holds another finished floor, or
         poses are wanted and there are none; before any work.
     """
+    request = absolute_paths(request)
     dataset = read_dataset(request.dataset)
     selected = {pair.pair_id for pair in select_pairs(dataset, request.pattern)}
     partners = _neighbours(dataset) if request.neighbours else {pair.pair_id: pair for pair in dataset.pairs}

@@ -73,6 +73,7 @@ def gather_metrics(context: Context, tables: Tables) -> Facts:
         )
         | context.facts("coverage")
         | context.facts("surface")
+        | context.facts("pieces")
         | context.facts("sensor", "real")["pairs"]
         | context.facts("sensor", "sim")["pairs"],
         "unmatched": _unmatched_surface(context.table("coverage"), ids, statuses),
@@ -109,6 +110,7 @@ STAGE = Stage(
         "selection": NODE_COLUMNS,
         "coverage": _COVERED,
         "surface": (),
+        "pieces": (),
         "sensor": (),
     },
     gives=("metrics",),

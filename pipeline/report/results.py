@@ -16,7 +16,6 @@ import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.coverage import nearest_distances
 from ...stages.linalg.laplacian import induced_laplacian
@@ -28,7 +27,6 @@ from ..results.findings import SHAPE_COLUMNS, shape_of
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
 from ..results.quadrants import quadrant_of
-from ..storage.record import command_again
 
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
@@ -228,13 +226,8 @@ class PairTables:
 
 
 def _read(run: FinishedRun, table: str, names: Iterable[str]) -> pd.DataFrame:
-    """A table of all pairs, one pair after the other; `RunError` if an older fidpipe wrote it without a column."""
+    """A table of all pairs, one pair after the other."""
     rows: pd.DataFrame = run.table(table, names).to_pandas()
-    if absent := [name for name in TABLES[table].schema.names if name not in rows]:
-        raise RunError(
-            f"run {run.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe wrote it; "
-            f"bring it up to date with: {command_again(run.folder, run.record.dataset)}"
-        )
     return rows
 
 

@@ -31,6 +31,7 @@ from runs import (
     marks,
     no_temporary_files,
     run,
+    some_of,
 )
 
 N_PAIRS = 4
@@ -40,8 +41,13 @@ pytestmark = pytest.mark.slow
 TESTS = Path(broken_jobs.__file__).parent
 
 
-@pytest.mark.parametrize("how", ["kill", "kill-writing"])
-@pytest.mark.parametrize("stage", STAGE_NAMES)
+@pytest.mark.parametrize(
+    ("how", "stage"),
+    some_of(
+        [(how, stage) for how in ("kill", "kill-writing") for stage in STAGE_NAMES],
+        [("kill", "matching"), ("kill-writing", "communities"), ("kill-writing", "metrics")],
+    ),
+)
 def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_path, how, stage):
     out = tmp_path / "run"
     died = break_run(how, stage, 2, dataset, out)
@@ -58,8 +64,13 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     assert no_temporary_files(out)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("how", "workers"),
+    some_of(
+        [(how, workers) for how in (signal.SIGKILL, signal.SIGINT, signal.SIGTERM) for workers in (1, 2)],
+        [(signal.SIGKILL, 2), (signal.SIGINT, 1), (signal.SIGTERM, 2)],
+    ),
+)
 def test_a_run_stopped_from_outside_goes_on_where_it_was(dataset, finished, tmp_path, workers, how):
     out = tmp_path / "run"
     process = start(dataset, out, workers)

@@ -13,24 +13,34 @@ from pathlib import Path
 import psutil
 import pytest
 from distributed import Client
+from rich.console import Console
 
 import broken_jobs
 from fidpipe.pipeline.engine import cluster as engine_cluster
 from fidpipe.pipeline.engine.cluster import DaskPool, code_hash, worker_fault
+from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.experiments.ablate.ablate import AblateRequest, ablate_dataset
+from fidpipe.pipeline.experiments.floor import FloorRequest, run_floor
+from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, perturb_source
 from fidpipe.pipeline.jobs import STAGES, metrics, selection
 from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.settings import Settings
+from fidpipe.stages.sensing.perturbations import Perturbation
 from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, command, no_temporary_files, run
 
 pytestmark = pytest.mark.slow
 
 TESTS = Path(broken_jobs.__file__).parent
-_TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent)])
+_TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])
 N_PAIRS = 6
-LIMIT_S = 20.0  # a healthy pair takes far less, on a busy machine too
+LIMIT_S = 6.0  # a healthy pair takes 0.2 s
 ENDLESS_S = 900
 POISON_IN_METRICS = "002"
+QUIET = Reporter(Console(quiet=True))
+NO_VALUES = dict.fromkeys(("k", "tau_m", "delta_m", "t"), ())
 
 
 class Cluster:
@@ -148,6 +158,25 @@ def test_a_cluster_whose_workers_are_all_lost_ends_the_run_which_can_be_gone_on_
         run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
     run(dataset, tmp_path / "run")
     assert_same_tables(tmp_path / "run", finished)
+
+
+def test_relative_paths_are_those_of_the_command_not_of_workers_in_other_folders(
+    dataset, finished, tmp_path, cluster, monkeypatch
+):
+    cluster.add_workers(1)
+    monkeypatch.chdir(tmp_path)
+    named, one = Path(os.path.relpath(dataset)), {"pattern": "000"}
+    machines = Machines(None, cluster.address)
+    outcome = run(named, Path("run"), workers=None, scheduler=cluster.address, **one)
+    assert outcome.failures == {}
+    assert outcome.n_made == JOBS_PER_PAIR
+    assert run(named, tmp_path / "run", **one).n_reused == JOBS_PER_PAIR
+    assert run_floor(FloorRequest(named, Path("floor"), machines=machines, **one), QUIET).failures == {}
+    asked = {"settings": Settings(), "machines": machines, **one}
+    assert ablate_dataset(AblateRequest(named, Path("ablate"), values=NO_VALUES, **asked), QUIET).failures == {}
+    levels = {"levels": (Perturbation("noise", 0.01),), "repeats": 1, "global_repeats": 1}
+    assert perturb_source(PerturbRequest(named, Path("perturb"), **levels, **asked), QUIET).failures == {}
+    assert [path.name for path in (tmp_path / "cluster").iterdir() if path.is_dir()] == []
 
 
 def kill_scheduler(context):

@@ -60,6 +60,7 @@ def test_every_table_comes_as_arrow_with_its_schema(run):
         "matching",
         "coverage",
         "surface",
+        "pieces",
         "selection",
         "metrics",
     ):

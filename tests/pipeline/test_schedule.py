@@ -163,6 +163,7 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
         ("matching",),
         ("coverage",),
         ("surface",),
+        ("pieces",),
     }
     assert_same_tables(tmp_path / "run", finished)
 

@@ -73,7 +73,6 @@ def frames(evaluation):
 def summary(evaluation, n_raw):
     """The row of the pair, made of what the method returns."""
     row = evaluation.scores.summary | n_communities(evaluation.scores.summary) | evaluation.surfaces
-    row |= evaluation.sensors
     for side in SIDES:
         clean, cut, scan = (getattr(evaluation, f"{name}_{side}") for name in ("clean", "cut", "objects"))
         row |= {f"n_{side}_raw": n_raw[side], f"n_{side}_clean": len(clean.points)}

@@ -36,6 +36,7 @@ WORDS = {
     "matching": "which objects match, and how far apart",
     "coverage": "drawn objects, from all distances",
     "surface": "displacement of drawn objects",
+    "pieces": "counts, shares and moves of all pieces",
     "selection": "influence, nodes kept, optimal alignment",
     "metrics": "scores from dense matrices",
     "baselines": "distances of others",
@@ -50,7 +51,7 @@ NOT_COMPARED = {
     "timings": "seconds of a clock",
 }
 #: Tables of which the rows of the drawn objects alone are compared as a whole.
-_OF_OBJECTS = ("objects", "coverage", "surface", "selection", "metrics", "baselines")
+_OF_OBJECTS = ("objects", "coverage", "surface", "pieces", "selection", "metrics", "baselines")
 #: The table that a number stands in, where what is compared of it has a name of its own.
 _TABLE_OF = {"scan": "ground"}
 
