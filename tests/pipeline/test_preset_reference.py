@@ -30,7 +30,7 @@ def dataset(tmp_path_factory):
     real = read_scan(folder / "real" / "000.bin").points
     sim = drifted(real, seed=0)
     lost = np.linalg.norm(real - real[real[:, 2].argmax()], axis=1) < 6
-    sim = np.vstack([drifted(real[~lost], seed=0), box([-30, -30, 2], [2, 2, 2], 40)])
+    sim = np.vstack([drifted(real[~lost], seed=0), box([-30, -30, 2], [2, 2, 2], 150)])
     write_bin(folder / "sim" / "000.bin", sim)
     return folder
 

@@ -19,7 +19,7 @@ from ...results.floor import RunExcess
 from .layout import number, percent, shortened
 
 #: Causes, places and cautions that are shown without --all.
-_FEW = 5, 3, 1
+_FEW = 5, 3, 2
 _INDENT, _NARROWEST, _PAIR = 14, 40, 16
 _SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
