@@ -116,7 +116,7 @@ def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
     assert (len(found.pairs), found.n_blocks) == (6, 1)
     assert found.decision == "undecided"
     assert found.blocking == "6 pairs form 1 block of neighbouring frames (by time stamps)"
-    assert "--independent counts each pair" in chance(found)
+    assert "--independent: over the frames alone" in chance(found)
     alone = compare_runs(folders, independent=True)[0]
     assert (alone.n_blocks, alone.decision) == (6, "worse")
     assert "about these scans only" in alone.blocking
