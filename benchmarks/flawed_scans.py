@@ -1,6 +1,6 @@
 """Flaws of a simulated scan, built from scratch: numpy and scipy on points, nothing of fidpipe.
 
-Each flaw takes a `Scan` and a source of random numbers and returns the flawed points; `benchmarks/decisions.py` uses them.
+Each flaw takes a `Scan` and a source of random numbers and returns the flawed points. Used by `decisions.py`.
 """
 
 from dataclasses import dataclass
