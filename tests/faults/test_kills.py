@@ -57,7 +57,7 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     before = marks(out)
     outcome = run(dataset, out)
     i = STAGE_NAMES.index(stage)
-    n_finished = 2 * i + 1 if i < 3 else JOBS_PER_PAIR + 6 + i - 3  # none of them was reported, all were adopted
+    n_finished = 2 * i + 1 if i < 4 else JOBS_PER_PAIR + 8 + i - 4  # none of them was reported, all were adopted
     assert outcome.n_made == 4 * JOBS_PER_PAIR - n_finished
     assert not {name for name in before if name in changed_files(out, before)}
     assert_same_tables(out, finished)
