@@ -67,6 +67,7 @@ bench: setup
 	$(BIN)/python benchmarks/growth.py
 	$(BIN)/fidpipe twin $(DATA)/kitti_sequence .cache/twins --pairs '*[02468]'
 	$(BIN)/python benchmarks/power.py $(DATA)/kitti_twin .cache/twins --out .cache/power
+	$(BIN)/python benchmarks/decisions.py $(DATA)/kitti_twin .cache/twins --out .cache/decisions
 	$(BIN)/python benchmarks/small_pairs.py 50
 	$(BIN)/python benchmarks/small_pairs.py 10000 300
 

@@ -80,7 +80,7 @@ MUTANTS = (
     ("pieces", "centroid[:, 1], self", "centroid[:, 0], self"),
     ("pieces", "objects[1].centroid[links[1]] - objects[0].centroid[links[0]]",
      "objects[0].centroid[links[0]] - objects[1].centroid[links[1]]"),
-    ("linalg/subgraph", "labels[own[of_own[apart_m <= link_m]]]", "labels[others[apart_m <= link_m]]"),
+    ("linalg/subgraph", "not in (n_before, 0, 1)", "in ()"),
     ("summary", "ddof=1", "ddof=0"),
     ("summary", "max(n_missing, n_hallucinated)", "min(n_missing, n_hallucinated)"),
     ("summary", "np.concatenate([missing_range_m, hallucinated_range_m])", "missing_range_m"),

@@ -96,7 +96,7 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
     labels = _components(n, np.nonzero(is_linked)[0], nearest[is_linked])
     dense = np.flatnonzero(is_linked[:, -1])
     n_before = -1
-    while (n_now := len(np.unique(labels[dense]))) not in (n_before, 1):
+    while (n_now := len(np.unique(labels[dense]))) not in (n_before, 0, 1):
         n_before, numbers = n_now, np.unique(labels[dense], return_inverse=True)[1]
         for bit in range((n_now - 1).bit_length()):
             ones = (numbers >> bit) % 2 == 1

@@ -29,7 +29,7 @@ from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.sensing.perturbations import Perturbation
-from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, command, no_temporary_files, run
+from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, no_temporary_files, own_process, run
 
 pytestmark = pytest.mark.slow
 
@@ -199,7 +199,7 @@ def test_a_worker_of_another_version_is_refused_before_anything_runs(dataset, tm
     there.mkdir()
     (there / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {library}\nVersion: 0.0.9\n")
     cluster.add_workers(2).add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), _TEST_MODULES]))
-    refused = command("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address)
+    refused = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address)
     here = library_versions([library])[library]
     assert refused.returncode == 1
     assert f"other versions: {library} 0.0.9 (here {here}); install the same ones there" in refused.stderr
@@ -230,14 +230,14 @@ def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, clus
 def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_refused(dataset, tmp_path, cluster):
     cluster.add_workers(1, "--no-nanny", "--memory-limit", "0")
     words = ("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address, "--pairs", "000")
-    refused = command(*words)
+    refused = own_process(*words)
     assert refused.returncode == 1
     assert "has no memory limit; start it with --memory-limit, or say" in refused.stderr
     named = (*words, "--set", "machine.memory_gib=2")
-    refused = command(*named, "--pair-timeout", "60")
+    refused = own_process(*named, "--pair-timeout", "60")
     assert refused.returncode == 1
     assert "has no nanny, and a pair that is out of time ends its worker process; start it with" in refused.stderr
-    assert command(*named).returncode == 0
+    assert own_process(*named).returncode == 0
 
 
 @pytest.mark.parametrize("on", ["one process", "two processes", "a cluster"])
