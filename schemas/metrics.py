@@ -323,37 +323,30 @@ SURFACE_SCORES = (
     ),
 )
 
+_PIECES = (("missing", "real", "simulated", "simulation"), ("invented", "simulated", "real", "real scan"))
+
 #: Surface pieces of a pair, and its objects that were found, in the order of the columns of `pairs`.
 PIECE_SCORES = (
-    Metric(
-        "n_missing_pieces",
-        "missing pieces",
-        "connected parts of real objects without any simulated point within pieces.reach_m",
-        "connected parts of real objects where the simulation has nothing",
-        is_count=True,
-        source="fidpipe",
+    *(
+        Metric(
+            f"n_{kind}_pieces",
+            f"{kind} pieces",
+            f"connected parts of {own} objects without any {other} point within pieces.reach_m",
+            f"connected parts of {own} objects where the {place} has nothing",
+            is_count=True,
+            source="fidpipe",
+        )
+        for kind, own, other, place in _PIECES
     ),
-    Metric(
-        "n_invented_pieces",
-        "invented pieces",
-        "connected parts of simulated objects without any real point within pieces.reach_m",
-        "connected parts of simulated objects where the real scan has nothing",
-        is_count=True,
-        source="fidpipe",
-    ),
-    Metric(
-        "missing_pieces_share",
-        "share in missing pieces",
-        "share of the real object points that are in missing pieces",
-        high=1.0,
-        source="fidpipe",
-    ),
-    Metric(
-        "invented_pieces_share",
-        "share in invented pieces",
-        "share of the simulated object points that are in invented pieces",
-        high=1.0,
-        source="fidpipe",
+    *(
+        Metric(
+            f"{kind}_pieces_share",
+            f"share in {kind} pieces",
+            f"share of the {own} object points that are in {kind} pieces",
+            high=1.0,
+            source="fidpipe",
+        )
+        for kind, own, *_ in _PIECES
     ),
     Metric(
         "found",

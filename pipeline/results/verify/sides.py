@@ -445,21 +445,21 @@ def check_pieces(pair: StoredPair, comparisons: Comparisons) -> None:
         for name in rows[0] if rows else ("piece_id",):
             values = [row[name] or "" if name == "label" else row[name] for row in stored[side]]
             comparisons.compare(place, name, values, [row[name] for row in rows], tolerance=LENGTH_M)
-    places = [
-        [([row[f"c{a}"] for a in "xyz"], [row[f"extent_{a}"] for a in "xyz"]) for row in stored[side]] for side in SIDES
-    ]
-    moved = pieces.moved(*places)
-    for side, partners in (("real", moved), ("sim", {j: i for i, j in moved.items()})):
+    places = {
+        side: [([row[f"c{a}"] for a in "xyz"], [row[f"extent_{a}"] for a in "xyz"]) for row in rows]
+        for side, rows in stored.items()
+    }
+    moved = pieces.moved(places["real"], places["sim"])
+    for side, other, partners in (("real", "sim", moved), ("sim", "real", {j: i for i, j in moved.items()})):
         for i, row in enumerate(stored[side]):
             at, partner = pair.place("pieces", side, f"piece {i}"), partners.get(i)
             comparisons.compare(at, "fate", row["fate"], "gone" if partner is None else "moved")
             comparisons.compare(at, "partner_id", row["partner_id"], partner)
-            for axis in "xyz":
-                vector = None
-                if partner is not None:
-                    ends = [row[f"c{axis}"], stored["sim" if side == "real" else "real"][partner][f"c{axis}"]]
-                    vector = (ends[1] - ends[0]) * (1 if side == "real" else -1)
-                comparisons.compare(at, f"moved_{axis}_m", row[f"moved_{axis}_m"], vector, tolerance=LENGTH_M)
+            for axis in range(3):
+                ends = None if partner is None else [places[side][i][0][axis], places[other][partner][0][axis]]
+                vector = ends and (ends[1] - ends[0]) * (1 if side == "real" else -1)
+                name = f"moved_{'xyz'[axis]}_m"
+                comparisons.compare(at, name, row[name], vector, tolerance=LENGTH_M)
 
 
 def _sample(points: FloatArray) -> list[int]:
