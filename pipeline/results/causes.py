@@ -183,6 +183,11 @@ def size_words(value: float, unit: str) -> str:
     return f"{100 * value:.0f} %" if unit == "share" else f"{value:.3g} {unit}".rstrip()
 
 
+def _signed(mean_m: float, width_m: float, n_pairs: int) -> str:
+    """A signed length with half of its interval."""
+    return f"{mean_m:+.2f}{f' ± {width_m / 2:.2f}' if n_pairs >= LEAST_FOR_INTERVAL else ''} m"
+
+
 def _contrast(cause: Cause) -> float:
     """Variance between both groups of points, by which the distance is chosen at which far surface begins."""
     share = cause.severity / cause.estimate
@@ -207,9 +212,9 @@ def _cause_of(kind: CauseKind, rows: Sequence[Row], floor: Mapping[str, Row]) ->
             words, setting = words.replace("world", "road"), "road height of the map"
         detail = f"road {sim:.2f} against {real:.2f} m"
         if shifts:
-            detail = f"shift z {shift:+.2f} ± {(shift_high - shift_low) / 2:.2f} m, {detail}"
+            detail = f"shift z {_signed(shift, shift_high - shift_low, len(shifts))}, {detail}"
     elif kind.ways[0]:
-        detail = f"{kind.column.removesuffix('_m').replace('_', ' ')} {mean:+.2f} ± {(high - low) / 2:.2f} m"
+        detail = f"{kind.column.removesuffix('_m').replace('_', ' ')} {_signed(mean, high - low, len(known))}"
     count = np.mean([row[kind.count] for row in known]) if kind.count else 0.0
     return Cause(
         name=kind.name,

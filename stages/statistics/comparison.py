@@ -161,14 +161,14 @@ def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -
     mean = x.sum(axis=1) / np.maximum(n_known, 1)
     x = np.where(known, x - (np.sign(mean) * np.minimum(least, np.abs(mean)))[:, None], 0.0)
     few = change.shape[1] < LEAST_FLIPPED
-    size = np.sqrt((x**2).sum(axis=1) + few * n_known * (step / 2) ** 2)
+    squares, rounding = (x**2).sum(axis=1), few * n_known * (step / 2) ** 2
     p = np.full(len(change), np.nan)
     most = np.abs(np.where(known, change, 0.0)).sum(axis=1) / np.maximum(n_known, 1)  # of |mean| over all flips
     live = (most > np.maximum(least, ALIKE)) & (n_known > 1)
     if not live.any():
         return p
-    unit = x[live] / size[live, None]
-    own = np.abs(unit.sum(axis=1))
+    unit = x[live] / np.sqrt(squares[live, None])
+    own = np.abs(x[live].sum(axis=1)) / np.sqrt((squares + rounding)[live])
     highest = np.abs(unit @ _directions(change.shape[1]).T).max(axis=0)
     p[live] = (highest >= own[:, None] - ALIKE).mean(axis=1)
     if change.shape[1] < LEAST_PAIRS:

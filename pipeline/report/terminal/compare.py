@@ -66,7 +66,8 @@ def decision(comparison: Comparison) -> str:
         others = " of the others" * bool(comparison.failed)
         is_same = overall(comparison.families) == "same"
         few = f"{comparison.n_blocks} independent pair{'s' * (comparison.n_blocks != 1)} cannot decide"
-        unsure = few if comparison.n_blocks < LEAST_FOR_INTERVAL else f"no change{others} can be told from chance"
+        is_few = comparison.n_blocks < LEAST_FOR_INTERVAL and not comparison.by_direction
+        unsure = few if is_few else f"no change{others} can be told from chance"
         parts.append(f"no score{others} changed" if is_same else unsure)
     words = [part.removeprefix(f"{comparison.decision}: ") for part in parts]
     return f"{comparison.decision}: {'; '.join(words)}"

@@ -64,7 +64,7 @@ class FirstAnswer:
         yield (
             "Fix first",
             [(f"{i}  {own.words}", own.detail, own.setting) for i, own in enumerate(causes, 1)]
-            or [("no cause stands out from what two measurements of one scene differ by", "", "")],
+            or [("nothing beyond the differences between two measurements of a scene", "", "")],
         )
         if overview.pieces:
             pieces = overview.pieces[:n_places]
@@ -156,7 +156,7 @@ def change_words(record: RunRecord) -> str:
 def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:
     """An item in lines: words, detail, and at the end of the first line the setting; what does not fit comes below."""
     words, detail, setting = item
-    hang = " " * 3 * words[:1].isdigit()
+    hang = " " * 3 * (words[1:3] == "  ")
     if detail and len(words) + len(detail) + len(setting) + 5 <= width:
         words, detail = f"{words}   {detail}", ""
     if setting and len(words) + len(setting) + 2 <= width:

@@ -94,7 +94,7 @@ def summary_view(
     return Group(
         *(_all_tables(rows, record) if with_all else ()),
         *_asked_for(record),
-        *([excess_view(excess), Text()] if excess and with_all else ()),
+        *([excess_view(excess), Text()] if excess else ()),
         *_failures_parts(folder, rows, told),
         *_frames_parts(rows, record),
         answer,
