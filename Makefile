@@ -1,5 +1,6 @@
 # make run    sets up, makes a small synthetic dataset, evaluates it, verifies a sample, makes its report, says where all is
 # make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
+# make test-all  the same with all of each matrix of tests: every setting, column and fault, of which make test tries some
 # make docs   builds the documentation: build/docs/index.html
 # make faults kills, fills, damages and misleads real runs in every way known, and counts what is lost
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
@@ -17,9 +18,10 @@ LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # As many processes as cores; a file of tests stays in one of them, the slow ones come first.
 AT_ONCE := --numprocesses auto --dist loadfile --no-loadscope-reorder
+TESTED := -m "not exhaustive"
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test check faults fast docs bench fuzz clean setup browser javascript lock release-check test-pythons
+.PHONY: run test test-all check faults fast docs bench fuzz clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -29,20 +31,23 @@ run: setup
 
 test: check
 
+test-all: TESTED :=
+test-all: check
+
 check: setup browser javascript
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
 	$(SPHINX)
-	$(BIN)/pytest $(AT_ONCE)
+	$(BIN)/pytest $(AT_ONCE) $(TESTED)
 
 # Every fault, some hundred tries, an hour or so; the table of what was tried and lost: .cache/faults/faults.md
 faults: setup
 	FIDPIPE_FAULTS=all FIDPIPE_FAULTS_TABLE=.cache/faults $(BIN)/pytest -s tests/faults
 
 fast: setup
-	$(BIN)/pytest $(AT_ONCE) -m "not slow"
+	$(BIN)/pytest $(AT_ONCE) -m "not slow and not exhaustive"
 
 docs: setup
 	$(SPHINX)

@@ -1,131 +1,191 @@
 """How often are verdicts wrong by chance: of `fidpipe compare`, and of the paper's claims in `fidpipe show --paper`?
 
-    python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims] [--runs RUN_A RUN_B]
+    python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims]
+    python benchmarks/false_alarms.py --make ../shared/data/kitti_sequence worlds
+    for i in worlds/*; do fidpipe run $i --preset reference --out runs/$(basename $i); done
+    python benchmarks/false_alarms.py --of runs --draws ../shared/data/kitti_twin TWINS --worlds runs/w*
 
-`compare`: as many scores as it judges, of pairs that differ by chance alone; a false alarm is any score that is called
-better or worse, and `compare --fail-on worse` fails where any is worse, or moved so far beyond the noise. Beside it the
-power: how often the first score is decided where its mean change is one or two standard deviations. The old rule (BCa
-bootstrap over pairs, each score for itself) is kept here only. With `--runs`, instead the changes of two real runs, the
-sign of each pair drawn at random for all of its scores alike: equal simulators, whose scores depend on each other.
+`compare`: six families of four scores of equal simulators, by the distribution of the scores' changes; scores of a
+family are correlated at 0.6, those of different families at 0.2. A false alarm is any family that is decided. Power:
+how often the first family is decided if its first score changes by 0.5, 1 or 2 standard deviations.
+
+`runs`: scans of real streets, every eighth row. *Independent draws*: the simulated side re-measured twice (2 cm, 3 %).
+*Fixed in the world*: ten neighbouring frames by simulators that each have 12 holes and 8 ghosts at random places of the
+street; every two of their runs are compared. All simulators of a kind are equal in distribution, so that each verdict
+is a false alarm.
 
 `claims`: datasets whose numbers know nothing of each other, and how often each claim holds on them; beside it how often
 the estimate alone is on the claim's side, which was the rule before. Power: datasets as the paper describes them.
 """
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import argparse
-import warnings
+from concurrent.futures import ProcessPoolExecutor
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
-from fidpipe.pipeline.results.compare import SCORES, compare_runs
-from fidpipe.pipeline.results.followed import SHARED_SCORES
+import fidpipe
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.results.compare import compare_runs
+from fidpipe.pipeline.results.families import judge_families, overall
 from fidpipe.stages.statistics.claim_rules import HOLDS
 from fidpipe.stages.statistics.claims import check_claims
-from fidpipe.stages.statistics.comparison import blocks_of, far_beyond_noise, holm, judge, paired_difference
+from fidpipe.stages.statistics.comparison import adjusted_p_values, holm
 from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects
 
-N_SCORES = len(SCORES) + len(SHARED_SCORES)
-STEP_S, MEMORY_S = 0.2, 1.15  # 50 frames with this memory: 56 % false alarms of the old rule at one score
+N_FAMILIES, N_SCORES = 6, 4
+SIZES = (3, 5, 6, 8, 10, 20, 50)
+STEPS = (0.5, 1.0, 2.0)
 
 
-def normal(rng, n):
-    return rng.normal(size=(N_SCORES, n)), None
+def correlated(rng, n):
+    """(families, scores, n) normal changes, correlated within a family and less over families."""
+    shape = (N_FAMILIES, N_SCORES, n)
+    shared, own_family, own = (rng.normal(size=size) for size in ((1, 1, n), (N_FAMILIES, 1, n), shape))
+    return np.sqrt(0.2) * shared + np.sqrt(0.4) * own_family + np.sqrt(0.4) * own
 
 
-def skewed(rng, n):
-    return rng.exponential(size=(N_SCORES, n)) - 1, None
+def shares(rng, n):
+    return stats.norm.cdf(correlated(rng, n))
 
 
-def neighbours(rng, n):
-    """Frames 0.2 s apart, whose changes forget each other within about a second."""
-    share = np.exp(-STEP_S / MEMORY_S)
-    change = rng.normal(size=(N_SCORES, n))
-    for i in range(1, n):
-        change[:, i] = share * change[:, i - 1] + np.sqrt(1 - share**2) * change[:, i]
-    return change, blocks_of([str(i) for i in range(n)], list(STEP_S * np.arange(n)))
+#: Changes of equal simulators by distribution, each of standard deviation 1, with the smallest step of the scores.
+DISTRIBUTIONS = {
+    "normal": (correlated, 0.0),
+    "skewed scores": (lambda rng, n: (stats.expon.ppf(shares(rng, n)) - stats.expon.ppf(shares(rng, n))) / 2**0.5, 0.0),
+    "heavy tails (t, 3 degrees)": (lambda rng, n: stats.t.ppf(shares(rng, n), 3) / 3**0.5, 0.0),
+    "discrete (-1, 0, 1)": (lambda rng, n: (np.floor(3 * shares(rng, n)) - 1) / (2 / 3) ** 0.5, (3 / 2) ** 0.5),
+    "skewed changes of mean 0": (lambda rng, n: stats.expon.ppf(shares(rng, n)) - 1, 0.0),
+}
 
 
-def copies(rng, n):
-    """One pair under n names, the second run under another Louvain seed."""
-    return np.repeat(rng.normal(size=(N_SCORES, 1)), n, axis=1), blocks_of(["one scan"] * n, [None] * n)
+def lowest_p(changes, step):
+    return np.nanmin(adjusted_p_values(changes, np.zeros(N_SCORES), np.full(N_SCORES, step)))
 
 
-CASES = (
-    ("6 pairs", normal, 6),
-    ("10 pairs", normal, 10),
-    ("50 pairs", normal, 50),
-    ("6 pairs, skewed", skewed, 6),
-    ("10 pairs, skewed", skewed, 10),
-    ("50 pairs, skewed", skewed, 50),
-    ("50 pairs 0.2 s apart", neighbours, 50),
-    ("500 pairs 0.2 s apart", neighbours, 500),
-    ("8 copies, another seed", copies, 8),
-)
-
-
-def flipped(folders):
-    """Draws some pairs of a comparison of real runs, each as it is or with before and after swapped."""
-    (found,) = compare_runs([Path(folder) for folder in folders])
-    known = [name for name in found.pairs if all(score.of_pairs[name] is not None for score in found.scores)]
-    changes = np.array([[score.of_pairs[name] for name in known] for score in found.scores])
-
-    def make(rng, n):
-        chosen = rng.choice(len(known), n, replace=False)
-        return changes[:, chosen] * rng.choice([-1, 1], n), None
-
-    return make, len(known)
-
-
-def decided_now(change, blocks):
-    """Which scores are called better or worse, which are said to have moved far beyond noise, and which fail a gate."""
-    found = [paired_difference(np.zeros(len(own)), own, blocks) for own in change]
-    p_values = holm([one.p for one in found])
-    verdicts = np.array([judge(one, True, p) for one, p in zip(found, p_values, strict=True)])
-    is_far = np.array(far_beyond_noise(found, [None] * len(found)))
-    fell = np.array([(one.difference or 0.0) < 0 for one in found])
-    return np.isin(verdicts, ("better", "worse")), is_far, (verdicts == "worse") | (is_far & fell)
-
-
-def decided_before(change, n_resamples=999):
-    """The old rule; of changes that are all alike it was always sure."""
-    decided = []
-    for own in change:
-        if np.ptp(own) == 0:
-            decided.append(True)
-            continue
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            interval = stats.bootstrap(
-                (own,), np.mean, n_resamples=n_resamples, method="BCa", rng=np.random.default_rng(0)
-            ).confidence_interval
-        decided.append(interval.low > 0 or interval.high < 0)
-    return np.array(decided)
-
-
-def rates(make, n, repeats, seed=0):
-    """How often any score is decided, said to be far beyond noise, and fails a gate, though nothing differs."""
-    rng = np.random.default_rng(seed)
-    found = [[own.any() for own in decided_now(*make(rng, n))] for _ in range(repeats)]
-    return tuple(np.mean(found, axis=0))
-
-
-def power(make, n, step, repeats, seed=0):
-    """How often the first score is decided where its mean change is so many standard deviations."""
-    rng, n_decided = np.random.default_rng(seed), 0
+def rates(make, step, n, repeats, seed=0):
+    """Share of comparisons with a false alarm, and with the first family decided at each step of its first score."""
+    rng, found = np.random.default_rng(seed), []
     for _ in range(repeats):
-        change, blocks = make(rng, n)
-        change[0] += step
-        n_decided += decided_now(change, blocks)[0][0]
-    return n_decided / repeats
+        changes = make(rng, n)
+        alone = [lowest_p(own, step) for own in changes]
+        moved = [changes[0] + np.array([[size]] + [[0.0]] * (N_SCORES - 1)) for size in STEPS]
+        powers = [holm([lowest_p(own, step), *alone[1:]])[0] < 0.05 for own in moved]
+        found.append([min(holm(alone)) < 0.05, *powers])
+    return np.mean(found, axis=0)
 
 
-def rates_before(make, n, repeats, seed=0):
-    """False alarms of the old rule: of one score, and of any of them."""
+def of_compare(repeats):
+    print(f"{repeats} repeats; binomial error of 5 %: {np.sqrt(0.05 * 0.95 / repeats):.1%}")
+    print("False alarms; power at 0.5, 1, 2 standard deviations, by the number of independent pairs")
+    print("| changes | " + " | ".join(map(str, SIZES)) + " |")
+    print("|---" * (len(SIZES) + 1) + "|")
+    for name, (make, step) in DISTRIBUTIONS.items():
+        found = [rates(make, step, n, repeats) for n in SIZES]
+        cells = [f"{100 * own[0]:.1f} %; " + ", ".join(f"{100 * power:.0f}" for power in own[1:]) for own in found]
+        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+
+
+EVERY, DRAWS, WORLDS = 8, 8, 16
+
+
+def remeasured(points, rng):
+    """Points with 2 cm noise along the ray, 3 % of them lost."""
+    points = points[rng.random(len(points)) > 0.03]
+    lengths = np.linalg.norm(points, axis=1, keepdims=True)
+    return points * (1 + rng.normal(0, 0.02, (len(points), 1)) / np.maximum(lengths, 1e-6))
+
+
+def in_world(points, pose, seed):
+    """Points with the holes and ghosts of one simulator, at fixed places of the street (`pose` maps to the world)."""
     rng = np.random.default_rng(seed)
-    decided = np.array([decided_before(make(rng, n)[0]) for _ in range(repeats)])
-    return decided.mean(), decided.any(axis=1).mean()
+    holes = rng.uniform([-20, -20, -1.0], [35, 20, 1.0], (12, 3))
+    ghosts = rng.uniform([-20, -20, -0.5], [35, 20, 2.0], (8, 3))
+    clouds = (ghosts[:, None] + rng.normal(0, 0.3, (8, 40, 3))).reshape(-1, 3)
+    to_sensor = np.linalg.inv(pose)
+    holes, clouds = (own @ to_sensor[:3, :3].T + to_sensor[:3, 3] for own in (holes, clouds))
+    kept = (np.linalg.norm(points[:, None] - holes, axis=2) > 1.5).all(axis=1)
+    return np.vstack([points[kept], clouds])
+
+
+def read(path):
+    points = read_scan(path).points[::EVERY]
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def poses_of(folder):
+    """(4, 4) of each scan, sensor to world, from poses in TUM format."""
+    from scipy.spatial.transform import Rotation
+
+    for row in np.loadtxt(folder / "poses.tum"):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[4:8]).as_matrix(), row[1:4]
+        yield pose
+
+
+def write(path, points):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(path)
+
+
+def make_worlds(sequence, out):
+    """Writes a dataset of neighbouring frames for each of 16 simulators with their own defects of the street."""
+    for path, pose in zip(sorted(sequence.glob("*.bin")), poses_of(sequence), strict=True):
+        for i in range(WORLDS):
+            rng = np.random.default_rng([i, *path.stem.encode()])
+            write(out / f"w{i:02d}" / "real" / path.name, read(path))
+            write(out / f"w{i:02d}" / "sim" / path.name, in_world(remeasured(read(path), rng), pose, i))
+
+
+def scored(name, draw, real, sim):
+    points = remeasured(read(sim), np.random.default_rng([draw, *name.encode()]))
+    return {"pair": name, "draw": draw} | fidpipe.evaluate_pair(read(real), points, {"preset": "reference"}).summary
+
+
+def measure_draws(args):
+    """Rows of `pairs` for 8 draws of each simulated scan; those in the CSV file are kept."""
+    rows = pd.read_csv(args.out).to_dict("records") if args.out.exists() else []
+    done = {(row["pair"], row["draw"]) for row in rows}
+    datasets = [(folder.name, pair) for folder in args.draws for pair in read_dataset(folder).pairs]
+    tasks = [(f"{name}/{own.pair_id}", i, own.real, own.sim) for name, own in datasets for i in range(DRAWS)]
+    with ProcessPoolExecutor(args.workers) as pool:
+        futures = [pool.submit(scored, *task) for task in tasks if task[:2] not in done]
+        for n, future in enumerate(futures, 1):
+            rows.append(future.result())
+            if n % 20 == 0 or n == len(futures):
+                pd.DataFrame(rows).to_csv(args.out, index=False)
+    rows = pd.DataFrame(rows)
+    return {(row["pair"], row["draw"]): row for row in rows.astype(object).where(rows.notna(), None).to_dict("records")}
+
+
+def print_rate(words, decisions):
+    rate = np.isin(decisions, ["better", "worse", "mixed"]).mean()
+    print(f"| {words} | {len(decisions)} | {100 * rate:.1f} % |", flush=True)
+
+
+def of_runs(args):
+    print("| equal simulators | comparisons | better, worse or mixed |")
+    print("|---|---|---|")
+    if args.draws:
+        rows, rng, decisions = measure_draws(args), np.random.default_rng(0), []
+        names = sorted({pair for pair, _ in rows})
+        for _ in range(args.repeats):
+            chosen = {name: tuple(rows[name, i] for i in rng.choice(DRAWS, 2, replace=False)) for name in names}
+            decisions.append(overall(judge_families("reference", chosen, np.arange(len(names), dtype=np.int32))))
+        print_rate(f"independent draws of {len(names)} pairs", decisions)
+    couples = list(combinations(args.worlds or [], 2))
+    for words, independent in (("defects fixed in the world, as neighbouring frames", False), ("--independent", True)):
+        if couples:
+            print_rate(words, [compare_runs(both, independent=independent)[0].decision for both in couples])
 
 
 N_OBJECTS = 24  # matched objects of a pair, on average
@@ -245,28 +305,21 @@ def of_claims(repeats):
         print(f"| {claim} | " + " | ".join("" if np.isnan(s) else f"{100 * s:.1f} %" for s in shares) + " |")
 
 
-def of_compare(repeats, runs=()):
-    print(f"{repeats} repeats, {N_SCORES} scores; binomial error of 5 %: {np.sqrt(0.05 * 0.95 / repeats):.1%}")
-    print(
-        "| case | before: one score | before: any score | now: any score | far by chance | --fail-on worse fails "
-        "| power 1 std | 2 std |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    cases = CASES
-    if runs:
-        make, n_known = flipped(runs)
-        cases = [(f"{n} pairs of real runs, signs at random", make, n) for n in (6, 10, n_known) if n <= n_known]
-    for name, make, n in cases:
-        powers = [] if runs else [power(make, n, step, repeats) for step in (1.0, 2.0)]
-        cells = (*rates_before(make, n, max(1, repeats // 4)), *rates(make, n, repeats), *powers)
-        empty = " | " * (2 - len(powers))
-        print(f"| {name} | " + " | ".join(f"{100 * cell:.1f} %" for cell in cells) + f"{empty} |", flush=True)
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=400)
-    parser.add_argument("--of", choices=("compare", "claims"), default="compare")
-    parser.add_argument("--runs", nargs=2, default=(), metavar=("RUN_A", "RUN_B"))
+    parser.add_argument("--of", choices=("compare", "runs", "claims"), default="compare")
+    parser.add_argument("--draws", type=Path, nargs="+", help="folders of pairs, for --of runs")
+    parser.add_argument("--worlds", type=Path, nargs="+", help="finished runs of the datasets of --make")
+    parser.add_argument("--make", type=Path, nargs=2, metavar=("SEQUENCE", "OUT"), help="write those and stop")
+    parser.add_argument("--out", type=Path, default=Path("false_alarms.csv"))
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
     chosen = parser.parse_args()
-    of_claims(chosen.repeats) if chosen.of == "claims" else of_compare(chosen.repeats, chosen.runs)
+    if chosen.make:
+        make_worlds(*chosen.make)
+    elif chosen.of == "claims":
+        of_claims(chosen.repeats)
+    elif chosen.of == "compare":
+        of_compare(chosen.repeats)
+    else:
+        of_runs(chosen)

@@ -2,6 +2,7 @@
 
     python benchmarks/frames.py ../shared/data            # the table of docs/faults.md
     python benchmarks/frames.py ../shared/data --choose   # the data by which the limits were chosen; not in the table
+    python benchmarks/frames.py ../shared/data --places   # lifts, feet, and scans of two places
 
 Hits: each fault made on purpose on the simulated side; where there is no pair, on the same scan measured again (5 cm
 noise, half of the points lost). False alarms: pairs that lie in one frame, as they are.
@@ -113,6 +114,58 @@ def sources(data, is_choice):
     }
 
 
+LIFTS_M = (0.3, -0.3, 0.5, -0.5, 0.8, -1.2, 1.8, -1.8, 3.0, -3.0)
+FLAWS = {
+    "as they are": lambda points, rng: points,
+    "30 % dropped": lambda points, rng: points[rng.random(len(points)) > 0.3],
+    "60 % dropped beyond 25 m": lambda points, rng: points[
+        (np.linalg.norm(points, axis=1) < 25) | (rng.random(len(points)) > 0.6)
+    ],
+    "range limited to 30 m": lambda points, rng: points[np.linalg.norm(points, axis=1) < 30],
+    "range limited to 18 m": lambda points, rng: points[np.linalg.norm(points, axis=1) < 18],
+    "every third, 10 cm noise": lambda points, rng: points[::3] + rng.normal(0, 0.1, points[::3].shape),
+}
+
+
+def finite(points):
+    return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+
+
+def places(data):
+    """Lifts: error of the printed height, less the ground's own difference. Places: alarms, and pairs of two places."""
+    settings, rng = InputSettings(), np.random.default_rng(0)
+    twins, (os1, vlp, T) = twin(data), rellis(data)
+    errors, in_feet = [], []
+    for real, sim in [*twins, *streets(0, 8)[2::5]]:
+        own = np.array([_height(check_frames(real, sim + np.array([0, 0, lift]), settings)) + lift for lift in LIFTS_M])
+        errors += [*(own - np.median(own))]
+        in_feet.append(check_frames(real, sim * 3.28084, settings).reading == "in feet")
+    print(f"lifts of {LIFTS_M} m: the printed heights differ by at most {1e3 * np.ptp(errors) / 2:.0f} mm per pair")
+    print(f"in feet: {sum(in_feet)} of {len(in_feet)} recognised")
+    same = {name: [(real, flaw(sim, rng)) for real, sim in twins] for name, flaw in FLAWS.items()}
+    same["rellis"] = [(finite(os1), finite(vlp) @ T[:, :3].T + T[:, 3])]
+    same["kitti_sequence, neighbours"], same["synth"] = sequence(data, 1), streets(0, 12)
+    lumpi = {side: [np.fromfile(path, "<f4").reshape(-1, 3) for path in sorted((data / "lumpi" / side).iterdir())]
+             for side in ("real", "sim")}  # fmt: skip
+    same["lumpi"] = [(real.astype(float), sim.astype(float)) for real in lumpi["real"] for sim in lumpi["sim"]]
+    print("| one place | pairs | alarms | least best coverage |\n|---|---|---|---|")
+    for name, pairs in same.items():
+        found = [check_frames(finite(real), finite(sim), settings) for real, sim in pairs]
+        n_alarms = sum(check.is_elsewhere or check.is_suspect for check in found)
+        print(f"| {name} | {len(pairs)} | {n_alarms} | {min(check.coverage for check in found):.2f} |", flush=True)
+    scans = [twins[0][0], same["kitti_sequence, neighbours"][0][0], scan(next((data / "nuscenes").glob("*.bin"))), os1]
+    scans += [scan(data / "carla/000030.bin"), scan(data / "velodyne_vlp32c/one_sweep.pcd"), same["synth"][3][0]]
+    scans = [*map(finite, scans), same["synth"][7][1]]
+    found = [check_frames(a, b, settings) for a in scans for b in scans if a is not b]
+    n_seen = sum(check.is_elsewhere for check in found)
+    print(f"two places: {n_seen} of {len(found)} seen, largest best coverage {max(c.coverage for c in found):.2f}")
+
+
+def _height(check):
+    """Height in the printed T_real_sim."""
+    return float(check.setting.split('"')[1].split()[-1])
+
+
 def inverse(T):
     return np.column_stack([T[:, :3].T, -T[:, :3].T @ T[:, 3]])
 
@@ -146,4 +199,7 @@ def main(data, is_choice):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), "--choose" in sys.argv)
+    if "--places" in sys.argv:
+        places(Path(sys.argv[1]))
+    else:
+        main(Path(sys.argv[1]), "--choose" in sys.argv)

@@ -4,7 +4,7 @@
 
 Each pair is scored as it is and again with a known flaw on its simulated side, in three amounts, under both presets. t
 is the mean change of a score over the pairs in standard errors; *pairs* how many are needed to see that change in 80 %
-of the cases at 5 % (`stages/statistics/validation.py`). Rows are kept in POWER.csv beside the table and the figure, and
+of the cases at 5 % (`power_analysis.py`). Rows are kept in POWER.csv beside the table and the figure, and
 a run that was stopped goes on. Two standard errors are nothing: among twenty scores one is expected by chance.
 """
 
@@ -28,7 +28,7 @@ from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.metrics import metric_of
 from fidpipe.schemas.settings import load
 from fidpipe.stages.sensing.flaws import FLAWS
-from fidpipe.stages.statistics.validation import effect_size, paired_t, pairs_needed
+from power_analysis import effect_size, paired_t, pairs_needed
 
 AMOUNTS = {
     "dropout": (0.1, 0.3, 0.5),

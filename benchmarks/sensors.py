@@ -57,17 +57,18 @@ UNKNOWN = {
 
 
 def unit(sensor, rng):
-    """One unit of a sensor: where units differ, shifted by up to a third of a degree, each beam by 0.05 besides."""
+    """One unit of a sensor: where units differ, shifted by up to `unit_deg`, each beam by up to 0.05 in addition."""
     if not sensor.unit_deg:
         return sensor
     elevation = np.array(sensor.elevation_deg)
-    stray = rng.uniform(-0.33, 0.33) + rng.normal(0, 0.05, len(elevation))
+    most_deg = min(0.33, sensor.unit_deg)
+    stray = rng.uniform(-most_deg, most_deg) + rng.normal(0, 0.15 * most_deg, len(elevation))
     return replace(sensor, elevation_deg=tuple(np.sort(elevation + stray)[::-1]))
 
 
 def street(sensor, seed, index):
     """What the sensor reports of a street, in the frame of its recordings."""
-    points = make_pair(seed, index, sensor, 60_000).real.rows[:, :3].astype(float)
+    points = make_pair(seed, index, sensor).real.rows[:, :3].astype(float)
     if sensor.name in HEIGHTS_M:
         lower, upper = HEIGHTS_M[sensor.name]
         slope = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
@@ -93,6 +94,13 @@ def lost(share):
     return lambda points, rng: points[rng.random(len(points)) >= share]
 
 
+def without_outer_beams(points, rng):
+    elevation = np.round(np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))), 1)
+    common, count = np.unique(elevation, return_counts=True)
+    common = common[count > 0.001 * len(points)]
+    return points[(elevation > common[0] + 0.15) & (elevation < common[-1] - 0.15)]
+
+
 def noisy(sigma_m):
     def change(points, rng):
         range_m = np.linalg.norm(points, axis=1, keepdims=True)
@@ -103,6 +111,7 @@ def noisy(sigma_m):
 
 HARMLESS = {
     "as it is": lambda points, rng: points,
+    "without the highest and the lowest beam": without_outer_beams,
     "10 cm noise along the ray": noisy(0.1),
     "40 % lost": lost(0.4),
     "80 % lost": lost(0.8),

@@ -34,20 +34,22 @@ class PairResult:
     """The tables of one pair as pandas frames, with the columns of `schemas.tables`.
 
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
-    points, edges, communities, objects : by side, "real" and "sim"
-    matching, coverage, surface, selection, metrics : of the pair
+    points, sensor, edges, communities, objects : by side, "real" and "sim"
+    matching, coverage, surface, pieces, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
 
     summary: dict[str, Any]
     points: dict[str, pd.DataFrame]
+    sensor: dict[str, pd.DataFrame]
     edges: dict[str, pd.DataFrame]
     communities: dict[str, pd.DataFrame]
     objects: dict[str, pd.DataFrame]
     matching: pd.DataFrame
     coverage: pd.DataFrame
     surface: pd.DataFrame
+    pieces: pd.DataFrame
     selection: pd.DataFrame
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
@@ -115,12 +117,14 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     return PairResult(
         summary=summary,
         points=by_side("ground"),
+        sensor=by_side("sensor"),
         edges=by_side("graph"),
         communities=by_side("communities"),
         objects=by_side("objects"),
         matching=frame("matching"),
         coverage=frame("coverage"),
         surface=frame("surface"),
+        pieces=frame("pieces"),
         selection=frame("selection"),
         metrics=frame("metrics"),
         baselines=frame("baselines") if settings.metrics.baselines else None,

@@ -6,6 +6,7 @@ Which stages there are stands in `jobs`, what one of them is in `stage`, what ea
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -16,7 +17,7 @@ from time import perf_counter
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..schemas.columns import Row, Table
+from ..schemas.columns import SIDES, Row, Table
 from ..schemas.errors import DatasetError, RunError
 from ..schemas.record import RunHeader, RunRecord
 from ..schemas.results import (
@@ -29,13 +30,15 @@ from ..schemas.results import (
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
+from ..stages.ground import peaks_note
 from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .datasets.scan_checks import input_hashes
-from .engine.engine import Machines, RunEngine, Survey, current_records
+from .engine.engine import Machines, RunEngine, Survey, absolute_paths, current_records
 from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
+from .results.causes import CAUSE_COLUMNS
 from .results.findings import run_findings
 from .results.overview import Tally, overview_of
 from .stage import ROW, Stage
@@ -138,6 +141,7 @@ def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
     KeyboardInterrupt
         As it came; the run can be gone on with.
     """
+    request = absolute_paths(request)
     dataset = read_dataset(request.dataset)
     selected = select_pairs(dataset, request.pattern)
     check_folder(request.out, request.dataset)
@@ -263,32 +267,40 @@ class _Run:
         )
 
     def replace(self, survey: Survey) -> None:
-        """Removes what is out of date, and writes the head of the record."""
+        """Removes what is out of date; a finished record gives way to its head only if there is something to do."""
+        if survey.todo or survey.unwanted:
+            self._write_record(self._header(self._replaced))
         self._engine.replace(survey, self._changes, list(self._versions))
-        settings = to_toml(self._request.settings).encode()
-        write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
-        write_record(self._request.out, self._header(self._replaced).as_dict(), self._folder.check_token)
 
     def write(self, survey: Survey) -> RunOutcome:
         """Writes the tables of the whole run and its record."""
         self._end_phase("stages")
         seconds, pair_ids = StageSeconds(), [pair.pair_id for pair in survey.usable]
-        keys, n_current = [], 0
+        keys, n_current, notes = [], 0, defaultdict[str, list[str]](list)
         for job in self._records(pair_ids):
             seconds.add(job)
             n_current += 1
+            for note in job.facts.get("notes", ()):
+                notes[job.pair_id].append(f"{job.part} side: {note}")
             if ROW in job.facts:
+                real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
+                if note := peaks_note(real_m, sim_m, self._request.settings.ground):
+                    notes[job.pair_id].append(note)
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
+        before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
+        if before is None or before.key != key:
+            self._write_record(self._header(self._replaced))
         pairs = self._write_table(PAIRS, key, self._pair_parts(survey))
         made_by = self._folder.token if self._engine.n_made else ""  # where nothing was made, all rows are reused
         self._write_table(TIMINGS, key_of(key, list(self._versions), made_by), self._timing_parts(pair_ids))
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        rows = pairs.select(["pair_id", *SUMMARISED]).to_pylist()
-        scored_ids = [row["pair_id"] for row in rows if row["status"] == "scored"]
-        findings, objects = self._say_together(scored_ids, key)
+        rows = pairs.select([*dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS))]).to_pylist()
+        scored = [row for row in rows if row["status"] == "scored"]
+        scored_ids = [row["pair_id"] for row in scored]
+        findings, objects = self._say_together(scored, key)
         extras = {
             stage.name: stage.summarise(list(self._records(scored_ids, [stage.name])), self._request.settings)
             for stage in self._stages
@@ -304,29 +316,36 @@ class _Run:
             findings,
             n_to_do,
             self._engine.frames,
+            notes,
             extras,
         )
         if has_same_summary(self._before, record):  # the same results again: what they replaced stays as it was
             record = record.model_copy(update={"previous": PreviousRun.recorded(self._before.get("previous"))})
         if findings and objects:
             record = record.model_copy(update={"overview": overview_of(findings.key, objects, record)})
-        write_record(self._request.out, record.as_dict(), self._folder.check_token)
+        self._write_record(record)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
         n_made, told = self._engine.n_made, frozenset(self._engine.failures)
         return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras, told)
 
+    def _write_record(self, record: RunHeader) -> None:
+        """Writes the settings and the record, or the head of one."""
+        settings = to_toml(self._request.settings).encode()
+        write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
+        write_record(self._request.out, record.as_dict(), self._folder.check_token)
+
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair that are wanted."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
-    def _say_together(self, scored_ids: list[str], key: str) -> tuple[Findings | None, ObjectOverview | None]:
-        """The findings and the overview of the objects; those of the last record where nothing is other."""
+    def _say_together(self, scored: list[Row], key: str) -> tuple[Findings | None, ObjectOverview | None]:
+        """The findings and the overview of the objects; those of the last record if nothing has changed."""
         before = Overview.recorded(self._before.get("overview"))
         tally = Tally()
         findings = run_findings(
             self._folder,
-            scored_ids,
+            [row["pair_id"] for row in scored],
             {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs},
             self._hashes,
             key,
@@ -335,7 +354,7 @@ class _Run:
             watch=tally.add,
         )
         is_same = findings is not None and before is not None and before.key == findings.key
-        return findings, before if is_same else tally.objects()
+        return findings, before if is_same else tally.objects(scored) if scored else None
 
     def _header(self, previous: PreviousRun | None) -> RunHeader:
         return run_header(self._request.dataset, self._request.settings, self._versions, previous)

@@ -108,5 +108,5 @@ def score_column(metric: Metric, *, optional: bool | None = None) -> pa.Field:
 PAIR = column("pair_id", CONSTANT, "name of the scan pair")
 SIDE = column("side", CONSTANT, "real or sim")
 POINT = column("point_id", INT32, "row of the point in its input file, from 0")
-COMMUNITY = column("community_id", INT32, "object of this side; 0 is the largest")
+COMMUNITY = column("community_id", INT32, "object of this side; 0 is the largest, -1 no object (communities.leave_out)")
 LABEL = column("label", STRING, "semantic class, where the input has labels", optional=True)

@@ -258,6 +258,7 @@ COVERAGE_SCORES = tuple(
 )
 
 _ROUGHNESS = "standard deviation of the 20 nearest points from their plane"
+_MEDIAN = "roughness of a typical point; not the mean that the bias is of"
 
 #: What is said of the place and the roughness of the surfaces of a pair, in the order of the columns of `pairs`.
 SURFACE_SCORES = (
@@ -278,6 +279,7 @@ SURFACE_SCORES = (
         "shift_m",
         "shift",
         "length of the displacement in the directions that the real surface tells",
+        "mean over pairs: of the lengths, which noise makes larger; the mean vector is that of shift x, y and z",
         unit="m",
         source="fidpipe; Chen and Medioni 1992",
     ),
@@ -285,6 +287,7 @@ SURFACE_SCORES = (
         "roughness_real_m",
         "roughness, real",
         f"median over real points: {_ROUGHNESS}",
+        _MEDIAN,
         unit="m",
         better=None,
         equal=None,
@@ -294,6 +297,7 @@ SURFACE_SCORES = (
         "roughness_sim_m",
         "roughness, simulated",
         f"median over simulated points: {_ROUGHNESS}",
+        _MEDIAN,
         unit="m",
         better=None,
         equal=None,
@@ -302,8 +306,9 @@ SURFACE_SCORES = (
     Metric(
         "roughness_bias_m",
         "roughness bias",
-        "mean roughness, simulated less real",
-        "above 0: the simulated surface is rougher (noise); below: it is smoother",
+        "mean roughness, simulated minus real",
+        "above 0: the simulated surface is rougher (noise); below: it is smoother. The mean follows the roughest "
+        "points, so that the medians may differ in the other direction",
         unit="m",
         low=None,
         better=None,
@@ -315,6 +320,43 @@ SURFACE_SCORES = (
         "area between both distributions of roughness without their bias",
         unit="m",
         source="double validation metric, Rosenberger 2023",
+    ),
+)
+
+_PIECES = (("missing", "real", "simulated", "simulation"), ("invented", "simulated", "real", "real scan"))
+
+#: Surface pieces of a pair, and its objects that were found, in the order of the columns of `pairs`.
+PIECE_SCORES = (
+    *(
+        Metric(
+            f"n_{kind}_pieces",
+            f"{kind} pieces",
+            f"connected parts of {own} objects without any {other} point within pieces.reach_m",
+            f"connected parts of {own} objects where the {place} has nothing",
+            is_count=True,
+            source="fidpipe",
+        )
+        for kind, own, other, place in _PIECES
+    ),
+    *(
+        Metric(
+            f"{kind}_pieces_share",
+            f"share in {kind} pieces",
+            f"share of the {own} object points that are in {kind} pieces",
+            high=1.0,
+            source="fidpipe",
+        )
+        for kind, own, *_ in _PIECES
+    ),
+    Metric(
+        "found",
+        "found",
+        "n_matched / (n_matched + n_missing)",
+        "share of the real objects that have a simulated counterpart; 1 is best",
+        high=1.0,
+        better="higher",
+        equal=1.0,
+        source="fidpipe",
     ),
 )
 
@@ -433,7 +475,8 @@ BASELINES = (
 
 #: Every score by its column.
 METRIC = {
-    metric.column: metric for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *SURFACE_SCORES, *BASELINES)
+    metric.column: metric
+    for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES, *BASELINES)
 }
 
 #: The object scores whose mean and standard deviation stand in `pairs`, in that order.
@@ -449,7 +492,7 @@ SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
 DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
 #: The same of a run, which also measures surfaces.
-RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES)))
+RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)))
 #: What a summary for people shows of each pair and of the dataset.
 HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
 #: What may be given to the setting metrics.baselines.

@@ -163,6 +163,7 @@ class RunRecord(RunHeader):
     overview : None where no pair is scored, or an older fidpipe wrote the record
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
+    notes : by pair, notes on its ground cut
     metrics : what is behind the unmatched objects; None where an older fidpipe wrote the record
     baselines, seeds : only where they were asked for
     """
@@ -182,6 +183,7 @@ class RunRecord(RunHeader):
     inputs: dict[str, dict[str, str]]
     overview: Overview | None = None
     frames: dict[str, FrameSuspect] | None = None
+    notes: dict[str, tuple[str, ...]] | None = None
     metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None

@@ -268,86 +268,74 @@ class Findings(ObjectFindings, _Key):  # in this order the key comes first in JS
             return None
 
 
-class Verdict(Result):
-    """What has become of the real objects of all scored pairs, and how many simulated ones have no counterpart.
+class Cause(Result):
+    """A flaw of the simulator with the setting that controls it; see `pipeline.results.causes`.
 
-    faithful, structure_lost, displaced, failed : matched objects by quadrant, see `pipeline.results.quadrants`
-    unjudged : matched objects that are too small for a score of structure
-    missing, hallucinated : objects that only one side has
+    words, detail : the flaw with its number and direction; further evidence, "" if none
+    estimate, low, high : mean over pairs with its 95 % interval in `unit`; the interval is null below 3 pairs
+    unit : "m", "deg", "share" or "" for a count
+    real, sim : values behind the estimate: of each side, or of the other surface and of this one
+    severity : share of the surface that it affects, 0 to 1; causes are ordered by it
     """
 
+    name: str
+    words: str
+    detail: str
+    setting: str
+    estimate: float
+    low: float | None
+    high: float | None
+    unit: str
     n_pairs: int
-    n_real: int
-    faithful: int
-    structure_lost: int
-    displaced: int
-    failed: int
-    unjudged: int
-    missing: int
-    hallucinated: int
+    real: float
+    sim: float
+    severity: float
 
 
-class HeadlineNumber(ScoreSummary):
-    """One of the numbers that a run is judged by first.
+class Piece(Result):
+    """One of the largest missing, invented or moved pieces of surface; columns of table `pieces`.
 
-    column : of `pairs`, by which the catalogue of metrics knows it
-    label : how it is called
-    better : "higher" or "lower"
-    last : its mean in the run that this one replaced; null where there was none
-    """
-
-    column: str
-    label: str
-    better: str
-    last: float | None
-
-
-class WorstObject(Result):
-    """One of the worst objects, and what is wrong with it.
-
-    side : "real", or "sim" of a hallucinated object; `object_id` is its number there
-    label : its class, or its shape where nothing is labelled
-    n_points : of its own side
-    status : "matched", "missing" or "hallucinated"
-    covered : share of its points that the other side has within 0.3 m
-    cdc, r_lambda : null where it is not matched, or too small
-    what : the same in words
+    side, piece_id : its number on that side; "real" for a missing or moved piece, "sim" for an invented one
+    fate : "missing", "invented" or "moved"
+    extents_m : along x, y and z
+    bearing_deg : 0 ahead, positive to the left
+    words : class or size, extents and place
+    fate_words : fate, with distance and direction of a moved piece
     """
 
     pair_id: str
     side: str
-    object_id: int
-    label: str
-    range_m: float
+    piece_id: int
+    fate: str
+    label: str | None
     n_points: int
-    status: str
-    covered: float
-    cdc: float | None
-    r_lambda: float | None
-    what: str
+    range_m: float
+    bearing_deg: float
+    extents_m: tuple[float, float, float]
+    words: str
+    fate_words: str
 
 
-class Failing(_Band):
-    """How often objects of one class at one distance fail in one way.
+class SurfaceGroup(Result):
+    """Surface of a range band or a class without a counterpart within 0.3 m, over all pairs; shares of object points.
 
-    kind : "missing", "hallucinated", or a quadrant that is not faithful
-    n, n_objects : so many of so many: of the simulated objects where hallucinated, else of the real ones
-    n_there : so many more are missing or hallucinated only because they are divided differently: their surface is there
-    words : the same in words
+    group : "range" or "class"
+    n_real, n_sim : object points
+    missing_share, invented_share : of the real and of the simulated points; null without points
     """
 
-    label: str
-    kind: str
-    n: int
-    n_objects: int
-    n_there: int
-    words: str
+    group: str
+    name: str
+    n_real: int
+    missing_share: float | None
+    n_sim: int
+    invented_share: float | None
 
 
 class Caution(Result):
-    """What limits the trust in the numbers.
+    """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, pairs, independence, partition, alignment, or floor (that none is known)
+    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (none is known)
     words : in one sentence
     """
 
@@ -356,36 +344,33 @@ class Caution(Result):
 
 
 class ObjectOverview(Result):
-    """What the objects of all scored pairs say at a glance; see `pipeline.results.overview` for the rules.
+    """Overview of the objects and pieces of all scored pairs; see `pipeline.results.overview` for the rules.
 
-    class_is : "class" where objects are labelled, else "shape"
+    causes : what to fix first, most severe first
+    pieces : the largest pieces
+    surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
-    worst : the three worst objects
-    failings : the three commonest failings
     """
 
-    class_is: str
-    verdict: Verdict
+    causes: tuple[Cause, ...]
+    pieces: tuple[Piece, ...]
+    surface: tuple[SurfaceGroup, ...]
     n_aligned: int
     n_badly_aligned: int
-    worst: tuple[WorstObject, ...]
-    failings: tuple[Failing, ...]
 
 
 class Overview(ObjectOverview, _Key):  # in this order the key comes first in JSON
-    """The answer to what a person asks first of a run.
+    """The first answer of a run.
 
     key : hash of all that the objects' part was made from; another key asks for a new one
-    numbers : match rate, CDC, r_lambda, r_gap, and the share of real points that is covered within 0.3 m
-    trust : what limits the trust in them
+    trust : limits to the trust in the numbers, most important first
     """
 
-    numbers: tuple[HeadlineNumber, ...]
     trust: tuple[Caution, ...]
 
     @classmethod
     def recorded(cls, values: object) -> Overview | None:
-        """The overview of an earlier record; None where it has none, or another version of fidpipe wrote it."""
+        """The overview of an earlier record; None if it has none, or another version of fidpipe wrote it."""
         try:
             return cls.model_validate(values) if values else None
         except ValidationError:

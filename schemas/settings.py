@@ -171,6 +171,11 @@ class GroundSettings(_Group):
         "removed", description="scatter of the removed points along the axis, or relative change of the total variance"
     )
     shared: bool = Field(False, description="cut both sides with the real side's axis and threshold (method pca)")
+    peak: Literal["own", "real"] = Field(
+        "own",
+        description="road of the simulated side: its own fullest window; or axis, peak and threshold of the real side, "
+        "moved by the height of the simulated road above the real one (of no effect with shared = true)",
+    )
 
     @model_validator(mode="after")
     def _shared_needs_pca(self) -> GroundSettings:
@@ -203,6 +208,12 @@ class CommunitySettings(_Group):
         "louvain",
         description="objects of the real side: communities, connected pieces of one label, or the input's instances",
     )
+    leave_out: tuple[str, ...] = Field(
+        ("0", "unlabelled", "unlabeled", "void"),
+        description="reference labels or instances: classes of the real side whose points belong to no object, by name "
+        "in any case (by number if labels.toml has no name); unlabelled also stands for points without a label",
+        examples=[["0", "unlabelled", "road"]],
+    )
     reach_m: Annotated[
         float,
         Field(
@@ -213,6 +224,15 @@ class CommunitySettings(_Group):
     min_points: Annotated[
         int, Field(ge=1, description="points that a simulated object, or a piece of one label, has at least to count")
     ] = 8
+
+    @field_validator("leave_out", mode="before", json_schema_input_type=tuple[str, ...] | str)
+    @classmethod
+    def _split_classes(cls, value: Any) -> Any:
+        """`0,road` is read as a list, and numbers are read as text."""
+        value = value.split(",") if isinstance(value, str) else [value] if isinstance(value, int) else value
+        if not isinstance(value, list | tuple):
+            return value
+        return [str(name).strip().lower() for name in value if str(name).strip()]
 
     @model_validator(mode="after")
     def _annotations_need_reference(self) -> CommunitySettings:
@@ -228,6 +248,19 @@ class MatchingSettings(_Group):
     method: Literal["greedy", "optimal"] = Field(
         "greedy", description="Algorithm 1, or most matches at least total distance"
     )
+
+
+class PieceSettings(_Group):
+    """What counts as a missing or invented piece of surface."""
+
+    reach_m: Annotated[
+        float, Field(gt=0, description="object points with nothing of the other side this near are in pieces")
+    ] = 1.0
+    link_m: Annotated[
+        float,
+        Field(gt=0, description="points this near to each other are of one piece, or of one hallucinated object"),
+    ] = 0.6
+    min_points: Annotated[int, Field(ge=1, description="points that a piece has at least")] = 10
 
 
 class SelectionSettings(_Group):
@@ -317,6 +350,7 @@ class Settings(_Group):
     graph: GraphSettings = GraphSettings()
     communities: CommunitySettings = CommunitySettings()
     matching: MatchingSettings = MatchingSettings()
+    pieces: PieceSettings = PieceSettings()
     selection: SelectionSettings = SelectionSettings()
     metrics: MetricsSettings = MetricsSettings()
     stability: StabilitySettings = StabilitySettings()
@@ -335,7 +369,11 @@ class Settings(_Group):
 #: objects on the real side, for comparing simulators.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {},
-    "reference": {"graph": {"ties": "coordinates"}, "communities": {"objects": "reference"}},
+    "reference": {
+        "ground": {"peak": "real"},
+        "graph": {"ties": "coordinates"},
+        "communities": {"objects": "reference"},
+    },
 }
 
 #: What the objects of each preset are.

@@ -103,6 +103,7 @@ def _line(name: str, value: Any, allowed: str) -> str:
 def _markdown(value: Any) -> str:
     if value is None or value == ():
         return "none"
+    value = ",".join(value) if isinstance(value, tuple) else value
     return f"`{str(value).lower() if isinstance(value, bool) else f'{value:g}' if isinstance(value, float) else value}`"
 
 

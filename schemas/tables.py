@@ -33,6 +33,7 @@ from .metrics import (
     OBJECT_METRICS,
     OBJECT_SCORES,
     PAIR_SCORES,
+    PIECE_SCORES,
     SHIFT_COLUMNS,
     SURFACE_SCORES,
     reach_words,
@@ -56,6 +57,35 @@ GROUND = Table(
         ]
     ),
     ("point_id",),
+)
+
+SENSOR = Table(
+    "sensor",
+    pa.schema(
+        [
+            PAIR,
+            SIDE,
+            column("model", STRING, "known sensor with these beams", optional=True),
+            column("n_beams", INT32, "beams", optional=True),
+            column("lowest_deg", FLOAT64, "elevation of the lowest beam", "deg", optional=True),
+            column("highest_deg", FLOAT64, "elevation of the highest beam", "deg", optional=True),
+            column(
+                "origin_height_m",
+                FLOAT64,
+                "height above the origin of the file's frame at which beams start; the mean of two blocks",
+                "m",
+                optional=True,
+            ),
+            column("azimuth_step_deg", FLOAT64, "between two firings of a beam", "deg", optional=True),
+            column("range_quantum_m", FLOAT64, "ranges are multiples of it; null if none is seen", "m", optional=True),
+            column("range_noise_m", FLOAT64, "standard deviation along the ray on smooth surfaces", "m", optional=True),
+            column(
+                "lost_share", FLOAT64, "share of the pulses within visible surfaces that have no return", optional=True
+            ),
+            column("reason", STRING, "why a value is null", optional=True),
+        ]
+    ),
+    ("side",),
 )
 
 GRAPH = Table(
@@ -199,6 +229,31 @@ SURFACE = Table(
     ("real_id",),
 )
 
+PIECES = Table(
+    "pieces",
+    pa.schema(
+        [
+            PAIR,
+            column("side", STRING, "real: the piece is missing; sim: it is invented"),
+            column("piece_id", INT32, "piece of this side; 0 is the largest"),
+            column("n_points", INT32, "its points"),
+            *(column(f"c{axis}", FLOAT64, "centroid: mean of its points", "m") for axis in "xyz"),
+            column("range_m", FLOAT64, "distance of the centroid from the sensor", "m"),
+            column("bearing_deg", FLOAT64, "direction of the centroid: 0 ahead, 90 left, -90 right", "deg"),
+            *(column(f"extent_{axis}", FLOAT64, "axis-aligned size", "m") for axis in "xyz"),
+            column("height_m", FLOAT64, "height of its lowest point above the road of its side", "m"),
+            column("label", STRING, "most frequent label of its points", optional=True),
+            column("fate", STRING, "gone, or moved: a piece of similar size is missing and another invented nearby"),
+            column("partner_id", INT32, "piece of the other side that it moved to or from", optional=True),
+            *(
+                column(f"moved_{axis}_m", FLOAT64, "vector from the real to the simulated piece", "m", optional=True)
+                for axis in "xyz"
+            ),
+        ]
+    ),
+    ("side", "piece_id"),
+)
+
 BASELINES = Table(
     "baselines",
     pa.schema(
@@ -274,7 +329,15 @@ def _pairs_schema() -> pa.Schema:
             number(f"{metric}_mean", f"mean of {metric} over the objects"),
             number(f"{metric}_std", f"standard deviation (n - 1) of {metric} over the objects"),
         ]
-    fields += [score_column(metric) for metric in (*COVERAGE_SCORES, *SURFACE_SCORES)]
+    fields += [score_column(metric) for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)]
+    for side in SIDES:
+        fields += [
+            count(f"sensor_{side}_beams", "beams of the sensor, estimated from the scan"),
+            number(f"sensor_{side}_azimuth_step_deg", "angle between two firings of a beam", "deg"),
+            number(f"sensor_{side}_range_quantum_m", "ranges are multiples of it; null if none is seen", "m"),
+            number(f"sensor_{side}_range_noise_m", "standard deviation along the ray on smooth surfaces", "m"),
+            number(f"sensor_{side}_lost_share", "share of the pulses within visible surfaces that have no return"),
+        ]
     return pa.schema(fields)
 
 
@@ -289,7 +352,7 @@ TIMINGS = Table(
             column(
                 "stage",
                 STRING,
-                "ground, graph, communities, matching, coverage, surface, selection, metrics, baselines or seeds",
+                "name of the stage, such as ground",
             ),
             column("step", STRING, "read, write, or a step of the method"),
             column("seconds", FLOAT64, "wall time of the step", "s"),
@@ -303,7 +366,7 @@ TIMINGS = Table(
 TABLES = {
     table.name: table
     for table in (
-        *(GROUND, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, SELECTION, METRICS),
+        *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, SELECTION, METRICS),
         *(BASELINES, SEEDS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )

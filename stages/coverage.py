@@ -87,7 +87,7 @@ def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: Boo
     Parameters
     ----------
     distance_m : (n,) float64, of each point to the other side
-    labels : (n,) int32, object of each point, ids from 0
+    labels : (n,) int32, object of each point, ids from 0; -1 for none
     n_ids : how many ids there are at least
     is_road : (n,) bool, points that are road to the other side, see `below_cut`; None if that is not known
 
@@ -97,6 +97,8 @@ def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: Boo
     >>> cover(np.array([0.05, 0.5]), np.zeros(2, dtype=np.int32)).covered.tolist()
     [[0.5, 0.5, 1.0]]
     """
+    inside = labels >= 0
+    distance_m, labels, is_road = distance_m[inside], labels[inside], None if is_road is None else is_road[inside]
     n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
     with np.errstate(invalid="ignore"):
         covered = np.column_stack(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings
@@ -19,6 +20,9 @@ NEAR_M = 30.0
 WINDOW_M = 0.1
 STEP_M = 0.05
 DEPTH_M = 1.0
+CELL_M = 0.5
+MIN_COMMON_CELLS = 20
+PEAKS_APART_M = 0.05
 _ROUNDING_M = 1e-9
 
 
@@ -46,7 +50,12 @@ class GroundResult:
     notes: tuple[str, ...] = ()
 
 
-def remove_ground(points: FloatArray, settings: GroundSettings, shared: GroundResult | None = None) -> GroundResult:
+def remove_ground(
+    points: FloatArray,
+    settings: GroundSettings,
+    shared: GroundResult | None = None,
+    real_points: FloatArray | None = None,
+) -> GroundResult:
     """Ground flags of a scan by a cut through its heights.
 
     The PCA axis nearest +Z gives heights h = p . axis (+Z itself if the axis is tilted by more than 10 degrees).
@@ -62,7 +71,9 @@ def remove_ground(points: FloatArray, settings: GroundSettings, shared: GroundRe
     ----------
     points : (n, 3) float64, metres, cleaned
     settings : method and thresholds
-    shared : the cut of the real side, to be applied as it is (`ground.shared`)
+    shared : the cut of the real side, applied unchanged (`ground.shared`), or moved by the height of this side's road
+        above the real one if `real_points` are given (`ground.peak = "real"`)
+    real_points : (m, 3) float64, metres, cleaned points of the real side
 
     Raises
     ------
@@ -75,6 +86,13 @@ def remove_ground(points: FloatArray, settings: GroundSettings, shared: GroundRe
             "look at the dropped points in fidpipe check, and at input.min_range_m and input.max_range_m"
         )
     notes: list[str] = []
+    if shared is not None and real_points is not None:
+        shared = _follow_road(shared, real_points, points)
+        if shared is None:
+            notes.append(
+                f"fewer than {MIN_COMMON_CELLS} cells within {NEAR_M:.0f} m hold points of both sides; "
+                "the road's peak is that of this side alone"
+            )
     if shared is not None:
         axis, tilt_deg = shared.axis, shared.tilt_deg
         height = points @ axis
@@ -117,6 +135,18 @@ def remove_ground(points: FloatArray, settings: GroundSettings, shared: GroundRe
     return GroundResult(is_ground, height - peak_m, axis, tilt_deg, peak_m, threshold_m, loss, iterations, tuple(notes))
 
 
+def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) -> str:
+    """A note if the sides are cut at road peaks of their own that differ by more than 5 cm, else ""."""
+    above_m = sim_peak_m - real_peak_m
+    if settings.shared or settings.peak == "real" or abs(above_m) <= PEAKS_APART_M:
+        return ""
+    return (
+        f"the simulated road's peak is {100 * abs(above_m):.0f} cm {'above' if above_m > 0 else 'below'} the real one, "
+        "and each side is cut at its own: strips of road may remain as objects. Correct the height of the simulated "
+        "scan, or set ground.peak=real"
+    )
+
+
 def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
     """The principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
     from sklearn.decomposition import PCA
@@ -135,6 +165,26 @@ def _fullest_window_median(height: FloatArray) -> float:
     end = np.searchsorted(in_order, in_order + WINDOW_M, side="right")
     start = int(np.argmax(end - np.arange(len(in_order))))
     return float(np.median(in_order[start : end[start]]))
+
+
+def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> GroundResult | None:
+    """The real side's cut moved by the height of the simulated road above the real one; None if they share no road.
+
+    The plane x, y is divided into cells of 0.5 m. In each cell with points of both sides within 30 m, the difference of
+    the median heights is taken; the road's is the median of the fullest 0.1 m window over these differences. Walls and
+    holes change single cells, and a slope changes both sides alike. At least 20 such cells are needed.
+    """
+    near = [side[np.linalg.norm(side, axis=1) <= NEAR_M] for side in (real, sim)]
+    cells = np.floor(np.vstack(near)[:, :2] / CELL_M).astype(np.int64)
+    cells = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    of_real, of_sim = cells[: len(near[0])], cells[len(near[0]) :]
+    common = np.intersect1d(of_real, of_sim)
+    if len(common) < MIN_COMMON_CELLS:
+        return None
+    above = ndimage.median(near[1] @ cut.axis, of_sim, common) - ndimage.median(near[0] @ cut.axis, of_real, common)
+    offset_m = _fullest_window_median(above)
+    threshold_m = None if cut.threshold_m is None else cut.threshold_m + offset_m
+    return replace(cut, peak_m=cut.peak_m + offset_m, threshold_m=threshold_m)
 
 
 def _lower_threshold(

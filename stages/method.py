@@ -17,7 +17,7 @@ from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS, SHIFT_COLUMNS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
-from .clean import CleanResult, clean_scan
+from .clean import CleanResult, as_ros, clean_scan
 from .communities import find_communities
 from .coverage import cover, nearest_distances
 from .graph import build_graph
@@ -26,6 +26,7 @@ from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
+from .pieces import CutScan, Pieces, count_pieces, find_pieces
 from .reference import (
     Annotation,
     ReferenceObjects,
@@ -34,6 +35,7 @@ from .reference import (
     visiting_order,
 )
 from .selection import Selection, select_nodes
+from .sensing.sensor import describe_sensor, pair_columns
 from .summary import summarise_pair
 from .surface import compare_roughness, describe_surface, measure_offsets
 
@@ -58,15 +60,16 @@ def evaluate(
     StageError
         A side has fewer than 8 points after cleaning or after ground removal.
     """
-    own, shares_cut = settings.input, settings.ground.shared
+    own, ground = settings.input, settings.ground
 
     # Measurements only, both sides in the real sensor's frame
     clean_real = clean_scan(real, own, frame=own.frame_of("real"))
     clean_sim = clean_scan(sim, own, frame=own.frame_of("sim"), T_real_sim=T_real_sim)
 
     # "Data Collection and Graph Build-up": the PCA Z-cut takes the road away
-    cut_real = remove_ground(clean_real.points, settings.ground)
-    cut_sim = remove_ground(clean_sim.points, settings.ground, cut_real if shares_cut else None)
+    cut_real = remove_ground(clean_real.points, ground)
+    real_cut = cut_real if ground.shared or ground.peak == "real" else None
+    cut_sim = remove_ground(clean_sim.points, ground, real_cut, None if ground.shared else clean_real.points)
 
     # "Graphs as Metrics": each side becomes a graph, and its communities are its objects
     objects_real = partition(clean_real.points[~cut_real.is_ground], settings)
@@ -75,9 +78,21 @@ def evaluate(
     # "Graph-Based Validation Metrics": the objects that both sides have are scored
     scores = compare(objects_real, objects_sim, settings)
 
-    # Not the paper's: how much of each surface the other side has, how far apart they are, and how rough
+    # Not the paper's: how much of each surface the other side has, how far apart they are, how rough, and in which
+    # pieces it is missing or invented
     surfaces = compare_surfaces(objects_real.points, objects_sim.points)
-    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces)
+    scan_real = CutScan(clean_real.points, cut_real.is_ground, cut_real.height_m)
+    scan_sim = CutScan(clean_sim.points, cut_sim.is_ground, cut_sim.height_m)
+    pieces = find_pieces(scan_real, scan_sim, settings.pieces)
+    surfaces |= count_pieces(*pieces)
+
+    # Not the paper's: the sensor of each side, estimated in its own frame
+    sensors = [
+        pair_columns(describe_sensor(as_ros(points, own.frame_of(side))), side)
+        for side, points in zip(SIDES, (real, sim), strict=True)
+    ]
+    surfaces |= sensors[0] | sensors[1]
+    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces, pieces)
 
 
 def partition(
@@ -94,7 +109,7 @@ def partition(
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
-    settings : of the graph and the communities
+    settings : of the graph, the communities and the pieces
     edges : the graph of these points, where it is known already; such as for another seed of the communities
     reference : of the simulated side, the real side's objects; unused where `communities.objects` is "independent"
     annotation : of the real side, labels and instances of these points, where `communities.reference` asks for them
@@ -110,7 +125,7 @@ def partition(
         elif reference is None:
             labels = find_reference_objects(points, edges, own, annotation)
         else:
-            labels = assign_to_reference(points, edges, reference, own)
+            labels = assign_to_reference(points, reference, own, settings.pieces.link_m)
     with watch("describe"):
         objects = describe(points, labels, settings, 0 if reference is None else reference.n_objects)
     return PartitionedScan(points, edges, labels, objects)
@@ -287,7 +302,8 @@ class Evaluation:
     cut_real, cut_sim : which of these are ground
     objects_real, objects_sim : the others, their graph and their communities
     scores : of the pair
-    surfaces : of the pair, whatever the objects are
+    surfaces : coverage, displacement, roughness, pieces and sensors, by column of `pairs`; regardless of the objects
+    pieces : missing and invented ones
     """
 
     clean_real: CleanResult
@@ -298,6 +314,7 @@ class Evaluation:
     objects_sim: PartitionedScan
     scores: PairScores
     surfaces: dict[str, Number]
+    pieces: tuple[Pieces, Pieces]
 
 
 def _summarise(

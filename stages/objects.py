@@ -40,7 +40,7 @@ def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Ob
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
-    labels : (n,) int32, ids from 0
+    labels : (n,) int32, ids from 0; -1 for none
     n_ids : how many ids there are at least; those that no point has have no points
 
     Examples
@@ -50,6 +50,7 @@ def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Ob
     >>> objects.n_points.tolist(), objects.range_m.tolist(), objects.shape[0].tolist()
     ([2, 1], [4.0, 9.0], [1.0, 0.0, 0.0])
     """
+    points, labels = points[labels >= 0], labels[labels >= 0]
     order = np.argsort(labels, kind="stable")
     n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
     members = np.split(points[order], np.cumsum(n_points)[:-1])
@@ -65,13 +66,13 @@ def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -
 
     Parameters
     ----------
-    labels : (n,) int32, community of each point, ids from 0
+    labels : (n,) int32, community of each point, ids from 0; -1 for none
     n_ids : how many ids there are at least
     names : (n,) class of each point, None where it has none
     """
     counts: list[dict[str, int]] = [{} for _ in range(max(n_ids, int(labels.max()) + 1))]
     for community, name in zip(labels.tolist(), names, strict=True):
-        if name is not None:
+        if name is not None and community >= 0:
             counts[community][name] = counts[community].get(name, 0) + 1
     return [min(count, key=lambda name: (-count[name], name)) if count else None for count in counts]
 

@@ -15,9 +15,9 @@ from sklearn.utils import murmurhash3_32
 
 from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
-from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .arrays import FloatArray, IndexArray, IntArray
 from .communities import canonical_ids, find_communities
-from .linalg.subgraph import Edges, connected_pieces
+from .linalg.subgraph import Edges, connected_pieces, connected_points
 
 #: Where a scan has what the settings may ask for.
 _WHERE = {
@@ -44,7 +44,7 @@ class ReferenceObjects:
     """What the real side says about which objects there are.
 
     points : (m, 3) float64, metres, its object points, at least one
-    labels : (m,) int32, object of each, ids from 0 without gaps
+    labels : (m,) int32, object of each, ids from 0 without gaps; -1 for none
     """
 
     points: FloatArray
@@ -59,27 +59,27 @@ class ReferenceObjects:
 def find_reference_objects(
     points: FloatArray, edges: Edges, settings: CommunitySettings, annotation: Annotation | None = None
 ) -> IntArray:
-    """The object of each point of the real side, (n,) int32; it does not depend on the order of rows.
+    """The object of each point of the real side, (n,) int32, -1 for none; it does not depend on the order of rows.
 
     louvain : communities, nodes visited in the order of `visiting_order` (python-louvain draws an order of its own)
     labels : connected pieces of one label; points are connected by edges of the graph that are at most reach_m long.
-        Points without a label are pieces too. One of fewer than min_points points goes to the nearest larger piece of
-        its label, if there is one
+        One of fewer than min_points points goes to the nearest larger piece of its label, if there is one
     instances : points of one label and one instance; those without an instance fall into pieces as above
 
-    Ids are by size descending, of equal sizes by first point in visiting order.
+    Of labels and instances, points of the classes in `leave_out` belong to no object, -1. Ids are by size descending,
+    of equal sizes by first point in visiting order.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
     edges : of their graph
-    settings : reference, seed, backend, reach_m, min_points
+    settings : reference, leave_out, seed, backend, reach_m, min_points
     annotation : of the same points; needed for labels and instances
 
     Raises
     ------
     StageError
-        The real side has no labels or instances, and the settings ask for them.
+        The real side has no labels or instances, and the settings ask for them; or all its classes are left out.
     """
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
@@ -91,37 +91,48 @@ def find_reference_objects(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
             f"{_WHERE[settings.reference]}; or set communities.reference=louvain"
         )
-    names = ["" if label is None else str(label) for label in ([] if annotation.labels is None else annotation.labels)]
+    own = () if annotation.labels is None else annotation.labels
+    names = ["unlabelled" if label is None else str(label) for label in own]
     classes = np.unique(names, return_inverse=True)[1].ravel() if names else np.zeros(len(points), dtype=np.intp)
     things = annotation.instances if settings.reference == "instances" else None
     things = np.zeros(len(points), dtype=np.int32) if things is None else things
     codes = np.unique(np.column_stack([classes, things]), axis=0, return_inverse=True)[1].ravel()
     pieces = _without_crumbs(points, _pieces(len(points), edges, codes, settings.reach_m), codes, settings.min_points)
-    return canonical_ids(np.where(things > 0, len(points) + codes, pieces), order)
+    objects = canonical_ids(np.where(things > 0, len(points) + codes, pieces), order)
+    kept = np.array([name.lower() not in settings.leave_out for name in names] or [True] * len(points))
+    if not kept.any():
+        raise StageError(
+            "all object points of the real side are of classes that communities.leave_out names "
+            f"({', '.join(sorted(set(names)))}); name fewer"
+        )
+    objects[~kept] = -1
+    objects[kept] = np.unique(objects[kept], return_inverse=True)[1].ravel()
+    return objects
 
 
 def assign_to_reference(
-    points: FloatArray, edges: Edges, reference: ReferenceObjects, settings: CommunitySettings
+    points: FloatArray, reference: ReferenceObjects, settings: CommunitySettings, link_m: float
 ) -> IntArray:
     """The object of each point of the simulated side: real ones by their ids, then those far from any.
 
-    A point belongs to the object of its nearest real point (of equally near ones the first by x, y, z) if that is at
-    most reach_m away. Those out of reach are divided by Louvain's method on the edges among them; groups of at least
-    min_points become objects of their own, points of smaller ones go to the object of their nearest real point.
+    A point belongs to the object of its nearest real point (of equally near ones the first by x, y, z), or to none (-1)
+    like that point, if that is at most reach_m away. Those out of reach form connected components, as surface pieces
+    do: points at most link_m apart are linked. Components of at least min_points become objects of their own, points of
+    smaller ones go to the object of their nearest real point.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, simulated, at least one
-    edges : of their graph
     reference : points and objects of the real side
-    settings : reach_m, min_points, seed, backend
+    settings : reach_m, min_points, seed
+    link_m : of the settings `pieces`
     """
-    nearest, distance_m = _nearest(reference.points, points)
+    nearest, distance_m = nearest_points(reference.points, points)
     labels = reference.labels[nearest].astype(np.int32)
     outside = np.flatnonzero(distance_m > settings.reach_m)
     if len(outside):
         order = visiting_order(points[outside], settings.seed)
-        groups = find_communities(len(outside), _edges_among(outside, len(points), edges), settings, order=order).labels
+        groups = canonical_ids(connected_points(points[outside], link_m), order)
         is_object = (np.bincount(groups) >= settings.min_points)[groups]  # the largest groups have the first ids
         labels[outside[is_object]] = reference.n_objects + groups[is_object]
     return labels
@@ -161,14 +172,14 @@ def _without_crumbs(points: FloatArray, pieces: IndexArray, codes: IndexArray, m
         large, small = (np.flatnonzero((codes == code) & chosen) for chosen in (is_large, ~is_large))
         if len(large):
             ids, of_small = np.unique(pieces[small], return_inverse=True)
-            nearest, distance_m = _nearest(points[large], points[small])
+            nearest, distance_m = nearest_points(points[large], points[small])
             closest = np.lexsort((*points[small].T[::-1], distance_m, of_small))
             place = np.searchsorted(of_small[closest], np.arange(len(ids)))
             joined[small] = pieces[large[nearest[closest[place]]]][of_small]
     return joined
 
 
-def _nearest(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
+def nearest_points(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
     """Index and distance of each point's nearest reference point, (n,), of equally near ones the first by x, y, z."""
     tree = cKDTree(reference)
     distance_m, nearest = tree.query(points, k=min(2, len(reference)))
@@ -179,12 +190,3 @@ def _nearest(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, Flo
         squared = ((reference[ball] - points[i]) ** 2).sum(axis=1)
         nearest[i, 0] = ball[np.lexsort((*reference[ball].T[::-1], squared))[0]]
     return nearest[:, 0], distance_m[:, 0]
-
-
-def _edges_among(nodes: IndexArray, n_nodes: int, edges: Edges) -> Edges:
-    """The edges among some nodes, ascending, by index into these."""
-    index_of = np.full(n_nodes, -1, dtype=np.int32)
-    index_of[nodes] = np.arange(len(nodes), dtype=np.int32)
-    src, dst = index_of[edges.src], index_of[edges.dst]
-    inside: BoolArray = (src >= 0) & (dst >= 0)
-    return Edges(src[inside], dst[inside], edges.length_m[inside])

@@ -37,6 +37,7 @@ def summarise_pair(
         "n_identical": statuses.count("identical"),
         "n_too_small": statuses.count("too_small"),
         "match_rate": n_matched / (n_matched + max(n_missing, n_hallucinated)),
+        "found": n_matched / (n_matched + n_missing),
         "median_range_matched_m": _median(matched_range_m),
         "median_range_unmatched_m": _median(np.concatenate([missing_range_m, hallucinated_range_m])),
     }

@@ -127,8 +127,8 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     Parameters
     ----------
     real, sim : both sides, in the real sensor's frame
-    labels : (n,) int32, object of each real point by row of the input, ids from 0; None for the side as a whole, which
-        gives one row
+    labels : (n,) int32, object of each real point by row of the input, ids from 0, -1 for none; None for the side as a
+        whole, which gives one row
 
     Examples
     --------
@@ -141,8 +141,9 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     """
     of_sample = np.zeros(len(real.normal), dtype=np.int32) if labels is None else labels[real.rows[: len(real.normal)]]
     n_ids = 1 if labels is None else int(labels.max(initial=-1)) + 1
-    ids, normal = of_sample[real.is_plane], real.normal[real.is_plane]
-    points = real.points[: len(real.normal)][real.is_plane]
+    chosen = real.is_plane & (of_sample >= 0)
+    ids, normal = of_sample[chosen], real.normal[chosen]
+    points = real.points[: len(real.normal)][chosen]
     shift, gap, covered = np.zeros((n_ids, 3)), np.zeros_like(points), np.zeros(len(points), dtype=np.bool_)
     moves = np.ones(n_ids, dtype=np.bool_)
     for _ in range(_MOST_STEPS):

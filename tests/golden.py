@@ -11,6 +11,9 @@ from pathlib import Path
 import pandas as pd
 
 from fidpipe.pipeline.jobs import STAGES
+from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.sensor import describe_sensor, sensor_row
+from fidpipe.stages.sensing.sensor_models import SENSORS
 from runs import run
 from scenes import write_dataset
 
@@ -25,15 +28,18 @@ def measure():
         rows = run(dataset, out).rows
         frames = {stage.name: pd.read_parquet(out / stage.name) for stage in STAGES}
         objects = pd.read_parquet(out / "objects")
+    described = sensor_row(describe_sensor(make_pair(0, 0, SENSORS["vlp16"], 20_000).real.rows[:, :3].astype(float)))
     numbers = {
         "ground": [
             [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))] for row in rows
         ],
+        "sensor": [[value for value in described.values() if isinstance(value, int | float)]],
         "graph": frames["graph"].groupby(["pair_id", "side"])[["src", "dst", "length_m"]].sum().astype(float),
         "communities": objects.drop(columns=["pair_id", "side", "label"]).astype(float),
         "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]].astype(float).fillna(-1.0),
         "coverage": frames["coverage"].drop(columns=["pair_id", "side"]).astype(float).fillna(-1.0),
         "surface": frames["surface"].drop(columns=["pair_id"]).astype(float).fillna(-1.0),
+        "pieces": frames["pieces"].drop(columns=["pair_id", "side", "label", "fate"]).astype(float).fillna(-1.0),
         "selection": frames["selection"].groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]].sum(),
         "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
     }

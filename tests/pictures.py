@@ -19,6 +19,7 @@ from fidpipe.schemas.metrics import METRIC
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
 from fidpipe.stages.ground import WINDOW_M
+from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.surface import describe_surface, measure_offsets
 from object_pictures import (
     GOOD_ALIGNMENT_M,
@@ -94,6 +95,31 @@ def draw_ground(view, path):
         heights.set_title(
             f"variance loss {view.row.ground_real_loss:.4f}, lowered {view.row.ground_real_iterations} times"
         )
+        save(figure, path)
+
+
+def sensor(axis, view):
+    """Points of both sides by elevation: a peak for each beam."""
+    for side in SIDES:
+        points = view.run.points(view.pair_id, side)
+        elevation = np.degrees(np.arctan2(points.z, np.hypot(points.x, points.y)))
+        shares = np.full(len(points), 100 / len(points))
+        style_of = {"color": SIDE_COLOURS[side], "histtype": "step", "linewidth": 0.7, "label": WORDS[side]}
+        axis.hist(elevation, np.arange(-26, 16, 0.1), weights=shares, **style_of)
+    axis.set(xlabel="elevation (degrees)", ylabel="points (%), by 0.1 degrees")
+    axis.set_title("points by elevation")
+
+
+def draw_sensor(view, path):
+    """Points by elevation, and noise and losses of both sides."""
+    with style.new_figure(8.4, 3.4) as figure:
+        beams, noise, lost = figure.subplots(1, 3, width_ratios=(3, 1, 1))
+        sensor(beams, view)
+        beams.legend(loc="upper left")
+        for axis, name, factor, unit in ((noise, "range_noise_m", 1e3, "mm"), (lost, "lost_share", 100, "%")):
+            values = [factor * view.row[f"sensor_{side}_{name}"] for side in SIDES]
+            axis.bar([WORDS[side] for side in SIDES], values, color=[SIDE_COLOURS[side] for side in SIDES])
+            axis.set_title(f"{name.rsplit('_', 1)[0].replace('_', ' ')} ({unit})")
         save(figure, path)
 
 
@@ -239,6 +265,31 @@ def draw_surface(view, path):
         save(figure, path)
 
 
+def pieces(axis, view, side="real"):
+    """The object points of a side from above in grey, its pieces each in a colour."""
+    points = {own: view.run.points(view.pair_id, own) for own in SIDES}
+    scans = [
+        CutScan(own[["x", "y", "z"]].to_numpy(), own.is_ground.to_numpy(), own.height_m.to_numpy())
+        for own in points.values()
+    ]
+    found = find_pieces(*scans, Settings().pieces)[SIDES.index(side)]
+    inside = found.labels >= 0
+    style.dots(axis, view.points[side], 0.6, "#dddddd")
+    places = points[side][["x", "y", "z"]].to_numpy()[inside]
+    style.dots(axis, places, 1.5, style.community_colours(len(found.partner))[found.labels[inside]])
+    word = "missing" if side == "real" else "invented"
+    axis.set_title(f"{len(found.partner)} {word} pieces, {100 * found.share:.1f} % of the {WORDS[side]} points")
+    style.from_above(axis, view.frame)
+
+
+def draw_pieces(view, path):
+    """The missing and the invented pieces."""
+    with style.new_figure(8.4, 3.6) as figure:
+        for axis, side in zip(figure.subplots(1, 2, sharex=True, sharey=True), SIDES, strict=True):
+            pieces(axis, view, side)
+        save(figure, path)
+
+
 def selection(axis, view, side="real"):
     """One object by the influence of its kept nodes; the others as rings."""
     own, nodes = view.own.graphs[side], view.own.nodes[side]
@@ -313,21 +364,25 @@ def draw_metrics(view, path):
 #: How the result of each stage is drawn, by its name.
 STAGE_PANELS = {
     "ground": ground,
+    "sensor": sensor,
     "graph": graph,
     "communities": communities,
     "matching": matching,
     "coverage": coverage,
     "surface": surface,
+    "pieces": pieces,
     "selection": selection,
     "metrics": metrics,
 }
 STAGE_PICTURES = {
     "ground": draw_ground,
+    "sensor": draw_sensor,
     "graph": draw_graph,
     "communities": draw_communities,
     "matching": draw_matching,
     "coverage": draw_coverage,
     "surface": draw_surface,
+    "pieces": draw_pieces,
     "selection": draw_selection,
     "metrics": draw_metrics,
 }
@@ -344,12 +399,14 @@ def fill_panel(axis):
 
 def draw_pipeline(view, path):
     """What each stage makes of the same pair, in order."""
-    with style.new_figure(9.6, 4) as figure:
-        axes = figure.subplots(2, 4).ravel()
-        for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=True), 1):
+    with style.new_figure(9.6, 3.4) as figure:
+        axes = figure.subplots(2, -(-len(STAGE_PANELS) // 2)).ravel()
+        for spare in axes[len(STAGE_PANELS) :]:
+            spare.set_axis_off()
+        for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=False), 1):
             panel(axis, view)
             axis.set(title=f"{number} {name}", xlabel="", ylabel="")
-            if name == "ground":
+            if name in ("ground", "sensor"):
                 axis.set_box_aspect(PANEL_SHAPE)
             else:
                 fill_panel(axis)

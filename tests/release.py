@@ -162,7 +162,7 @@ def try_dockerfile(folder):
         as_user = [shutil.which("setpriv"), f"--reuid={user[0]}", f"--regid={user[1]}", "--clear-groups"]
         entry = ["unshare", "--net", sys.executable, "-c", LOOPBACK, *as_user, *entry]
     told = run(*entry, "run", "dataset", cwd=work, env=variables | {"PATH": os.defpath})
-    demand("In five numbers" in told, told)
+    demand("Fix first" in told, told)
     return f"{n_steps} steps with {python}" + (f"; a run as user {user[0]} without network" if os.getuid() == 0 else "")
 
 

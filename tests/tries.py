@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import psutil
 import pytest
 
-from runs import FIDPIPE, assert_same_tables, command, tables
+from runs import FIDPIPE, assert_same_tables, own_process, tables
 
 ALL = os.environ.get("FIDPIPE_FAULTS") == "all"
 _OWN_FILES = {".lock", ".writer"}  # of a run's folder, beginning with a dot, that stay
@@ -162,7 +162,7 @@ def n_lost(out, undisturbed):
 def assert_resumes(dataset, out, undisturbed, tally=None, fault="", workers=1, words=(), code=0):
     """The next run ends with this code and the tables of an undisturbed one; gives what it said."""
     begun = time.monotonic()
-    again = command("run", dataset, "--out", out, "--workers", workers, *words)
+    again = own_process("run", dataset, "--out", out, "--workers", workers, *words)
     seconds = time.monotonic() - begun
     assert again.returncode == code, again.stderr
     assert "Traceback" not in again.stderr

@@ -110,7 +110,7 @@ def compare(
         typer.Option(
             "--fail-on",
             metavar="worse|undecided",
-            help="Exit with 4 if a score is worse or a pair no longer scored; undecided: or a score cannot be judged.",
+            help="Exit with 4 if a family is worse or mixed, or a pair fails now; undecided: or nothing is decided.",
         ),
     ] = None,
     junit: Annotated[
@@ -126,18 +126,23 @@ def compare(
         bool, typer.Option("--by-date", help="With --history: in the order in which the runs were made.")
     ] = False,
     allow_different_settings: Annotated[
-        bool, typer.Option("--allow-different-settings", help="Compare runs all the same whose settings differ.")
+        bool, typer.Option("--allow-different-settings", help="Compare runs although their settings differ.")
     ] = False,
+    independent: Annotated[
+        bool,
+        typer.Option("--independent", help="Count neighbouring frames as independent: a decision about these only."),
+    ] = False,
+    all_: Annotated[bool, typer.Option("--all", help="Print every score, and objects by class and range.")] = False,
 ) -> None:
-    """Compare simulator versions on the same real scans: which scores, and which objects, got better or worse.
+    """Compare simulator versions on the same real scans: better, worse or mixed, in what, and which objects changed.
 
-    Differences are paired (Student's t over pairs, Holm over the scores). Real objects are followed from run to run:
-    those that vanished from the simulation, appeared in it, got better or worse.
+    Scores are decided in families: surface missing, surface invented, position, surface noise, sensor, objects. Each
+    has one test (exact sign flips over pairs, maxT over its scores), Holm over the families: of equal simulators any is
+    better or worse in 5 % of the comparisons or fewer. Neighbouring frames count once, see --independent.
 
-    Exit codes: 0 compared; 1 a run or setting is wrong; 2 wrong usage; 4 with --fail-on: a score is worse, moved to the
-    worse far beyond the noise, or a pair that the base has scored failed or is not compared. Of equal simulators
-    --fail-on worse failed in 0 to 5.5 % of 400 simulated comparisons (python benchmarks/false_alarms.py --of compare).
-    Fewer than 6 independent pairs show only breaks far beyond the noise; --fail-on undecided then fails.
+    Exit codes: 0 compared; 1 a run or setting is wrong; 2 wrong usage; 4 with --fail-on worse: a family is worse or
+    mixed, or a pair that the base has scored failed or is not compared; with --fail-on undecided also if nothing is
+    decided, for lack of independent pairs (fewer than 6 show only changes far beyond the noise) or of a clear change.
 
     Examples
     --------
@@ -178,9 +183,12 @@ def compare(
     page = html or (out and out / "compare.html")
     output = "json" if as_json else "markdown" if as_markdown else "csv" if as_csv else ""
     if history:
-        _history(runs, page, output, by_date=by_date, allow_different_settings=allow_different_settings)
+        options = {"by_date": by_date, "allow_different_settings": allow_different_settings, "independent": independent}
+        _history(runs, page, output, **options)
         return
-    comparisons = compare_runs(runs, allow_different_settings=allow_different_settings, floor=floor)
+    comparisons = compare_runs(
+        runs, allow_different_settings=allow_different_settings, floor=floor, independent=independent
+    )
     if page:
         write_whole(page, compare_page(comparisons, page.parent).encode())
     results = [judge_comparison(each, fail_on) for each in comparisons] if fail_on else []
@@ -189,7 +197,7 @@ def compare(
     elif output:
         sys.stdout.write((compare_markdown if output == "markdown" else compare_csv)(comparisons))
     else:
-        print_view(Group(compare_view(comparisons), *map(base_view, results)))
+        print_view(Group(compare_view(comparisons, with_all=all_), *map(base_view, results)))
     if results:
         suites = {f"{one.comparison.other} against {one.comparison.base}": one.checks for one in results}
         folder = out or runs[-1]
@@ -243,15 +251,13 @@ def verify(
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 
 
-def _history(
-    runs: list[Path], page: Path | None, output: str, *, by_date: bool, allow_different_settings: bool
-) -> None:
+def _history(runs: list[Path], page: Path | None, output: str, **options: bool) -> None:
     from ..report.page.compare import history_page
     from ..report.terminal.history import history_csv, history_markdown, history_view
     from ..results.history import read_history
     from ..storage.files import write_whole
 
-    history = read_history(runs, by_date=by_date, allow_different_settings=allow_different_settings)
+    history = read_history(runs, **options)
     if page:
         write_whole(page, history_page(history).encode())
     if output == "json":

@@ -26,7 +26,7 @@ def show(
     paper: Annotated[
         bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
     ] = False,
-    all_: Annotated[bool, typer.Option("--all", help="All tables of the run before its overview.")] = False,
+    all_: Annotated[bool, typer.Option("--all", help="All tables of the run before its first answer.")] = False,
     floor: Floor = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
@@ -36,7 +36,7 @@ def show(
 
     Examples
     --------
-    fidpipe show runs/dataset                  the overview that the run ended with; --all for every table
+    fidpipe show runs/dataset                  the first answer that the run ended with; --all for every table
 
     fidpipe show runs/dataset --paper          which of the paper's claims hold here
 
@@ -48,7 +48,7 @@ def show(
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
 
-    fidpipe show runs/dataset --markdown       the overview, for a merge request
+    fidpipe show runs/dataset --markdown       the first answer, for a merge request
 
     fidpipe show runs/dataset --csv > pairs.csv    one row per pair; of a pair one row per object
     """
@@ -94,7 +94,7 @@ def report(
 ) -> None:
     """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
 
-    RUN/report.html: verdict, scores, missing and invented objects, tables, the points of some pairs in 3D (the worst,
+    RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs in 3D (the worst,
     the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG, SVG and PDF.
 
     An address that ends in #pair=0007&object=real%203 opens the page at that object.

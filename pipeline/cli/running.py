@@ -123,8 +123,8 @@ def run(
     """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
 
     What is there already and still right is not computed again. A finished run keeps its results: other settings need
-    --replace or another --out. It ends with the verdict, five numbers and by how much they moved since the last run of
-    the folder, the worst objects and the commonest failings. Exits with 0 if all pairs are scored, 3 if some failed.
+    --replace or another --out. It ends with how much surface is simulated, missing and invented pieces, what to fix
+    first, the worst places and the object scores. Exits with 0 if all pairs are scored, 3 if some failed.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def run(
 
     fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
 
-    fidpipe run dataset/ --json | jq '.record.overview.numbers'    progress goes to standard error
+    fidpipe run dataset/ --json | jq '.record.overview.causes'    progress goes to standard error
 
     fidpipe run dataset/ --scheduler tcp://host:8786    on a cluster: docs/cluster.md
 
@@ -191,11 +191,23 @@ def floor(
     assignments: Assignments = None,
     noise_m: Annotated[
         float | None,
-        typer.Option("--noise-m", min=0, max=10, help="Std of the noise along the ray, metres.", show_default="0.03"),
+        typer.Option(
+            "--noise-m",
+            min=0,
+            max=10,
+            help="Std of the noise along the ray, metres.",
+            show_default="measured on each scan",
+        ),
     ] = None,
     dropout: Annotated[
         float | None,
-        typer.Option("--dropout", min=0, max=0.99, help="Share of the points that are lost.", show_default="0.03"),
+        typer.Option(
+            "--dropout",
+            min=0,
+            max=0.99,
+            help="Share of the points that are lost.",
+            show_default="measured on each scan",
+        ),
     ] = None,
     neighbours: Annotated[
         bool,
@@ -213,20 +225,21 @@ def floor(
 ) -> None:
     """Evaluate a perfect simulator: each real scan of a dataset against itself measured again.
 
-    What it scores is what no simulator can do better: the floor. The simulated side of the dataset is not read. A run
-    as any other, which show, report, gate and compare take as --floor; give it the settings of the run that it is for.
-    Each point gets noise along its ray and is lost with a small probability, or, with --neighbours, the next scan of
-    the drive stands for the second measurement. How to read it: docs/fidelity.md.
+    Its scores are the floor, an estimate of the scores of two measurements of one scene by one sensor. The simulated
+    side of the dataset is not read. The result is a run, which show, report, gate and compare take as --floor; give it
+    the settings of the run that it is for. Each point gets range noise and is lost with a small probability, by default
+    those that each scan shows (3 cm and 3 % if it does not), or, with --neighbours, the next scan of the drive is the
+    second measurement. How to read it: docs/fidelity.md.
 
     Examples
     --------
     fidpipe floor dataset/                       results go to runs/dataset-floor
 
-    fidpipe show runs/dataset --floor runs/dataset-floor    each score less what a perfect simulator would score
+    fidpipe show runs/dataset --floor runs/dataset-floor    each score minus that of a perfect simulator
 
     fidpipe floor dataset/ --preset reference --out runs/dataset-reference-floor
 
-    fidpipe floor dataset/ --noise-m 0.02 --dropout 0.005 --out runs/hdl64-floor    another sensor
+    fidpipe floor dataset/ --noise-m 0.02 --dropout 0.005 --out runs/hdl64-floor    as in a data sheet
 
     fidpipe floor twins/ --neighbours --out runs/twins-neighbours    real against real
     """
@@ -246,8 +259,8 @@ def floor(
         dataset=dataset,
         out=out or Path("runs") / f"{dataset.resolve().name or 'dataset'}-floor",
         settings=in_force,
-        noise_m=FloorRequest.noise_m if noise_m is None else noise_m,
-        lost_share=FloorRequest.lost_share if dropout is None else dropout,
+        noise_m=noise_m,
+        lost_share=dropout,
         seed=seed,
         neighbours=neighbours,
         pattern=pairs,

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 
 from ...schemas.columns import SIDES
 from ...schemas.record import FrameSuspect
-from ...stages.sensing.frames import FrameCheck
+from ...stages.sensing.frames import LEAST_GAIN, LEAST_SAME_PLACE, FrameCheck
 from .pairs import ScanPair
 
 _NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")
@@ -84,8 +84,22 @@ def recall_frames(
     return found if found and (found.marks, found.settings_keys) == (marks, settings_keys) else None
 
 
+def place_warning(check: FrameCheck) -> str:
+    """One line for two scans of different places."""
+    return (
+        f"the two scans do not show the same place: the simulated scan covers {check.coverage:.2f} of the real one in "
+        f"the best of all frames, units and shifts ({check.as_it_lies:.2f} as it lies); expected at least "
+        f"{LEAST_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
+    )
+
+
 def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
-    """One line with both figures and the setting that mends it."""
+    """One line with both figures and the setting that fixes it."""
+    if suspect.coverage - suspect.as_it_lies < LEAST_GAIN:
+        return (
+            f"the ground of the two scans is at the same height if the simulated scan is {suspect.reading}; is the "
+            f"mount height wrong? set {suspect.setting}"
+        )
     return (
         f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as it lies and {suspect.coverage:.2f} "
         f"{suspect.reading}; is it in another frame? set {suspect.setting}"

@@ -24,12 +24,12 @@ from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.sensing.frames import FRAMES_VERSION, can_move, check_frames
 from ...stages.sensing.plausibility import HALF_SWEEP_GAP_DEG, implausible, widest_azimuth_gap_deg
 from ..storage.files import hash_file, key_of
-from .frame_checks import FrameFacts, frame_warning, recall_frames, shared_files, swapped_sides
+from .frame_checks import FrameFacts, frame_warning, place_warning, recall_frames, shared_files, swapped_sides
 from .pairs import ScanPair, read_dataset
 from .readers import files_of, formats, holds_frames, read_scan, stem_of, suffix_of
 from .readers.frames import address_of
 from .readers.scan import Scan, label_path_of
-from .sensor_checks import SensorCheck, describe_sides
+from .sensor_checks import SensorCheck, SensorSamples
 from .side_checks import SideSamples
 
 _MOST_NOT_FINITE = 0.25
@@ -132,10 +132,12 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     """
     dataset = read_dataset(folder)
     facts, samples = [], SideSamples(dataset.pairs, settings.input)
+    sensors = SensorSamples(samples.pair_ids, settings.input)
     for pair in dataset.pairs:
         own, scans = _inspect_pair(pair, settings.input, dataset.label_names)
         facts.append(own)
         samples.add(pair, scans)
+        sensors.add(pair, scans)
     pairs = [(pair, own.sides) for pair, own in zip(dataset.pairs, facts, strict=True)]
     faults, warnings = [], [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
     warnings += shared_files(
@@ -147,8 +149,7 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         warnings += [f"pair {pair.pair_id}: {text}" for text in pair_warnings(pair, sides, own.frames)]
     counts = {side: [own.sides[side].n_clean for own in facts if side in own.sides] for side in SIDES}
     warnings += samples.warnings(counts)
-    sensors = describe_sides(dataset.pairs, settings.input)
-    return DatasetCheck(folder, pairs, sensors, samples.notes(), faults, warnings)
+    return DatasetCheck(folder, pairs, sensors.check(), samples.notes(), faults, warnings)
 
 
 def inspect_pairs(pairs: Sequence[ScanPair], settings: InputSettings, label_names: dict[int, str]) -> list[PairFacts]:
@@ -223,6 +224,8 @@ def pair_warnings(pair: ScanPair, facts: dict[str, ScanFacts], frames: FrameFact
             )
     if frames and frames.suspect:
         warnings.append(frame_warning(frames.suspect))
+    if frames and frames.check and frames.check.is_elsewhere:
+        warnings.append(place_warning(frames.check))
     return warnings
 
 

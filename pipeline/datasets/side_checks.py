@@ -44,6 +44,7 @@ class SideSamples:
         self._stretches = _stretches(pairs)
         self._sampled = {pair.pair_id for stretch in self._stretches for pair in stretch}
         self._with_stamps = {pair.pair_id for pair in pairs[:_WITH_STAMPS]}
+        self.pair_ids = self._sampled | self._with_stamps  # pairs that are looked at closely
         self._points: dict[str, dict[str, FloatArray]] = {side: {} for side in SIDES}  # clean, own frame, z up
         self._places: dict[str, dict[str, Places]] = {side: {} for side in SIDES}
         self._stamps: dict[str, StampFacts] = {}

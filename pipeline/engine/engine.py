@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import rmtree
 from types import TracebackType
-from typing import Self
+from typing import Any, Self, TypeVar
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError
@@ -46,6 +46,7 @@ _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 _OF_INPUT, _OF_READING = "input", "reading"  # keys of failures before all stages: a faulty file, a reader that died
 
 PlanPair = Callable[[ScanPair], PairPlan]
+Request = TypeVar("Request", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,12 @@ class Machines:
     pool: Pool | None = None
     policy: Policy = field(default_factory=Policy)
     pair_timeout_s: float | None = None
+
+
+def absolute_paths(request: Request) -> Request:
+    """The same request, with absolute paths if a cluster works on it: its workers may run in other folders."""
+    paths = {name: value.absolute() for name, value in vars(request).items() if isinstance(value, Path)}
+    return replace(request, **paths) if request.machines.scheduler else request
 
 
 @dataclass
@@ -357,8 +364,6 @@ class RunEngine(Engine):
                 if record is not None:
                     self.folder.forget(record)
         survey.unwanted.clear()
-        if self.folder.is_of_older_version:
-            self.reporter.say("replacing all tables: an older fidpipe wrote them")
         if n_strays := self.folder.remove_strays():
             self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
         self.folder.ledger.commit()

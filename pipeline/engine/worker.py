@@ -17,7 +17,7 @@ from ...schemas.tables import TABLES
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..datasets.scan_checks import hash_scan
-from ..stage import Column, Context, Facts, Grain, Made, Step, Tables, total_steps
+from ..stage import SCAN, Column, Context, Facts, Grain, Made, Step, Tables, total_steps
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan
@@ -148,7 +148,7 @@ class PairTables:
         self.pair_id = plan.pair_id
         self.T_real_sim = plan.pair.T_real_sim
         self._plan = plan
-        self._scans = scans or {}
+        self._scans = dict(scans or {})
         self._folder = None if plan.folder is None else TableFolder(plan.folder, plan.token)
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
@@ -198,8 +198,11 @@ class PairTables:
 
     def scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
-        if side in self._scans:
-            return self._scans[side]
+        if side not in self._scans:
+            self._scans[side] = self._read_scan(side)
+        return self._scans[side]
+
+    def _read_scan(self, side: str) -> Scan:
         path = self._plan.pair.path(side)
         if path is None:
             raise StageError(f"no {side} scan")
@@ -236,6 +239,9 @@ class PairTables:
             record = replace(record, files=files, steps=total_steps(context.steps))
         self._tables |= {(name, job.part): rows for name, rows in made.tables.items()}
         self._records[job.name] = record
+        readers = {own.name for own in self._plan.jobs if SCAN in own.stage.takes and own.part == job.part}
+        if self._folder is not None and self._records.keys() >= readers:
+            self._scans.pop(job.part, None)  # no later job reads it
         return record
 
     def _maker(self, table: str, side: str) -> JobRecord:

@@ -155,7 +155,6 @@ class Experiment:
         self._planner = Planner(self._base, engine.settings, source.label_names, sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
         self._facts: Mapping[str, Any] = {}
-        self._has_head = False
 
     def prepare(self) -> list[PairPlan]:
         """Makes the stages that the experiment's own need; gives the pairs of which all that is done.
@@ -214,20 +213,14 @@ class Experiment:
         failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
         n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
         jobs = {"made": n_made, "reused": n_done - n_made}
-        if not self._has_head:
-            self._write_head()
         self._write_record({**self._facts, **(facts or {}), "failures": failures, "jobs": jobs, "wall_s": wall_s})
         outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}
         return outcome | {f"n_{name}": n for name, n in jobs.items()}
 
-    def _write_head(self) -> None:
-        """Notes what the experiment is made with, before the first of its results is replaced or made."""
+    def _write_record(self, facts: Mapping[str, Any]) -> None:
+        """Writes the settings and the record; without facts it is the head of an experiment that has not ended."""
         settings = to_toml(self.engine.settings).encode()
         write_whole(self.folder.folder / SETTINGS_TOML, settings, before_rename=self.folder.check_token)
-        self._write_record({})
-        self._has_head = True
-
-    def _write_record(self, facts: Mapping[str, Any]) -> None:
         header = {"experiment": self._name, **run_header(self._source.path, self.engine.settings, _VERSIONS).as_dict()}
         write_record(self.folder.folder, header | dict(facts), self.folder.check_token)
 
@@ -257,8 +250,8 @@ class Experiment:
         if survey.todo:
             self.engine.start()
         only_adds = stages is STAGES and self._finished and not survey.unwanted  # what stays is still as it was asked
-        if (survey.todo or survey.unwanted) and not self._has_head and not only_adds:
-            self._write_head()
+        if (survey.todo or survey.unwanted) and not only_adds:
+            self._write_record({})
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
         if survey.todo:
             with self.engine.scheduling_missing(survey, self._plan) as schedule:

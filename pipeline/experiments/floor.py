@@ -17,17 +17,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...schemas.errors import DatasetError, RunError, ScanError
-from ...schemas.settings import FARTHEST_M, InputSettings, Settings
+from ...schemas.settings import FARTHEST_M, FrameName, InputSettings, Settings
 from ...stages.arrays import FloatArray
-from ...stages.clean import clean_scan
+from ...stages.clean import as_ros, clean_scan
 from ...stages.sensing.perturbations import measure_again
+from ...stages.sensing.sensor import describe_sensor
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
+from ..datasets.readers.scan import Scan
 from ..datasets.scan_checks import file_marks, hash_scan, input_name
-from ..engine.engine import Engine, Machines
+from ..engine.engine import Engine, Machines, absolute_paths
 from ..engine.plan import Job, PairPlan
 from ..engine.progress import Reporter, Work
-from ..results.floor import FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
+from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, RunRequest, check_folder, run_dataset, select_pairs
 from ..stage import Context, Grain, Made, Stage
 from ..storage.files import key_of, path_exists, refuse_link, write_whole
@@ -36,8 +38,10 @@ from ..storage.ledger import Ledger
 from ..storage.record import has_ended, read_run
 from ..storage.tables import file_stem
 
-RECIPE_VERSION = 1  # to be raised when the same recipe gives other measurements
-_KEY = b"fidpipe.floor"
+RECIPE_VERSION = 2  # to be raised when the same recipe gives other measurements
+USUAL_NOISE_M, USUAL_LOST_SHARE = 0.03, 0.03  # where a scan does not show its own
+_KEY, _NOISE_M, _LOST_SHARE, _REASON = b"fidpipe.floor", b"noise_m", b"lost_share", b"reason"
+_AMOUNTS = (_NOISE_M, _LOST_SHARE, _REASON)
 _SECONDS = 0.1
 #: All that was measured, once each: the settings of the run cut both sides alike.
 _ALL = InputSettings(min_range_m=0.0, max_range_m=FARTHEST_M)
@@ -49,8 +53,8 @@ class FloorRequest:
 
     dataset, out : folders
     settings : of all stages; what is said there of the simulated side does not count
-    noise_m : standard deviation along the ray of what two measurements differ by
-    lost_share : share of the points that the second measurement lacks
+    noise_m : standard deviation of the noise along the ray; None for that of each scan (`describe_sensor`)
+    lost_share : share of the points that the second measurement lacks; None for that of each scan
     seed : another one draws other noise and losses
     neighbours : whether the second measurement is the next real scan instead, put into place by the poses
     pattern : only pairs whose name matches are worked on (shell style)
@@ -61,8 +65,8 @@ class FloorRequest:
     dataset: Path
     out: Path
     settings: Settings = field(default_factory=Settings)
-    noise_m: float = 0.03
-    lost_share: float = 0.03
+    noise_m: float | None = None
+    lost_share: float | None = None
     seed: int = 0
     neighbours: bool = False
     pattern: str | None = None
@@ -73,9 +77,11 @@ class FloorRequest:
     def recipe(self) -> FloorRecipe:
         """How the second measurements are made."""
         kind = "neighbours" if self.neighbours else "again"
-        noise_m, lost_share, seed = (0.0, 0.0, 0) if self.neighbours else (self.noise_m, self.lost_share, self.seed)
+        amounts = (self.noise_m, self.lost_share, self.seed)
+        noise_m, lost_share, seed = (0.0, 0.0, 0) if self.neighbours else amounts
         dataset = str(self.dataset.resolve())
-        return FloorRecipe(RECIPE_VERSION, kind, noise_m, lost_share, seed, dataset)
+        own = [AS_MEASURED if amount is None else amount for amount in (noise_m, lost_share)]
+        return FloorRecipe(RECIPE_VERSION, kind, own[0], own[1], seed, dataset)
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,7 @@ class _Task:
     path: Path
     key: str
     recipe: FloorRecipe
+    frame: FrameName
     columns: tuple[str, ...] | None
     label_names: dict[int, str]
 
@@ -100,6 +107,7 @@ def run_floor(request: FloorRequest, reporter: Reporter) -> RunOutcome:
         The dataset as a whole, a setting or the run's folder is wrong, the folder holds another finished floor, or
         poses are wanted and there are none; before any work.
     """
+    request = absolute_paths(request)
     dataset = read_dataset(request.dataset)
     selected = {pair.pair_id for pair in select_pairs(dataset, request.pattern)}
     partners = _neighbours(dataset) if request.neighbours else {pair.pair_id: pair for pair in dataset.pairs}
@@ -189,7 +197,29 @@ def _write_dataset(
     _make_all([task for name, task in tasks.items() if name in selected - current], reporter)
     names = {name: f"sim/{task.path.name}" for name, task in tasks.items() if task.path.exists()}
     rows = [pair for pair in dataset.pairs if pair.pair_id in selected | current]
+    if AS_MEASURED in (request.recipe.noise_m, request.recipe.lost_share):
+        _report_amounts({name: _metadata(paths[name]) for name in names}, folder, reporter)
     write_whole(folder / MANIFEST, _manifest(rows, partners, names).encode())
+
+
+def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, reporter: Reporter) -> None:
+    """Writes and shows noise and losses of the second measurements, and warns of scans that do not show theirs."""
+    text = StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["pair_id", *(name.decode() for name in _AMOUNTS)])
+    rows.writerows([pair_id, *(own[name].decode() for name in _AMOUNTS)] for pair_id, own in by_pair.items())
+    write_whole(folder / FLOOR_AMOUNTS, text.getvalue().encode())
+    amounts = list(by_pair.values())
+    if not amounts:
+        return
+    noise_m, lost_share = (np.median([float(own[name]) for own in amounts]) for name in (_NOISE_M, _LOST_SHARE))
+    reporter.say(f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {len(amounts)} scans)")
+    unknown = [own[_REASON].decode() for own in amounts if own[_REASON]]
+    if unknown:
+        reporter.warn(
+            f"{len(unknown)} of {len(amounts)} real scans do not show their noise or losses ({unknown[0]}): "
+            f"{USUAL_NOISE_M:g} m and {USUAL_LOST_SHARE:.0%} were used; set --noise-m and --dropout"
+        )
 
 
 def _task(
@@ -207,17 +237,22 @@ def _task(
     except OSError:  # the run that follows says so
         pass
     columns, names = request.settings.input.columns_of("real"), dataset.label_names
-    key = key_of(RECIPE_VERSION, request.recipe.words, pair.pair_id, hashes, sorted(names.items()), columns)
-    return _Task(pair.pair_id, source.real, path, key, request.recipe, columns, names)
+    frame = request.settings.input.frame_of("real")
+    key = key_of(RECIPE_VERSION, request.recipe.words, pair.pair_id, hashes, sorted(names.items()), columns, frame)
+    return _Task(pair.pair_id, source.real, path, key, request.recipe, frame, columns, names)
 
 
 def _key_in(path: Path) -> str:
-    """The key of a measurement that is there; "" where there is none that is whole."""
+    """Key of a measurement, or "" if there is none that is intact."""
+    return _metadata(path).get(_KEY, b"").decode()
+
+
+def _metadata(path: Path) -> dict[bytes, bytes]:
+    """Key, noise and losses of a measurement; empty if there is none that is intact."""
     try:
-        metadata = pq.read_schema(path).metadata or {}
+        return pq.read_schema(path).metadata or {}
     except (OSError, pa.ArrowInvalid):
-        return ""
-    return str(metadata.get(_KEY, b"").decode())
+        return {}
 
 
 def _make_all(tasks: list[_Task], reporter: Reporter) -> None:
@@ -246,20 +281,38 @@ def _make(context: Context) -> Made:
         return Made({})
     clean, recipe = clean_scan(scan.points, _ALL), task.recipe
     rng = np.random.default_rng([recipe.seed, *task.pair_id.encode()])
-    points, kept = measure_again(clean.points, recipe.noise_m, recipe.lost_share, rng)
+    noise_m, lost_share, reason = _amounts(task, scan)
+    points, kept = measure_again(clean.points, noise_m, lost_share, rng)
     rows = clean.point_ids[kept]
     columns = dict(zip("xyz", points.T, strict=True))
     columns |= {} if scan.labels is None else {"label": scan.labels[rows]}
     columns |= {} if scan.instances is None else {"instance": scan.instances[rows]}
-    table = pa.table(columns).replace_schema_metadata({_KEY: task.key.encode()})
+    amounts = {_NOISE_M: str(noise_m), _LOST_SHARE: str(lost_share), _REASON: reason}
+    table = pa.table(columns).replace_schema_metadata({_KEY: task.key} | amounts)
     content = BytesIO()
     pq.write_table(table, content)
     write_whole(task.path, content.getbuffer())
     return Made({})
 
 
+def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str]:
+    """Noise and losses of a measurement, and the reason if the scan does not show one that is requested."""
+    noise_m, lost_share = task.recipe.noise_m, task.recipe.lost_share
+    if AS_MEASURED not in (noise_m, lost_share):
+        return float(noise_m), float(lost_share), ""
+    sensor = describe_sensor(as_ros(scan.points, task.frame), scan.rings)
+    reasons = []
+    if noise_m == AS_MEASURED:
+        reasons += [sensor.untold["range_noise_m"]] if sensor.range_noise_m is None else []
+        noise_m = USUAL_NOISE_M if sensor.range_noise_m is None else sensor.range_noise_m
+    if lost_share == AS_MEASURED:
+        reasons += [sensor.untold["lost_share"]] if sensor.lost_in_all is None else []
+        lost_share = USUAL_LOST_SHARE if sensor.lost_in_all is None else sensor.lost_in_all
+    return float(noise_m), float(lost_share), "; ".join(dict.fromkeys(reasons))
+
+
 def _manifest(pairs: list[ScanPair], partners: dict[str, ScanPair], names: dict[str, str]) -> str:
-    """The pairs, with the names of their measurements; a scan that cannot be read stands on both sides."""
+    """The pairs with the names of their measurements; a scan that cannot be read appears on both sides."""
     text = StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["pair_id", "real", "sim", "timestamp_s", "T_real_sim"])

@@ -8,11 +8,24 @@ from __future__ import annotations
 
 from ...schemas.settings import Settings
 from ..stage import Stage
-from . import baselines, communities, coverage, graph, ground, matching, metrics, seeds, selection, surface
+from . import (
+    baselines,
+    communities,
+    coverage,
+    graph,
+    ground,
+    matching,
+    metrics,
+    pieces,
+    seeds,
+    selection,
+    sensor,
+    surface,
+)
 
 STAGES = (
-    *(ground.STAGE, graph.STAGE, communities.STAGE, matching.STAGE),
-    *(coverage.STAGE, surface.STAGE, selection.STAGE, metrics.STAGE),
+    *(ground.STAGE, sensor.STAGE, graph.STAGE, communities.STAGE, matching.STAGE),
+    *(coverage.STAGE, surface.STAGE, pieces.STAGE, selection.STAGE, metrics.STAGE),
 )
 
 #: What is made besides, where the settings ask for it; no stage above depends on any of it.

@@ -10,6 +10,7 @@ from ...schemas.tables import GROUND
 from ...stages.clean import clean_scan, too_few_left
 from ...stages.ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
 from ..stage import SCAN, Context, Facts, Grain, Made, Stage
+from .points import column
 
 _LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
 
@@ -24,9 +25,14 @@ def make_ground(context: Context) -> Made:
         clean = clean_scan(scan.points, own, frame=own.frame_of(side), T_real_sim=T)
     if len(clean.points) < MIN_OBJECT_POINTS:
         raise StageError(too_few_left(len(clean.points), MIN_OBJECT_POINTS, clean.dropped, own))
-    shared = _cut(context.facts("ground", "real")) if context.needs_real else None
+    shared = real_points = None
+    if context.needs_real:
+        shared = _cut(context.facts("ground", "real"))
+        if not context.settings.ground.shared:
+            real = context.table("ground", "real", ("x", "y", "z"))
+            real_points = np.column_stack([column(real, axis) for axis in "xyz"])
     with context.step("ground"):
-        cut = remove_ground(clean.points, context.settings.ground, shared)
+        cut = remove_ground(clean.points, context.settings.ground, shared, real_points)
     x, y, z = clean.points.T
     rows = GROUND.build(
         {
@@ -66,12 +72,12 @@ def _libraries(settings: Settings) -> tuple[str, ...]:
     return _LIBRARIES[settings.ground.method]
 
 
-def _is_shared(settings: Settings) -> bool:
-    return settings.ground.shared
+def _needs_real(settings: Settings) -> bool:
+    return settings.ground.shared or settings.ground.peak == "real"
 
 
 def _cut(facts: Facts) -> GroundResult:
-    """The real side's cut, for the simulated side to share."""
+    """The real side's cut, for the simulated side."""
     return GroundResult(
         is_ground=np.empty(0, dtype=np.bool_),
         height_m=np.empty(0),
@@ -93,5 +99,5 @@ STAGE = Stage(
     version=1,
     make=make_ground,
     libraries=_libraries,
-    needs_real=_is_shared,
+    needs_real=_needs_real,
 )

@@ -72,7 +72,10 @@ def gather_metrics(context: Context, tables: Tables) -> Facts:
             range_of("sim", "hallucinated"),
         )
         | context.facts("coverage")
-        | context.facts("surface"),
+        | context.facts("surface")
+        | context.facts("pieces")
+        | context.facts("sensor", "real")["pairs"]
+        | context.facts("sensor", "sim")["pairs"],
         "unmatched": _unmatched_surface(context.table("coverage"), ids, statuses),
     }
 
@@ -101,7 +104,15 @@ def _unmatched_surface(coverage: pa.Table, ids: dict[str, list[Any]], statuses: 
 
 STAGE = Stage(
     name="metrics",
-    takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS, "coverage": _COVERED, "surface": ()},
+    takes={
+        **MATCHED_OBJECTS,
+        "objects": ("range_m",),
+        "selection": NODE_COLUMNS,
+        "coverage": _COVERED,
+        "surface": (),
+        "pieces": (),
+        "sensor": (),
+    },
     gives=("metrics",),
     grain=Grain.OBJECT,
     version=1,

@@ -54,7 +54,10 @@ def _repeat(context: Context, seed: int) -> Facts:
     """The scores of the pair under another seed."""
     own = context.settings
     settings = Settings(
-        communities=own.communities.model_copy(update={"seed": seed}), matching=own.matching, selection=own.selection
+        communities=own.communities.model_copy(update={"seed": seed}),
+        matching=own.matching,
+        pieces=own.pieces,
+        selection=own.selection,
     )
     scans: dict[str, PartitionedScan] = {}
     for side in SIDES:
@@ -87,9 +90,9 @@ STAGE = Stage(
     name="seeds",
     takes={"ground": ANNOTATED_COLUMNS, "graph": EDGE_COLUMNS, "metrics": ()},
     gives=("seeds",),
-    settings=("communities", "matching", "selection", "stability"),
+    settings=("communities", "matching", "pieces", "selection", "stability"),
     grain=Grain.PAIR,
-    version=1,
+    version=2,
     make=make_seeds,
     libraries=_libraries,
     is_wanted=_is_wanted,

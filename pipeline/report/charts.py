@@ -15,8 +15,9 @@ import pandas as pd
 import plotly.graph_objects as go
 
 from ...schemas.metrics import METRIC
-from ..results.compare import ScoreChange, recorded_times_s
-from ..results.history import ScoreHistory
+from ..results.compare import recorded_times_s
+from ..results.families import ScoreChange
+from ..results.history import FamilyHistory
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .aggregates import (
     SCORES,
@@ -35,7 +36,7 @@ from .aggregates import (
     range_bins,
     stage_times,
 )  # fmt: skip
-from .look import ARROWS, FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
+from .look import FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
 from .results import RunResults
 
 Chart = dict[str, Any]  #: data and layout
@@ -353,7 +354,7 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
         figure.add_annotation(x=1.03, xref="paper", xanchor="left", y=i, text=f"±{reach:.2g}", showarrow=False)
     figure.add_vline(0, line={"color": _SOFT, "width": 1})
     figure.update_xaxes(range=[-1.05, 1.05], visible=False, fixedrange=True)
-    names, n = [f"{score.name} {ARROWS[score.higher_is_better]}" for score in scores], len(scores)
+    names, n = [f"{score.name} {score.mark}" for score in scores], len(scores)
     figure.update_yaxes(
         tickvals=list(range(n)), ticktext=names, range=[n - 0.5, -0.5], showgrid=False,
         showline=False, zeroline=False, fixedrange=True,
@@ -362,7 +363,7 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
     return _plain(figure)
 
 
-def history_chart(score: ScoreHistory, names: Sequence[str]) -> Chart:
+def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
     """A line of a score's means over the runs; a bar is the interval of the change since the first run.
 
     Parameters

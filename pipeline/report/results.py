@@ -16,19 +16,17 @@ import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.coverage import nearest_distances
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
-from ...stages.sensing.sensor import SensorFacts, describe_sensor
+from ...stages.sensing.sensor import SensorFacts
 from ..engine.pool import one_blas_thread
 from ..results.findings import SHAPE_COLUMNS, shape_of
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
 from ..results.quadrants import quadrant_of
-from ..storage.record import command_again
 
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
@@ -173,9 +171,9 @@ class PairTables:
 
     @cached_property
     def sensors(self) -> dict[str, SensorFacts]:
-        """What the clean points of each side tell of its sensor; of a simulated one that was moved they tell little."""
-        points = {side: self._columns("ground", side, ["x", "y", "z"]).to_numpy() for side in SIDES}
-        return {side: describe_sensor(own) for side, own in points.items()}
+        """The sensor of each side, as stage `sensor` describes it."""
+        jobs = self._run.store.ledger.jobs(self._pair_id)
+        return {side: SensorFacts(**jobs["sensor", side].facts["sensor"]) for side in SIDES}
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:
@@ -228,13 +226,8 @@ class PairTables:
 
 
 def _read(run: FinishedRun, table: str, names: Iterable[str]) -> pd.DataFrame:
-    """A table of all pairs, one pair after the other; `RunError` if an older fidpipe wrote it without a column."""
+    """A table of all pairs, one pair after the other."""
     rows: pd.DataFrame = run.table(table, names).to_pandas()
-    if absent := [name for name in TABLES[table].schema.names if name not in rows]:
-        raise RunError(
-            f"run {run.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe wrote it; "
-            f"bring it up to date with: {command_again(run.folder, run.record.dataset)}"
-        )
     return rows
 
 

@@ -1,68 +1,61 @@
-"""What a person asks first of a run, answered for the first screen of its page.
+"""The first screen of a run's page: surface, pieces, what to fix first, worst places, object scores, and trust.
 
-Good enough, worst where, missing what, better than last time, and how far the numbers can be trusted. The answers are
-those of `results.overview`, which the terminal also gives; here they get references, links and pictures.
+The answers of `results.overview`, which the terminal also gives, with references, links and pictures.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic import TypeAdapter
+from scipy.spatial import KDTree
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
 from ...schemas.record import RunRecord
-from ...schemas.results import HeadlineNumber, Overview, WorstObject
+from ...schemas.results import Cause, Piece
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
-from ..results.overview import FEWEST_OBJECTS, run_overview, verdict_sentence
+from ..results.overview import over_floor
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..storage.record import unmatched_worst
 from .camera import Camera, box_around, inside, object_address
 from .results import PairTables, RunResults
-from .terminal.layout import mean_and_spread, number, percent, signed
-from .terminal.overview import changes_since, other_objects
+from .terminal.layout import mean_and_spread, number, percent
+from .terminal.overview import change_words, headline_scores, pieces_words, surface_words
 from .terminal.run import coverage_rows, surface_line, unmatched_lines
 
 _SCORES = (
-    *("match_rate", "cdc_mean", "r_lambda_mean", "max_eigenvalue_shift_mean", "laplacian_change_mean", "r_gap_mean"),
-    *("alignment_rms_m_mean", "centroid_distance_m_mean"),
+    *("match_rate", "found", "cdc_mean", "r_lambda_mean", "max_eigenvalue_shift_mean", "laplacian_change_mean"),
+    *("r_gap_mean", "alignment_rms_m_mean", "centroid_distance_m_mean"),
 )
-_STEADY = 5e-4  #: a mean that moved by less is shown as the same
-
-
-@dataclass(frozen=True)
-class Reference:
-    """What stands beside a number: what it is, its value, and how the run stands to it ("better", "worse" or "")."""
-
-    name: str
-    value: str
-    is_now: str = ""
+#: Causes on the first screen.
+_MOST_CAUSES = 6
+#: Surroundings of a piece in its picture.
+_AROUND_M = 1.0
 
 
 @dataclass(frozen=True)
 class Tile:
-    """One of the five numbers; `good` says which end is the best, `reading` how it is read."""
+    """A score: `good` names its best value, `references` are further values by name."""
 
     name: str
     mean: str
     std: str
     good: str
     reading: str
-    references: list[Reference]
+    references: dict[str, str]
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One of the worst objects: where it is shown, what it is, what is wrong, and how both sides look in one box.
+    """One of the largest pieces: its words, the address of its object in 3D, and a drawing of its surroundings.
 
-    layers : by side the SVG path of its points, the upper one last; of an unmatched object all that the other side has
+    layers : SVG paths of points: "others" in grey, then those of each side that the other side lacks
     bar, bar_m : a bar of some metres as the scale
     """
 
@@ -76,56 +69,61 @@ class Picture:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answers.
+    """The first screen.
 
-    good_enough : sentences on the acceptance criteria that the run was last judged by, or how to judge it
-    is_met : whether they are all met; None where there are none
-    missing : sentences on what is missing and invented
-    moved : since the results that this run replaced; sentences
-    trust : what limits the trust in the numbers; sentences
-    warning : that scans seem to lie in another frame, which makes all numbers wrong; "" where none does
-    scores, coverage : of the section that follows: headings, then a row for each score, and for each side
-    unmatched, surface : what is behind the unmatched objects, and how the simulated surface lies
+    sentence, pieces : surface and pieces
+    causes : most severe first
+    is_met, good_enough : True if the acceptance criteria of the last gate are met, None without any; sentences
+    warning : that scans seem to lie in another frame, which makes all numbers wrong; "" if none does
+    change : since the results that this run replaced
+    scores, coverage, groups : tables of the section that follows: headings, then rows
+    unmatched, surface : surface behind unmatched objects; displacement and roughness
     """
 
     sentence: str
-    good_enough: list[str]
-    is_met: bool | None
-    numbers: list[Tile]
+    pieces: str
+    causes: tuple[Cause, ...]
     worst: list[Picture]
-    failings: list[str]
-    missing: list[str]
-    moved: list[str]
-    trust: list[str]
+    numbers: list[Tile]
+    is_met: bool | None
+    good_enough: list[str]
     warning: str
+    change: str
+    trust: list[str]
     scores: list[list[str]]
     unmatched: str
     surface: str
     coverage: list[list[str]]
+    groups: list[list[str]]
 
 
 def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
-    """What the run says of the simulation, over a floor if there is one."""
-    record, overview = results.run.record, run_overview(results.run)
+    """The first screen of a run's page, over a floor if there is one."""
+    record = results.run.record
+    overview = over_floor(results.run, excess.floor) if excess else record.overview
     if overview is None:
-        raise RunError(f"run {results.run.folder}: no pair is scored, so that nothing can be said of it")
+        raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)
-    told = {"frames", "failed"} | ({"floor"} if excess else set())  # by the page in words of its own
+    groups = [["", "real points", "missing", "simulated points", "invented"]]
+    for own in overview.surface:
+        shares = percent(own.missing_share), percent(own.invented_share)
+        groups.append([own.name, f"{own.n_real:,}", shares[0], f"{own.n_sim:,}", shares[1]])
     return Verdict(
-        sentence=verdict_sentence(overview.verdict),
-        good_enough=good_enough,
+        sentence=_sentence(surface_words(record, excess)),
+        pieces=_sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
+        causes=overview.causes[:_MOST_CAUSES],
+        worst=[_picture(results, piece) for piece in overview.pieces],
+        numbers=[_tile(column, record, excess) for column in headline_scores(record)],
         is_met=is_met,
-        numbers=[_tile(one, record, excess) for one in overview.numbers],
-        worst=[_picture(results, one) for one in overview.worst],
-        failings=[_sentence(failing.words) for failing in overview.failings],
-        missing=list(_missing(overview, record)),
-        moved=list(_moved(overview, record)),
-        trust=[_sentence(one.words) for one in overview.trust if one.kind not in told],
+        good_enough=good_enough,
         warning=" ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
+        change=_sentence(change_words(record)) if record.previous else "",
+        trust=[_sentence(one.words) for one in overview.trust if one.kind not in ("frames", "failed")],
         scores=_score_rows(record),
         unmatched=" ".join(map(_sentence, unmatched_lines(record))),
         surface=_sentence(surface_line(record)),
         coverage=coverage_rows(record),
+        groups=groups,
     )
 
 
@@ -150,7 +148,9 @@ def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | 
     folder = results.run.folder
     criteria = _last_criteria(folder / "gate.json")
     if criteria is None:
-        return None, [f"Nobody has said what is: fidpipe gate {folder} --max r_lambda.mean=0.4 judges by your limits."]
+        return None, [
+            f"No acceptance limits are set yet: fidpipe gate {folder} --max r_lambda.mean=0.4 judges by yours."
+        ]
     try:
         result = judge_run(folder, criteria, None if excess is None else excess.floor)
     except (RunError, ValueError) as error:
@@ -176,23 +176,22 @@ def _last_criteria(path: Path) -> list[Criterion] | None:
         return None
 
 
-def _tile(one: HeadlineNumber, record: RunRecord, excess: RunExcess | None) -> Tile:
-    metric = metric_of(one.column)
-    references = []
-    if excess is not None and (floor := excess.scores[one.column].floor) is not None:
-        references.append(Reference("perfect simulator", number(floor)))
-    if one.last is not None:
-        references.append(Reference("last run", number(one.last), _change(one)))
-    if metric.paper is not None:
-        references.append(Reference("paper", number(metric.paper.mean)))
-    best = "1" if one.better == "higher" else "0"
+def _tile(column: str, record: RunRecord, excess: RunExcess | None) -> Tile:
+    metric, score = metric_of(column), record.summary[column]
+    references = {}
+    if excess and column in excess.scores:
+        references["floor"] = number(excess.scores[column].floor)
+    if record.previous and (last := record.previous.means.get(column)) is not None:
+        references["last run"] = number(last)
+    if metric.paper and record.preset == "paper":
+        references["paper"] = number(metric.paper.mean)
     n_all = record.pairs.scored
-    count = f"; mean of {one.n_pairs} of {n_all} pairs" if one.n_pairs < n_all else ""
+    count = f"; mean of {score.n_pairs} of {n_all} pairs" if score.n_pairs < n_all else ""
     return Tile(
         name=metric.label,
-        mean=number(one.mean),
-        std=number(one.std),
-        good=f"{best} is best",
+        mean=number(score.mean),
+        std=number(score.std),
+        good=f"{'1' if metric.higher_is_better else '0'} is best",
         reading=f"{metric.reading}{count}",
         references=references,
     )
@@ -210,74 +209,35 @@ def _score_rows(record: RunRecord) -> list[list[str]]:
     return rows
 
 
-def _change(one: HeadlineNumber) -> str:
-    """Whether a number is better or worse than in the last run, "" where it stayed."""
-    if one.mean is None or one.last is None or abs(one.mean - one.last) < _STEADY:
-        return ""
-    return "better" if (one.mean > one.last) == (one.better == "higher") else "worse"
-
-
-def _picture(results: RunResults, one: WorstObject) -> Picture:
-    tables = PairTables(results, one.pair_id)
-    own = tables.clouds[one.side].members(one.object_id)
-    if one.status == "matched":
-        row = tables.matched[tables.matched.real_id == one.object_id].iloc[0]
-        clouds = {"real": own, "sim": tables.clouds["sim"].members(row.sim_id)}
-        low, high = box_around(np.concatenate([*clouds.values()]))
-    else:
-        (other,) = set(SIDES) - {one.side}
-        low, high = box_around(own)
-        around = tables.clouds[other].points
-        clouds = {other: around[inside(around, low, high)], one.side: own}
+def _picture(results: RunResults, piece: Piece) -> Picture:
+    """The box around a piece: in colour the points that the other side lacks, everything else in grey."""
+    tables = PairTables(results, piece.pair_id)
+    clouds = tables.clouds
+    everything = {side: np.concatenate([clouds[side].points, tables.road[side]]) for side in SIDES}
+    reach_m = float(str(results.run.record.settings["pieces"]["reach_m"]))
+    row = next(
+        row
+        for row in results.run.read_table("pieces", piece.pair_id).to_pylist()
+        if (row["side"], row["piece_id"]) == (piece.side, piece.piece_id)
+    )
+    centre, extents = np.array([row["cx"], row["cy"], row["cz"]]), np.array(piece.extents_m)
+    moved = np.array([row[f"moved_{axis}_m"] or 0.0 for axis in "xyz"])
+    ends = np.stack([centre, centre + moved])
+    low, high = ends.min(axis=0) - extents, ends.max(axis=0) + extents
+    own, alone = clouds[piece.side], {}
+    for side, other in (SIDES, SIDES[::-1]):
+        points = clouds[side].points[inside(clouds[side].points, low, high)]
+        alone[side] = points[KDTree(everything[other]).query(points)[0] > reach_m]
+    low, high = box_around(np.concatenate([*alone.values()]))
+    low, high = low - _AROUND_M, high + _AROUND_M
+    around = np.concatenate([points[inside(points, low, high)] for points in everything.values()])
+    communities = own.community[inside(own.points, *box_around(alone[piece.side]))]
     camera = Camera(low, high)
     return Picture(
-        link=object_address(one.pair_id, f"{one.side} {one.object_id}"),
-        title=f"{one.label}, {one.range_m:.0f} m away, {one.n_points:,} points",
-        what=one.what,
-        layers={side: camera.path(points) for side, points in clouds.items()},
+        link=object_address(piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}"),
+        title=piece.words,
+        what=f"{piece.fate_words}; pair {piece.pair_id}, {piece.n_points:,} points",
+        layers={"others": camera.path(around), **{side: camera.path(points) for side, points in alone.items()}},
         bar=camera.bar_m * camera.scale,
         bar_m=camera.bar_m,
     )
-
-
-def _missing(overview: Overview, record: RunRecord) -> Iterator[str]:
-    """How many objects are missing and invented, and what they mostly are."""
-    of, n_pairs = overview.verdict, max(1, overview.verdict.n_pairs)
-    if not of.missing:
-        yield "No real object is missing."
-    else:
-        share = percent(of.missing / of.n_real)
-        yield f"{of.missing:,} of {of.n_real:,} real objects ({share}), {of.missing / n_pairs:.1f} a pair."
-    findings = record.findings
-    if of.missing and findings is not None:
-        kinds = [one for one in findings.classes if one.n_real >= FEWEST_OBJECTS and one.missing_share]
-        bands = [one for one in findings.range_m.bands if one.n_real >= FEWEST_OBJECTS and one.missing_share]
-        if len(findings.classes) > 1 and kinds:
-            kind = max(kinds, key=lambda one: one.missing_share or 0.0)
-            yield f"Most of all {kind.label}: {percent(kind.missing_share)} of {kind.n_real} are missing."
-        if bands:
-            band = max(bands, key=lambda one: one.missing_share or 0.0)
-            where = f"from {band.from_m:g} m on" if band.to_m is None else f"at {band.from_m:g} to {band.to_m:g} m"
-            yield f"Most of all {where}: {percent(band.missing_share)} of {band.n_real} are missing."
-    yield f"{of.hallucinated:,} simulated objects are invented, {of.hallucinated / n_pairs:.1f} a pair."
-
-
-def _moved(overview: Overview, record: RunRecord) -> Iterator[str]:
-    """What has changed since the results that this run replaced."""
-    last = record.previous
-    if last is None:
-        yield "These are the first results of this folder. To compare with another run: fidpipe compare OTHER THIS."
-        return
-    written = last.written[:16].replace("T", " ")
-    yield f"Against the results of {written} ({last.n_pairs} pairs, fidpipe {last.fidpipe}):"
-    moved = [
-        f"{one.label} {signed(one.mean - one.last)} ({_change(one)})"
-        for one in overview.numbers
-        if _change(one) and one.mean is not None and one.last is not None
-    ]
-    yield _sentence("; ".join(moved)) if moved else "None of the five numbers moved."
-    if changes := changes_since(last):
-        yield _sentence(f"what differs: {'; '.join(changes)}")
-    yield from map(_sentence, other_objects(overview))
-    if moved:
-        yield "Whether that is more than chance: fidpipe compare, with both runs kept."

@@ -1,106 +1,59 @@
 """Compares finished runs of the same real scans: simulator versions, the first one being the base of the others.
 
-Pairs are the same if they have the same name and the same real scan, by content. CDC and r_lambda are also compared
-over those objects alone that both runs have matched (`followed`).
+Pairs are the same if they have the same name and the same real scan, by content. What is decided is in `families`; the
+objects are followed from run to run (`followed`) as a description.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, RunError
-from ...schemas.metrics import METRIC, SEEDED_SCORES, metric_of
+from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
+from ...stages.sensing.neighbours import neighbours
 from ...stages.statistics.comparison import (
+    ALIKE,
+    BLOCK_S,
     KINDS,
+    LEAST_FLIPPED,
+    LEAST_PAIRS,
     Difference,
     blocks_of,
-    direction,
-    far_beyond_noise,
-    holm,
-    judge,
     paired_difference,
 )
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name
+from .causes import CAUSE_KINDS
+from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
-from .followed import SHARED_SCORES, GroupChange, ObjectChange, by_class, by_range, follow, same_real_side
+from .followed import GroupChange, ObjectChange, by_class, by_range, follow, same_real_side
+from .sectors import N_SECTORS, sector_rows
 
-#: What is compared: columns of `pairs`.
-SCORES = (
-    "match_rate",
-    "n_missing",
-    "n_hallucinated",
-    "cdc_mean",
-    "r_lambda_mean",
-    "r_gap_mean",
-    "centroid_distance_m_mean",
-    "alignment_rms_m_mean",
-    "covered_real_0p3m",
-    "covered_sim_0p3m",
-)
 #: So many runs fit into one table, and into one look.
 MOST_RUNS = 8
 
 
 @dataclass(frozen=True)
-class ScoreChange:
-    """A score of the dataset before and after.
+class CauseChange:
+    """The estimate of a cause in both runs, with the interval of its change.
 
-    of_pairs : by pair, after less before; None where a value is null
-    verdict : better, worse, same or undecided; over all scores together it is by chance in under 5 % of the cases
-    p : how often chance makes so large a difference of one of all the scores (Holm); None without an interval
-    floor : what measuring again does to the score: how far the floor's mean is from equal scans; None where unknown
-    is_far : whether it moved farther than any noise that is known, however few pairs there are
-    seed_noise : by so much the two means differ at most in 95 % of the cases through Louvain seeds alone; where both
-        runs have `seeds`. Too large rather than too small, for the runs share the real side's communities
+    unit, setting : see `causes.CauseKind`
     """
 
     name: str
-    higher_is_better: bool
+    unit: str
+    setting: str
     difference: Difference
-    verdict: str
-    of_pairs: dict[str, float | None]
-    seed_noise: float | None = None
-    p: float | None = None
-    is_far: bool = False
-    floor: float | None = None
-
-    @property
-    def direction(self) -> str:
-        """Which way it moved, better or worse, whether that is decided or not; "" where it did not."""
-        change = self.difference.difference
-        return direction(change, self.higher_is_better) if change else ""
-
-    @property
-    def called(self) -> str:
-        """The verdict; also worse where it moved to the worse far beyond the noise, though too few pairs decide.
-
-        That is not enough for better: a simulator that loses objects also invents fewer.
-        """
-        return "worse" if self.is_far and self.direction == "worse" else self.verdict
-
-    @property
-    def beyond_seeds(self) -> bool | None:
-        """Whether the difference is more than seeds make; None where that is not known."""
-        if self.seed_noise is None or self.difference.difference is None:
-            return None
-        return abs(self.difference.difference) > self.seed_noise
-
-    @property
-    def beyond_floor(self) -> bool | None:
-        """Whether the difference is more than measuring again makes; None where that is not known."""
-        if self.floor is None or self.difference.difference is None:
-            return None
-        return abs(self.difference.difference) > self.floor
 
 
 @dataclass(frozen=True)
@@ -114,8 +67,12 @@ class Comparison:
     unfollowed : pairs whose real communities differ, so that their objects cannot be followed
     settings : settings that differ, in words
     notes : what else differs
-    n_blocks : independent pairs: copies of a scan, and scans within 10 s, count once
-    has_times : whether the dataset says when its scans were taken
+    families : what is decided, see `families`
+    causes : those whose estimate changed: the interval excludes 0, or the change is larger than the tolerance if there
+        is one block only
+    n_blocks : independent pairs: copies and neighbouring frames count once
+    blocking : one sentence on how they were found
+    by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
     excess : of the base and of the other run over the floor; None without one
     """
@@ -129,20 +86,30 @@ class Comparison:
     unfollowed: tuple[str, ...]
     settings: tuple[str, ...]
     notes: tuple[str, ...]
-    scores: tuple[ScoreChange, ...]
+    families: tuple[FamilyChange, ...]
+    causes: tuple[CauseChange, ...]
     objects: tuple[ObjectChange, ...]
     n_blocks: int
-    has_times: bool
+    blocking: str
+    by_direction: bool
     on_partition: str
     excess: tuple[RunExcess, RunExcess] | None = None
 
     @property
+    def is_small(self) -> bool:
+        """True if so few pairs are compared that only changes far beyond the noise are decided."""
+        return (len(self.pairs) if self.by_direction else self.n_blocks) < LEAST_PAIRS
+
+    @property
     def decision(self) -> str:
-        """Of all scores together: worse where one is or a pair fails that did not, else better, same or undecided."""
-        called = {score.called for score in self.scores}
-        if self.failed or "worse" in called:
-            return "worse"
-        return "better" if "better" in called else "same" if called == {"same"} else "undecided"
+        """Over all families (`overall`); worse or mixed if a pair fails that did not."""
+        found = overall(self.families)
+        return found if not self.failed else "mixed" if found in ("better", "mixed") else "worse"
+
+    @property
+    def scores(self) -> list[ScoreChange]:
+        """Those of all families."""
+        return [score for family in self.families for score in family.scores]
 
     @property
     def kinds(self) -> dict[str, int]:
@@ -173,12 +140,17 @@ class Comparison:
 
 
 def compare_runs(
-    folders: Sequence[Path], *, allow_different_settings: bool = False, floor: Path | None = None
+    folders: Sequence[Path],
+    *,
+    allow_different_settings: bool = False,
+    floor: Path | None = None,
+    independent: bool = False,
 ) -> list[Comparison]:
     """Each run but the first against the first.
 
     Parameters
     ----------
+    independent : treat each pair as independent, also neighbouring frames
     floor : the run of fidpipe floor of the same real scans; all runs then need its settings
 
     Raises
@@ -188,7 +160,7 @@ def compare_runs(
         the floor is another's.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    return [compare_two(base, other, allow_different_settings, floor) for other in others]
+    return [compare_two(base, other, allow_different_settings, floor, independent=independent) for other in others]
 
 
 def compare_two(
@@ -197,6 +169,7 @@ def compare_two(
     allow_different_settings: bool = False,
     floor: Path | None = None,
     only: Container[str] | None = None,
+    independent: bool = False,
 ) -> Comparison:
     """One run against another, as `compare_runs` does.
 
@@ -206,9 +179,11 @@ def compare_two(
     """
     differing = settings_changes(base, other)
     if differing and not allow_different_settings:
+        presets = "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
         raise RunError(
-            f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(differing)}), so that a "
-            "difference need not be the simulator's; evaluate both alike, or give --allow-different-settings"
+            f"runs {base.folder} and {other.folder}: settings differ ({presets}{'; '.join(differing)}), so that a "
+            "difference need not be the simulator's; run both with the same settings, or give "
+            "--allow-different-settings"
         )
     left_out = pairs_left_out(base, other)
     comparable = [row["pair_id"] for row in base.scored if row["pair_id"] not in left_out]
@@ -225,12 +200,20 @@ def compare_two(
         if same_real_side(before, after):
             changes[name] = follow(name, before, after)
     excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
-    times_s = recorded_times_s(base, other)
-    blocks = blocks_of([base.record.inputs[name]["real"] for name in names], [times_s.get(name) for name in names])
-    scores = [
-        *(_score_change(base, other, names, column, blocks, excess and excess[0]) for column in SCORES),
-        *(_shared_change(score, {name: changes.get(name, []) for name in names}, blocks) for score in SHARED_SCORES),
-    ]
+    blocks, blocking = _blocks(base, other, names, independent)
+    rows = {name: (base.row(name), other.row(name)) for name in names}
+    n_blocks, sectors = len(np.unique(blocks)), None
+    if n_blocks < min(LEAST_FLIPPED, len(names)):
+        parts: dict[str, tuple[Row, Row]] = {
+            f"{name}/{i}": (before, after)
+            for name in names
+            for i, (before, after) in enumerate(zip(sector_rows(base, name), sector_rows(other, name), strict=True))
+        }
+        sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
+        blocks = np.arange(len(names), dtype=np.int32)
+    noise = {column: _both_seed_noise(base, other, names, column) for column in SEEDED_SCORES}
+    floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
+    preset = base.preset if base.preset == other.preset else "paper"
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -241,10 +224,12 @@ def compare_two(
         unfollowed=tuple(name for name in names if name not in changes),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        scores=tuple(_judged(scores)),
+        families=judge_families(preset, rows, blocks, noise, floors, sectors) if names else (),
+        causes=_causes(list(rows.values()), blocks),
         objects=tuple(change for own in changes.values() for change in own),
-        n_blocks=len(np.unique(blocks)),
-        has_times=bool(times_s),
+        n_blocks=n_blocks,
+        blocking=blocking,
+        by_direction=sectors is not None,
         on_partition=partition_note((base, other)),
         excess=excess,
     )
@@ -262,19 +247,41 @@ def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:
     return times_s
 
 
-def _judged(scores: Sequence[ScoreChange]) -> list[ScoreChange]:
-    """The scores with their verdicts, which stand together: the more scores, the more chances to differ by chance."""
-    p_values = holm([score.difference.p for score in scores])
-    far = far_beyond_noise([score.difference for score in scores], [score.seed_noise for score in scores])
-    return [
-        replace(
-            score,
-            verdict=judge(score.difference, score.higher_is_better, p, score.seed_noise),
-            p=p,
-            is_far=is_far,
+def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], independent: bool) -> tuple[IntArray, str]:
+    """The block of each pair, and how these were found.
+
+    Neighbouring frames are recognised by their time stamps; real scans without one, by comparing them.
+    """
+    n, unit = len(names), "pair" if len(names) == 1 else "pairs"
+    if independent:
+        return np.arange(n, dtype=np.int32), (
+            f"{n} {unit}, each counted as independent (--independent): the decision is about these scans only, not "
+            "about other places"
         )
-        for score, p, is_far in zip(scores, p_values, far, strict=True)
-    ]
+    known = recorded_times_s(base, other)
+    times_s = [known.get(name) for name in names]
+    untimed = [i for i, time_s in enumerate(times_s) if time_s is None]
+    links = neighbours(base.object_points(names[i]) for i in untimed)
+    contents = [base.record.inputs[name]["real"] for name in names]
+    blocks = blocks_of(contents, times_s, [(untimed[i], untimed[j]) for i, j in links])
+    n_blocks = len(np.unique(blocks))
+    found_by = "by comparing the scans" if untimed else "by time stamps"
+    if n_blocks < n:
+        return blocks, f"{n} {unit} form {n_blocks} block{'s' * (n_blocks != 1)} of neighbouring frames ({found_by})"
+    why = "no time stamps, and no two scans show the same place" if untimed else f"{BLOCK_S:g} s apart or more"
+    return blocks, f"{n} {unit}, taken as independent ({why})"
+
+
+def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseChange, ...]:
+    found = []
+    for kind in CAUSE_KINDS:
+        values = np.array([[kind.value(row) for row in pair] for pair in rows], dtype=np.float64).reshape(-1, 2)
+        own = paired_difference(values[:, 0], values[:, 1], blocks)
+        size = abs(own.difference or 0.0)
+        reach = kind.tolerance if own.low is None or own.high is None else (own.high - own.low) / 2
+        if size > max(reach, ALIKE):
+            found.append((size / (kind.tolerance or 1.0), CauseChange(kind.name, kind.unit, kind.setting, own)))
+    return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
@@ -301,55 +308,16 @@ def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
     return why
 
 
-def _score_change(
-    base: FinishedRun,
-    other: FinishedRun,
-    names: Sequence[str],
-    column: str,
-    blocks: IntArray,
-    excess: RunExcess | None,
-) -> ScoreChange:
-    values = {name: (base.row(name)[column], other.row(name)[column]) for name in names}
+def _both_seed_noise(base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str) -> float | None:
     a, b = (_seed_noise(run, names, column) for run in (base, other))
-    noise = None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
-    metric = metric_of(column)
-    change = _change(metric.label, metric.higher_is_better, values, blocks, noise)
-    return replace(change, floor=None if excess is None else excess.scores[column].floor_from_equal)
-
-
-def _shared_change(score: str, changes: Mapping[str, Sequence[ObjectChange]], blocks: IntArray) -> ScoreChange:
-    """The means of a score by pair over the objects that have it in both runs."""
-    means: dict[str, tuple[float | None, float | None]] = {}
-    for name, own in changes.items():
-        both = [(getattr(change, f"{score}_before"), getattr(change, f"{score}_after")) for change in own]
-        known = [values for values in both if None not in values]
-        before, after = (float(np.mean(values)) for values in zip(*known, strict=True)) if known else (None, None)
-        means[name] = before, after
-    metric = METRIC[score]
-    return _change(f"{metric.label} (objects in both)", metric.higher_is_better, means, blocks)
-
-
-def _change(
-    heading: str,
-    higher_is_better: bool,
-    values: dict[str, tuple[float | None, float | None]],
-    blocks: IntArray,
-    seed_noise: float | None = None,
-) -> ScoreChange:
-    """The change of a score, yet without a verdict."""
-    before, after = np.array([*values.values()], dtype=np.float64).reshape(-1, 2).T  # None becomes NaN
-    difference = paired_difference(before, after, blocks)
-    of_pairs = {name: None if a is None or b is None else b - a for name, (a, b) in values.items()}
-    return ScoreChange(heading, higher_is_better, difference, "undecided", of_pairs, seed_noise)
+    return None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
 
 
 def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
     """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
-    if column not in SEEDED_SCORES or not names:
-        return None
     records = [run.store.ledger.job_of_file(table_name("seeds", name)) for name in names]
     repeats = [record.facts["scores"][column] for record in records if record is not None]
     n_seeds = {len(scores) for scores in repeats}
-    if len(repeats) < len(names) or len(n_seeds) != 1:
+    if not names or len(repeats) < len(names) or len(n_seeds) != 1:
         return None
     return spread(np.array(repeats, dtype=np.float64)).least_dataset

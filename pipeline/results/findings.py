@@ -1,6 +1,6 @@
 """The findings of a run: reads the objects and scores of its pairs, and keeps what they say together in `run.json`.
 
-Reads a few columns of four small files per pair, and only when the results have changed.
+Reads a few columns of five small files per pair, and only when the results have changed.
 """
 
 from __future__ import annotations
@@ -25,16 +25,20 @@ from ..storage.files import key_of
 from ..storage.tables import TableFolder, read_bounded
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
-_VERSION = 4
+_VERSION = 5
 _FILES_AT_ONCE = 200
 
 #: What an object is called by its shape, in the order of the columns that tell it.
 SHAPES = ("linear", "planar", "scattered")
 SHAPE_COLUMNS = ("linearity", "planarity", "scattering")
 _EXTENTS = ("extent_x", "extent_y", "extent_z")
-_OF_OBJECTS = ("community_id", "n_points", "range_m", "label", *_EXTENTS, *SHAPE_COLUMNS)
+_OF_OBJECTS = ("community_id", "n_points", "range_m", "label", *_EXTENTS)
 _OF_COVERAGE = ("side", "community_id", "covered_0p3m")
 _OF_METRICS = ("real_id", "sim_id", "n_real", "n_sim", "cdc", "r_lambda", "r_gap", "alignment_rms_m")
+_OF_PIECES = (
+    *("side", "piece_id", "n_points", "range_m", "bearing_deg", *_EXTENTS, "label", "fate"),
+    *("moved_x_m", "moved_y_m", "moved_z_m"),
+)
 _Objects = TypeVar("_Objects", SideObjects, MatchedObjects)
 
 
@@ -44,7 +48,7 @@ class SideRows:
 
     pair : place of the pair among `ObjectRows.pair_ids`
     object_id : from 0 in each pair
-    label, shape : class, "" where there is none, and which of `SHAPES` it is
+    label : class, "" if none
     diagonal_m : of the axis-aligned bounding box
     covered : share of its points that the other side has within 0.3 m
     is_matched : whether the other side has it too
@@ -55,7 +59,6 @@ class SideRows:
     n_points: IntArray
     range_m: FloatArray
     label: NDArray[Any]
-    shape: NDArray[np.str_]
     diagonal_m: FloatArray
     covered: FloatArray
     is_matched: BoolArray
@@ -69,6 +72,7 @@ class ObjectRows:
     pair : (m,) of each matched object, its place among `pair_ids`
     scores : columns of `metrics`, (m,) each, NaN where null
     real_rows, sim_rows : (m,) places of the matched objects in `real` and `sim`
+    pieces : columns of `pieces`, (p,) each, and `pair`, the place among `pair_ids`
     """
 
     pair_ids: list[str]
@@ -78,6 +82,7 @@ class ObjectRows:
     scores: dict[str, NDArray[Any]]
     real_rows: IndexArray
     sim_rows: IndexArray
+    pieces: dict[str, NDArray[Any]]
 
 
 def run_findings(
@@ -104,7 +109,7 @@ def run_findings(
     tables_key : hash of all that the tables were made of
     before : the findings of the last record
     by_reference : whether the real side fixed the objects
-    watch : is told of the objects as they are read
+    watch : called with the objects as they are read
     """
     if not pair_ids:
         return None
@@ -130,7 +135,7 @@ def read_objects(
     Parameters
     ----------
     by_reference : the real side fixed the objects: what little is simulated of a missing one is no simulated object
-    watch : is told of the objects, some pairs at a time, with more that is known of them
+    watch : called with the objects, some pairs at a time, with further columns
     """
     reals, sims, matched = [], [], []
     for first, rows in _rows_of(folder, pair_ids, by_reference):
@@ -178,7 +183,6 @@ def _rows_of(folder: TableFolder, pair_ids: list[str], by_reference: bool) -> It
                 n_points=objects["n_points"],
                 range_m=objects["range_m"],
                 label=np.array([label or "" for label in objects["label"]], dtype=object),
-                shape=shape_of(*(objects[name] for name in SHAPE_COLUMNS)),
                 diagonal_m=np.sqrt(np.sum([objects[name] ** 2 for name in _EXTENTS], axis=0)),
                 covered=coverage["covered_0p3m"][own],
                 is_matched=is_matched,
@@ -188,7 +192,9 @@ def _rows_of(folder: TableFolder, pair_ids: list[str], by_reference: bool) -> It
             is_own = sides["sim"].is_matched | (sides["sim"].object_id >= n_real[sides["sim"].pair])
             sides["sim"] = SideRows(**{name: column[is_own] for name, column in vars(sides["sim"]).items()})
             rows["sim"] = (np.cumsum(is_own) - 1)[rows["sim"]]
-        yield first, ObjectRows(names, sides["real"], sides["sim"], pair, scores, rows["real"], rows["sim"])
+        pieces, pair_of_piece = read_columns([folder.path("pieces", name) for name in names], _OF_PIECES)
+        pieces["pair"] = pair_of_piece
+        yield first, ObjectRows(names, sides["real"], sides["sim"], pair, scores, rows["real"], rows["sim"], pieces)
 
 
 def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArray) -> NDArray[np.str_]:

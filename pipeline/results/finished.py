@@ -15,6 +15,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
@@ -23,6 +24,7 @@ from ...schemas.metrics import metric_of
 from ...schemas.record import RunRecord
 from ...schemas.results import JsonObject
 from ...schemas.tables import TABLES
+from ...stages.arrays import FloatArray
 from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
@@ -85,16 +87,18 @@ class FinishedRun:
                 f"run {folder}: was written by fidpipe {made_by}, whose tables are {folder}/{made_by}*.parquet; "
                 "a folder written by fidpipe run is wanted"
             )
+        self.store = RunFolder(folder)
         try:
             self.record = RunRecord.from_dict(record)
             if self.record.metrics is None:
                 raise ValueError("metrics")
         except ValueError as error:
+            if self.store.is_locked:
+                raise RunError(f"run {folder}: another fidpipe is working on this run; wait until it ends") from error
             raise RunError(
                 f"run {folder}: the run has not ended, or an older fidpipe wrote it; "
                 f"finish it with: {command_again(folder, record.get('dataset'))}"
             ) from error
-        self.store = RunFolder(folder)
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
         if "" in self._row_of or len(self._row_of) < len(self.rows):
@@ -129,6 +133,12 @@ class FinishedRun:
         points = _frame(self._of_side("ground", pair_id, side))
         labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]
         return points.merge(labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1")
+
+    def object_points(self, pair_id: str, side: str = "real") -> FloatArray:
+        """(n, 3) the points of a side without ground, metres, in the real sensor's frame."""
+        table = self.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
+        points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])[~table["is_ground"].to_numpy()]
+        return points
 
     def edges(self, pair_id: str, side: str) -> pd.DataFrame:
         """The graph of a side, one row per edge: `src`, `dst` (ids of points), `length_m`."""

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -27,6 +28,8 @@ from .finished import FinishedRun, differences, settings_changes
 
 FLOOR_DATASET = "dataset"
 FLOOR_RECIPE = "floor.toml"
+FLOOR_AMOUNTS = "floor.csv"
+AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a floor: columns of `pairs`.
 SCORES = ("match_rate", "n_missing", "n_hallucinated", *(name for name in RUN_SCORES if name != "match_rate"))
 #: Of the simulated side alone, which in a floor is the real one.
@@ -38,14 +41,15 @@ class FloorRecipe:
     """How the second measurements of a floor were made.
 
     kind : "again": the same points with noise and dropout; "neighbours": the next real scan
-    noise_m, lost_share, seed : of "again"
+    noise_m, lost_share : of "again"; "measured" for those that each scan shows, listed in `FLOOR_AMOUNTS`
+    seed : of "again"
     dataset : whose real scans they are of
     """
 
     version: int
     kind: str
-    noise_m: float
-    lost_share: float
+    noise_m: float | Literal["measured"]
+    lost_share: float | Literal["measured"]
     seed: int
     dataset: str
 
@@ -54,7 +58,11 @@ class FloorRecipe:
         """The same for people; equal where the same scans give the same measurements."""
         if self.kind == "neighbours":
             return "the next real scan"
-        return f"range noise {self.noise_m:g} m, dropout {self.lost_share:g}, seed {self.seed}"
+        noise, lost = (
+            "as measured" if amount == AS_MEASURED else f"{amount:g}{unit}"
+            for amount, unit in ((self.noise_m, " m"), (self.lost_share, ""))
+        )
+        return f"range noise {noise}, dropout {lost}, seed {self.seed}"
 
     def to_toml(self) -> str:
         """The text of the recipe's file."""

@@ -20,7 +20,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
 from ...stages.statistics.comparison import LEAST_PAIRS
-from .compare import Comparison, ScoreChange
+from .compare import Comparison
+from .families import FamilyChange
 from .finished import FinishedRun, partition_note
 from .floor import excess_over
 from .measures import Measures
@@ -155,14 +156,15 @@ class BaseResult:
 
     @property
     def note(self) -> str:
-        """What such a gate cannot see; "" where it can."""
-        n = self.comparison.n_blocks
-        if n >= LEAST_PAIRS or "undecided" in self.fail_on:
-            return ""
-        return (
-            f"with {n} independent pairs ({LEAST_PAIRS} are wanted) this gate fails only on breaks far beyond the "
-            "noise; --fail-on undecided fails instead"
-        )
+        """Families that tend to the worse though the gate passed, and what too few pairs cannot show; "" if nothing."""
+        tending = [family.name for family in self.comparison.families if family.tendency == "worse"]
+        notes = [f"not decided, but with a tendency to the worse: {', '.join(tending)}"] * bool(tending)
+        if self.comparison.is_small and "undecided" not in self.fail_on:
+            notes.append(
+                f"with {self.comparison.n_blocks} independent pairs (a verdict requires {LEAST_PAIRS}) "
+                "this gate fails only on changes far beyond the noise; use --fail-on undecided to fail instead"
+            )
+        return "; ".join(notes)
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON: the comparison and what was judged."""
@@ -171,38 +173,36 @@ class BaseResult:
 
 
 def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseResult:
-    """Judges a run against its base.
+    """Evaluate a run against its base.
 
-    A score fails if it is worse after the correction for all scores, or moved to the worse far beyond the noise where
-    too few pairs decide. Every pair that the base has scored must have been compared: one that fails now fails the
-    gate, for a simulator that loses its hardest pairs looks better in the means. With "undecided" a score also fails
-    of which nothing can be said, whatever it does: too few independent pairs.
+    A family fails if it is worse or mixed. Every pair that the base has scored must have been compared: one that fails
+    now fails the gate, for a simulator that loses its hardest pairs looks better in the means. With "undecided" the
+    gate also fails if nothing is decided, for whatever reason: too few independent pairs, or changes within the noise.
     """
     n_base = len(comparison.pairs) + len(comparison.lost)
     why = [f"{name}: {comparison.left_out[name]}" for name in comparison.lost]
-    every = Check(
-        "every pair that the base has scored is compared",
-        f"{len(comparison.pairs)} of {n_base} pairs are compared" + (f"; {'; '.join(why)}" if why else ""),
-        "not compared" if why else "",
-    )
-    scores = [Check(f"{score.name} is not worse", _found(score), _fault(score, fail_on)) for score in comparison.scores]
-    return BaseResult(comparison, tuple(word for word in FAIL_ON if word in fail_on), (every, *scores))
+    checks = [
+        Check(
+            "every pair that the base has scored is compared",
+            f"{len(comparison.pairs)} of {n_base} pairs are compared" + (f"; {'; '.join(why)}" if why else ""),
+            "not compared" if why else "",
+        )
+    ]
+    for family in comparison.families:
+        fault = family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
+        checks.append(Check(f"{family.name} is not worse", _found(family), fault))
+    if "undecided" in fail_on:
+        undecided = "undecided" * (comparison.decision == "undecided")
+        checks.append(Check("the comparison is decided", comparison.decision, undecided))
+    return BaseResult(comparison, tuple(word for word in FAIL_ON if word in fail_on), tuple(checks))
 
 
-def _fault(score: ScoreChange, fail_on: Collection[str]) -> str:
-    if score.called == "worse":
-        return "worse"
-    return "undecided" if "undecided" in fail_on and score.difference.why else ""
-
-
-def _found(score: ScoreChange) -> str:
-    change = score.difference
-    if change.before is None or change.after is None:
-        return f"undecided: {change.why}"
-    p = "" if score.p is None else f", p {score.p:.3g}"
-    why = f": {change.why}" if change.why else ""
-    far = ", but moved far beyond the noise" if score.is_far and score.verdict == "undecided" else ""
-    return f"{change.before:.6g} to {change.after:.6g}{p}: {score.verdict}{far}{why}"
+def _found(family: FamilyChange) -> str:
+    score = family.scores[0]
+    p = "" if family.p is None else f", p {family.p:.3g}"
+    why = f" ({family.why})" if family.why else ""
+    own = score.difference
+    return f"{family.verdict}{why}: {score.name} {own.before:.6g} to {own.after:.6g}{p}"
 
 
 def parse_word(word: str, bound: Bound) -> Criterion:

@@ -11,9 +11,10 @@ from itertools import pairwise
 from pathlib import Path
 
 from ...schemas.errors import RunError
-from ...schemas.metrics import metric_of
 from ...schemas.results import JsonObject
-from .compare import SCORES, Comparison, compare_two, pairs_left_out
+from ...stages.statistics.comparison import Difference
+from .compare import Comparison, compare_two, pairs_left_out
+from .families import FamilyChange, families
 from .finished import FinishedRun
 
 
@@ -29,11 +30,11 @@ class RunOfHistory:
 
 @dataclass(frozen=True)
 class Step:
-    """A score of one run.
+    """A family in one run.
 
-    mean : over the independent pairs that all runs have scored; None where none has the score
+    mean : of its score, over the independent pairs that all runs have scored; None if null
     low, high : 95 % interval of the change since the first run, added to the first run's mean; None without one
-    since_first, since_last : the verdict against the first run, and against the one before; "" of the first run
+    since_first, since_last : verdict of the family against the first run, and against the one before; "" for the first
     """
 
     mean: float | None
@@ -44,17 +45,21 @@ class Step:
 
 
 @dataclass(frozen=True)
-class ScoreHistory:
-    """A score over the runs."""
+class FamilyHistory:
+    """A family over the runs, with the score that stands for it.
 
+    name, mark : of the score; direction of good
+    """
+
+    family: str
     name: str
-    higher_is_better: bool
+    mark: str
     steps: tuple[Step, ...]
 
 
 @dataclass(frozen=True)
 class History:
-    """Runs in their order, and their scores.
+    """Runs in their order, and their families of scores.
 
     pairs : that all runs have scored
     left_out : by pair that some run has scored, why it is not among them
@@ -69,7 +74,7 @@ class History:
     failed: tuple[str, ...]
     n_blocks: int
     n_comparisons: int
-    scores: tuple[ScoreHistory, ...]
+    families: tuple[FamilyHistory, ...]
     notes: tuple[str, ...]
 
     def as_dict(self) -> JsonObject:
@@ -78,13 +83,20 @@ class History:
         return asdict(self) | runs
 
 
-def read_history(folders: Sequence[Path], *, by_date: bool = False, allow_different_settings: bool = False) -> History:
-    """The scores of runs in a row, each compared with the first and with the one before.
+def read_history(
+    folders: Sequence[Path],
+    *,
+    by_date: bool = False,
+    allow_different_settings: bool = False,
+    independent: bool = False,
+) -> History:
+    """The families of scores of runs in a row, each compared with the first and with the one before.
 
     Parameters
     ----------
     folders : two or more, in the order that is wanted
-    by_date : whether they are ordered by when they were made instead
+    by_date : order them by when they were made instead
+    independent : see `compare_runs`
 
     Raises
     ------
@@ -101,12 +113,14 @@ def read_history(folders: Sequence[Path], *, by_date: bool = False, allow_differ
     if not pairs:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
         raise RunError(f"{len(runs)} runs from {first.folder} on: no pair is scored by all ({why or 'none is scored'})")
-    since_first = [compare_two(first, other, allow_different_settings, only=pairs) for other in others]
-    since_last = [
-        since_first[0],
-        *(compare_two(a, b, allow_different_settings, only=pairs) for a, b in pairwise(others)),
-    ]
-    notes = list(dict.fromkeys(f"differs: {note}" for one in since_first for note in (*one.settings, *one.notes)))
+
+    def compared(a: FinishedRun, b: FinishedRun) -> Comparison:
+        return compare_two(a, b, allow_different_settings, only=pairs, independent=independent)
+
+    since_first = [compared(first, other) for other in others]
+    since_last = [since_first[0], *(compared(a, b) for a, b in pairwise(others))]
+    notes = [since_first[0].blocking]
+    notes += dict.fromkeys(f"differs: {note}" for one in since_first for note in (*one.settings, *one.notes))
     if not by_date and dates != sorted(dates):
         notes.append("the runs are not in the order in which they were made; --by-date orders them so")
     return History(
@@ -116,7 +130,7 @@ def read_history(folders: Sequence[Path], *, by_date: bool = False, allow_differ
         failed=since_first[-1].failed,
         n_blocks=since_first[0].n_blocks,
         n_comparisons=2 * len(others) - 1,
-        scores=tuple(_scores(since_first, since_last, i) for i in range(len(SCORES))),
+        families=tuple(_over_runs(family.name, since_first, since_last) for family in since_first[0].families),
         notes=tuple(notes),
     )
 
@@ -126,15 +140,23 @@ def _of_run(run: FinishedRun) -> RunOfHistory:
     return RunOfHistory(run.folder, run.record.written, counts.scored, counts.failed)
 
 
-def _scores(since_first: Sequence[Comparison], since_last: Sequence[Comparison], i: int) -> ScoreHistory:
-    """The history of the score at this place of `SCORES`."""
-    metric = metric_of(SCORES[i])
-    steps = [Step(since_first[0].scores[i].difference.before)]
-    for first, last in zip(since_first, since_last, strict=True):
-        score = first.scores[i]
-        own = score.difference
+def _over_runs(family: str, since_first: Sequence[Comparison], since_last: Sequence[Comparison]) -> FamilyHistory:
+    """The history of a family, and of the first of its scores in the catalogue that has values."""
+    first, last = ([_family(one, family) for one in compared] for compared in (since_first, since_last))
+    known = {score.name: score for score in first[0].scores}
+    headings = [score.heading for preset in ("reference", "paper") for score in families(preset)[family]]
+    chosen = next(known[heading] for heading in headings if heading in known)
+    steps = [Step(chosen.difference.before)]
+    for against_first, against_last in zip(first, last, strict=True):
+        own = next((score.difference for score in against_first.scores if score.name == chosen.name), Difference())
         low, high = (
             None if change is None or own.before is None else own.before + change for change in (own.low, own.high)
         )
-        steps.append(Step(own.after, low, high, score.called, last.scores[i].called))
-    return ScoreHistory(metric.label, metric.higher_is_better, tuple(steps))
+        steps.append(Step(own.after, low, high, against_first.verdict, against_last.verdict))
+    return FamilyHistory(family, chosen.name, chosen.mark, tuple(steps))
+
+
+def _family(comparison: Comparison, name: str) -> FamilyChange:
+    """A family of a comparison; one without scores if it has none."""
+    absent = FamilyChange(name, "undecided", None, "", "", ())
+    return next((family for family in comparison.families if family.name == name), absent)

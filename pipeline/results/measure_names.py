@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ...schemas.metrics import COVERAGE_SCORES, DISTRIBUTED, OBJECT_METRICS, SURFACE_SCORES
+from ...schemas.metrics import COVERAGE_SCORES, DISTRIBUTED, OBJECT_METRICS, PIECE_SCORES, SURFACE_SCORES
 
 OF_PAIRS = ("mean", "std", "min", "median", "max")
 OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
 COUNTS = ("total", "mean", "max", "share")
-PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in SURFACE_SCORES))
+PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)))
 #: `covered.real.0.3m`, by which a gate knows the column `covered_real_0p3m`.
 COVERAGE = {metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES}
 #: Of the double validation metric, over objects where a score has them.

@@ -138,7 +138,7 @@ def check_pages(path: Path, stream: BinaryIO, is_read: Callable[[str], bool] = l
 
     A run of equal values is a few bytes however long it is, and so is a page of a compressor. The footer tells of the
     rows, and each page of its own length, which pyarrow takes memory for. Both are read here: pyarrow's own view of a
-    damaged footer ends the process.
+    damaged footer ends the process. A text that is stored once counts as often as it occurs.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def check_pages(path: Path, stream: BinaryIO, is_read: Callable[[str], bool] = l
     if mark != b"PAR1" or n_footer + 8 > n_bytes:
         raise ValueError("no footer of a Parquet file")
     stream.seek(n_bytes - 8 - n_footer)
-    n_unpacked = 0
+    n_unpacked, most_text, texts = 0, 0, set()
     for group in _fields(_Thrift(stream.read(n_footer)).struct(), 4, list):  # parquet.thrift, FileMetaData.row_groups
         for chunk in _fields(group, 1, list):
             column = _fields(chunk, 3, dict)
@@ -168,13 +168,28 @@ def check_pages(path: Path, stream: BinaryIO, is_read: Callable[[str], bool] = l
             if not is_read(names[0].decode()):
                 continue
             n_values, n_packed, first_page = (_fields(column, field, int) for field in (5, 7, 9))
-            start, value_bytes = min(first_page, column.get(11) or first_page), _VALUE_BYTES
+            start = min(first_page, column.get(11) or first_page)
+            n_rows = max(n_values, _fields(group, 3, int))
             for kind, n_page in _pages(stream, start, min(start + n_packed, n_bytes)) if n_values else ():
                 n_unpacked += n_page
                 if kind == _DICTIONARY_PAGE and column.get(1) == _BYTE_ARRAY:
-                    value_bytes = max(value_bytes, n_page)  # any row may be its longest word
-            n_unpacked += max(n_values, _fields(group, 3, int)) * value_bytes
+                    texts.add(names[0].decode())
+                    most_text += n_rows * n_page  # if each row had all texts of the dictionary
+            n_unpacked += n_rows * _VALUE_BYTES
             check_unpacked(path, n_unpacked, n_bytes)
+    if n_unpacked + most_text > most_unpacked(n_bytes):
+        check_unpacked(path, n_unpacked + _text_bytes(stream, sorted(texts)), n_bytes)
+
+
+def _text_bytes(stream: BinaryIO, names: list[str]) -> int:
+    """Length of all texts of these columns of a Parquet file, counted without repeating them in memory."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    stream.seek(0)
+    file = pq.ParquetFile(stream, read_dictionary=names, pre_buffer=False)
+    parts = [part for column in file.read(names, use_threads=False).itercolumns() for part in column.chunks]
+    return sum(pc.sum(pc.binary_length(part.dictionary).take(part.indices)).as_py() or 0 for part in parts)
 
 
 def _pages(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, int]]:

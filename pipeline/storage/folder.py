@@ -7,7 +7,6 @@ import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from shutil import rmtree
 
 import pyarrow as pa
 
@@ -17,7 +16,6 @@ from .ledger import LEDGER, Ledger
 from .tables import JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
-_OF_OLDER_VERSIONS = ("index.jsonl", ".journal")
 
 
 class RunFolder(TableFolder):
@@ -35,9 +33,16 @@ class RunFolder(TableFolder):
         return self._ledger
 
     @property
-    def is_of_older_version(self) -> bool:
-        """Whether a fidpipe wrote here whose tables do not tell of their jobs."""
-        return any((self.folder / name).exists() for name in _OF_OLDER_VERSIONS)
+    def is_locked(self) -> bool:
+        """True if a command is working on the folder."""
+        import fcntl
+
+        try:
+            with (self.folder / _LOCK).open() as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError as error:  # without a lock file, or a file system that locks, none is known of
+            return isinstance(error, BlockingIOError)
+        return False
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -120,9 +125,6 @@ class RunFolder(TableFolder):
                 continue
             n_whole += not Path(name).name.startswith(".")
             (self.folder / name).unlink()
-        for name in _OF_OLDER_VERSIONS:
-            path = self.folder / name
-            rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
         return n_whole
 
     def _is_known_by_its_job(self, name: str) -> bool:

@@ -248,6 +248,7 @@ def run_record(
     findings: Findings | None,
     n_to_do: int,
     frames: Mapping[str, FrameSuspect],
+    notes: Mapping[str, Sequence[str]],
     extras: Mapping[str, Any],
 ) -> RunRecord:
     """What `run.json` holds at the end of a run.
@@ -263,6 +264,7 @@ def run_record(
     findings : what the objects of all pairs say together
     n_to_do : pairs of the dataset that are neither scored nor failed
     frames : by pair, those whose simulated scan seems to lie in another frame
+    notes : by pair, notes on its ground cut
     extras : by name, what the extras say of all pairs together
     """
     n_scored = sum(row["status"] == "scored" for row in rows)
@@ -276,6 +278,7 @@ def run_record(
         seconds=seconds,
         inputs={pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
         frames=dict(sorted(frames.items())),
+        notes={pair_id: tuple(texts) for pair_id, texts in sorted(notes.items())},
         **extras,
     )
 

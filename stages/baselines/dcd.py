@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ...schemas.settings import MetricsSettings
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray
+from ..reference import nearest_points
 from .interface import Baseline, Baselines
 
 
@@ -34,11 +34,12 @@ def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> De
     """The published density-aware Chamfer distance, 0 to 1; None where the real points have no extent.
 
     DCD = 1/2 (mean_x (1 - w_x exp(-alpha |x - y'|^2)) + mean_y (1 - w_y exp(-alpha |y - x'|^2))), y' the nearest
-    simulated point of x, w_x = (n / m) / (number of real points whose nearest is the same y'), and the other way
-    round (Wu, Pan, Zhang, Wang, Liu and Lin, Density-aware Chamfer distance as a comprehensive metric for point cloud
-    completion, NeurIPS 2021, section 3). Of equal sizes w is 1 over the count. The squared distance and the factor
-    n / m of unequal sizes are those of the authors' code (`calc_dcd`); the article writes |x - y'|. With that factor a
-    weight can be above 1, and its term below 0: such weights are cut at 1, and counted.
+    simulated point of x (of equally near ones the first by x, y, z), w_x = (n / m) / (number of real points whose
+    nearest is the same y'), and the other way round (Wu, Pan, Zhang, Wang, Liu and Lin, Density-aware Chamfer distance
+    as a comprehensive metric for point cloud completion, NeurIPS 2021, section 3). Of equal sizes w is 1 over the
+    count. The squared distance and the factor n / m of unequal sizes are those of the authors' code (`calc_dcd`); the
+    article writes |x - y'|. With that factor a weight can be above 1, and its term below 0: such weights are cut at 1,
+    and counted.
 
     alpha = 1000 was chosen by its authors for objects of unit size, so that both sides are scaled by the diagonal of
     the real object's axis-aligned bounding box. This is not the score that the paper calls CDC (`metrics`).
@@ -58,8 +59,7 @@ def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> De
 
 def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:
     """The mean of the terms of x, and how many of its weights were cut."""
-    distance, neighbours = cKDTree(y).query(x)
-    nearest: IndexArray = neighbours
+    nearest, distance = nearest_points(y, x)
     weight = len(x) / len(y) / np.bincount(nearest, minlength=len(y))[nearest]
     with np.errstate(over="ignore"):  # what is infinitely far has the term 1
         term = 1 - np.minimum(weight, 1.0) * np.exp(-alpha * distance**2)

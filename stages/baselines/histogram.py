@@ -7,6 +7,7 @@ from scipy.spatial.distance import pdist
 
 from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
+from ..reference import visiting_order
 from .interface import Baseline, Baselines
 
 _SEED = 0
@@ -28,7 +29,7 @@ def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins:
     driving systems using 3D object comparison metric, IEEE IV 2022), who compare by the Minkowski distance; the
     histogram itself is the shape distribution D2 of Osada, Funkhouser, Chazelle and Dobkin (Shape distributions, ACM
     TOG 2002). Blind to where an object lies, how it is turned, and how large it is. Sides with more than `n_points`
-    points are represented by that many, drawn without replacement with a fixed seed.
+    points are represented by that many, drawn by a hash of their coordinates, so that the order of rows has no effect.
 
     Parameters
     ----------
@@ -37,19 +38,11 @@ def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins:
     n_bins : of the histogram
     order : p of the Minkowski distance, at least 1; 2 is the Euclidean one
     """
-    shares = [_distance_shares(_some(points, n_points), n_bins) for points in (real, sim)]
+    samples = [points[visiting_order(points, _SEED)[:n_points]] for points in (real, sim)]
+    shares = [_distance_shares(points, n_bins) for points in samples]
     if shares[0] is None or shares[1] is None:
         return None
     return float(np.linalg.norm(shares[0] - shares[1], order))
-
-
-def _some(points: FloatArray, n_points: int) -> FloatArray:
-    """At most n points, in their order."""
-    if len(points) <= n_points:
-        return points
-    chosen = np.random.default_rng(_SEED).choice(len(points), n_points, replace=False)
-    some: FloatArray = points[np.sort(chosen)]
-    return some
 
 
 def _distance_shares(points: FloatArray, n_bins: int) -> FloatArray | None:

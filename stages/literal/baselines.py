@@ -13,6 +13,7 @@ from scipy.stats import wasserstein_distance
 
 from ..arrays import FloatArray
 from .method import distances, laplacian, nearest_distances
+from .surfaces import visiting_order
 
 
 def of_points(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> dict[str, float | None]:
@@ -50,6 +51,7 @@ def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
         return None
 
     def one_way(xs: FloatArray, ys: FloatArray) -> float:
+        ys = np.array(sorted(ys.tolist()))  # of equally near ones the first by x, y, z
         nearest = [int(distances(ys, x).argmin()) for x in xs]
         count, terms = Counter(nearest), []
         for x, j in zip(xs, nearest, strict=True):
@@ -69,11 +71,7 @@ def histogram(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> 
     """
     shares = []
     for points in (real, sim):
-        most = int(settings["histogram_points"])
-        rows = np.arange(len(points))
-        if len(points) > most:
-            rows = np.sort(np.random.default_rng(0).choice(len(points), most, replace=False))
-        some = points[rows]
+        some = points[visiting_order(points)[: int(settings["histogram_points"])]]
         apart = cdist(some, some)[np.triu_indices(len(some), 1)]
         if not len(apart) or apart.max() == 0:
             return None

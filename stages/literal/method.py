@@ -10,6 +10,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 from types import MappingProxyType
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 _MAX_TILT_DEG = 10
 _ALIKE = 1e-9
 _NEAR_M, _WINDOW_M, _STEP_M, _DEPTH_M = 30, 0.1, 0.05, 1
+_CELL_M, _FEWEST_CELLS = 0.5, 20
 IDENTICAL_CHANGE = 1e-5
 _ROS_AXES: dict[str, Callable[[float, float, float], list[float]]] = {
     "ros": lambda forward, left, up: [forward, left, up],
@@ -129,6 +131,28 @@ def ground(
     while variance_loss(points, height, z, peak, loss) > max_loss and z > peak + 1e-9:
         z, iterations = max(z - _STEP_M, peak), iterations + 1
     return Cut(bool(is_told), axis, tilt_deg, height, peak, z, variance_loss(points, height, z, peak, loss), iterations)
+
+
+def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | None:
+    """Height of the simulated road above the real one: the median of the fullest 0.1 m of the cells' differences.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, cleaned
+    axis : (3,) of heights, the real side's
+    """
+    heights: tuple[dict[tuple[int, int], list[float]], ...] = ({}, {})
+    for cells, points in zip(heights, (real, sim), strict=True):
+        for p in points.tolist():
+            if math.hypot(*p) <= _NEAR_M:
+                cell = (math.floor(p[0] / _CELL_M), math.floor(p[1] / _CELL_M))
+                cells.setdefault(cell, []).append(sum(axis[i] * p[i] for i in range(3)))
+    above = sorted(median(own) - median(heights[0][cell]) for cell, own in heights[1].items() if cell in heights[0])
+    if len(above) < _FEWEST_CELLS:
+        return None
+    windows = [bisect_right(above, h + _WINDOW_M) - i for i, h in enumerate(above)]
+    start = windows.index(max(windows))
+    return median(above[start : start + windows[start]])
 
 
 def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, peak_m: float, loss: str) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -26,6 +27,7 @@ _FEWEST_BEAMS = 8
 _FEWEST_RETURNS = 8
 _EXACT_DEG = 0.06
 _AS_MANY = 3  # beams more or less
+_STEP_TOLERANCE = 0.015
 _FIT = 0.25  # of the distance of neighbouring beams
 
 
@@ -81,13 +83,13 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     ring : (n,) int32, number of each point's beam, -1 where it has none
     """
     pattern = _find_from(0.0, points, ring)
-    if not isinstance(pattern, str) and recognise(pattern)[0]:
+    if not isinstance(pattern, str) and recognise(pattern).title:
         return pattern
     n_told = None if isinstance(pattern, str) else len(pattern.elevation_deg)
     sensors = [known for known in SENSORS.values() if n_told is None or abs(known.n_beams - n_told) <= _AS_MANY]
     for focal_m in sorted({sensor.focal_m for sensor in sensors} - {0.0}):
         other = _find_from(focal_m, points, ring)
-        if not isinstance(other, str) and recognise(other)[0]:
+        if not isinstance(other, str) and recognise(other).title:
             return other
     return pattern
 
@@ -112,7 +114,9 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
     for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
         is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
         found.append(_read(tangent[is_in], nearness[is_in]) if is_in.sum() >= 1000 else None)
-    told = [replace(each, is_sharp=False) for each in found if each and each.explained >= _TOLD and recognise(each)[0]]
+    told = [
+        replace(each, is_sharp=False) for each in found if each and each.explained >= _TOLD and recognise(each).title
+    ]
     if not told:
         return (
             "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
@@ -120,43 +124,68 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
     return max(told, key=lambda pattern: pattern.explained)
 
 
-def recognise(pattern: BeamPattern) -> tuple[str | None, str]:
-    """The title of the known sensor with these beams, or None; and then why not.
+class Recognition(NamedTuple):
+    """The known sensor with some beams: its title, or None and the reason; and the number of beams in its table."""
+
+    title: str | None
+    reason: str = ""
+    n_beams: int | None = None
+
+
+def recognise(pattern: BeamPattern, step_deg: float | None = None, quantum_m: float | None = None) -> Recognition:
+    """The known sensor with these beams, whose azimuth step and range quantum agree with the scan's.
 
     A sensor whose table holds for every unit fits if 95 % of the beams lie within 0.06 degrees, or a quarter of the
     distance to its neighbour, of a beam of the table, 90 % of the table's beams within their limits are seen, and
-    70 % of all. One whose units differ (HDL-64E, Ouster) may be shifted and stretched, each half of the table by
-    itself, by its `unit_deg` and 5 %; then 85 % must fit. Evenly spaced beams are never stretched: no unit has them.
-    Every second beam of a table is tried too. Beams that cross before the axis are those of sensors whose beams do so
-    there. If two sensors fit equally well, none is named.
+    70 % of all. One whose units differ (HDL-64E, Ouster, PandarXT) may be shifted and stretched, each half of the table
+    independently, by its `unit_deg` and 5 %; then 85 % must fit. Evenly spaced beams are never stretched: no unit has
+    them. Every second beam of a table is tried too. Beams that cross before the axis are those of sensors whose beams
+    do so there. If two sensors fit equally well, both are named; if more do, none is.
+
+    Parameters
+    ----------
+    pattern : the beams
+    step_deg, quantum_m : of the scan; None if unknown, which agrees with every sensor
     """
     observed = pattern.elevation_deg
     if len(observed) < _FEWEST_BEAMS:
-        return None, f"{len(observed)} beams, at least {_FEWEST_BEAMS} are needed to know a sensor by them"
-    scores: dict[str, float] = {}
-    for title, table, unit_deg, focal_m in _tables():
-        if pattern.focal_m not in (0.0, focal_m):
-            continue
-        if score := _fit(observed, table, unit_deg, pattern):
-            scores[title] = max(score, scores.get(title, 0.0))
-    fits = sorted(((score, title) for title, score in scores.items()), reverse=True)
-    if fits and (len(fits) == 1 or fits[0][0] - fits[1][0] > 0.02):
-        return fits[0][1], ""
-    if fits:
-        return None, f"these beams fit {fits[0][1]} and {fits[1][1]} alike"
-    if pattern.is_even:
-        return None, "no known sensor has these; simulators space theirs evenly"
-    return None, "no sensor of the table has such beams"
+        return Recognition(None, f"{len(observed)} beams, at least {_FEWEST_BEAMS} are needed to know a sensor by them")
+    fits: dict[str, tuple[float, SensorModel, int]] = {}
+    for title, table, sensor in _tables():
+        if pattern.focal_m in (0.0, sensor.focal_m) and (score := _fit(observed, table, sensor.unit_deg, pattern)):
+            fits[title] = max((score, sensor, len(table)), fits.get(title, (0.0, sensor, 0)), key=lambda fit: fit[0])
+    if not fits:
+        what = "no known sensor has these; simulators space theirs evenly"
+        return Recognition(None, what if pattern.is_even else "no sensor of the table has such beams")
+    best = max(score for score, _, _ in fits.values())
+    alike = {title: fit for title, fit in fits.items() if fit[0] >= best - 0.02}
+    why = {title: _disagreement(sensor, step_deg, quantum_m) for title, (_, sensor, _) in alike.items()}
+    agreeing = [title for title in alike if not why[title]]
+    if not agreeing:
+        return Recognition(None, "; ".join(f"the beams of {title}, but {why[title]}" for title in alike))
+    if len(agreeing) > 2:
+        return Recognition(None, f"these beams fit {', '.join(agreeing)} equally well")
+    return Recognition(" or ".join(agreeing), "", alike[agreeing[0]][2])
 
 
-def _tables() -> Iterator[tuple[str, FloatArray, float, float]]:
-    """Title, ascending elevations, freedom, focal distance of each known sensor, and each second beam of large ones."""
+def _disagreement(sensor: SensorModel, step_deg: float | None, quantum_m: float | None) -> str:
+    """Reason why a step or quantum is not the sensor's, or ""."""
+    if quantum_m and sensor.range_quantum_m and abs(quantum_m / sensor.range_quantum_m - 1.0) > 0.1:
+        return f"its range quantum is {1e3 * sensor.range_quantum_m:g} mm, not {1e3 * quantum_m:g} mm"
+    columns = step_deg / sensor.column_deg if step_deg and sensor.column_deg else 1.0
+    if abs(columns - max(1, round(columns))) > _STEP_TOLERANCE * columns:
+        return f"its azimuth steps are multiples of {sensor.column_deg:.3g} degrees, not {step_deg:.3f}"
+    return ""
+
+
+def _tables() -> Iterator[tuple[str, FloatArray, SensorModel]]:
+    """Title and ascending elevations of each known sensor, and of every second beam of large ones."""
     for sensor in SENSORS.values():
         table = np.sort(np.array(sensor.elevation_deg))
-        yield sensor.title, table, sensor.unit_deg, sensor.focal_m
+        yield sensor.title, table, sensor
         if _is_worth_halving(sensor):
             for first in (0, 1):
-                yield f"every second beam of {sensor.title}", table[first::2], sensor.unit_deg, sensor.focal_m
+                yield f"every second beam of {sensor.title}", table[first::2], sensor
 
 
 def _is_worth_halving(sensor: SensorModel) -> bool:

@@ -7,7 +7,7 @@ same however it is turned or mirrored, and is most of a scan. The limits are fid
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import as_ros, clean_scan
 from .surfels import voxel_ids
 
-FRAMES_VERSION = 2  # raised where a result can change
+FRAMES_VERSION = 3  # raised where a result can change
 AS_IT_LIES = "as it lies"
 VOXEL_M = 0.5
 REACH_M = 40.0
@@ -31,8 +31,14 @@ LEAST_COVERAGE = 0.6
 LEAST_GAIN = 0.15
 MOST_LEFT_OPEN = 0.6
 LEAST_GAIN_BY_MOVING = 0.08  # a setting that a person would forget is named before one that only a machine would find
+LEAST_SAME_PLACE = 0.58  # best coverage: scans of one place 0.63 to 0.96, of two places 0.29 to 0.55
+LEAST_LIFT_M = 0.2
 _LEAST_SHIFT_M = 0.8
-_SCALES = {"centimetres": 0.01, "millimetres": 0.001}
+_MOST_LIFT_LEFT_M = 0.05
+_MOST_COVERAGE_LOST = 0.02
+_LIFT_STEPS = 4
+_SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
+_SIMILAR_REACH = {"feet": 1.6}  # ratio of the reach of both sides in a unit; 10 in units that are farther apart
 _GROUND_STEP_M = 0.1
 
 _NAMED = {
@@ -87,6 +93,11 @@ class FrameCheck:
     is_suspect: bool
     setting: str
 
+    @property
+    def is_elsewhere(self) -> bool:
+        """True if no reading covers as much as two scans of one place do."""
+        return self.coverage < LEAST_SAME_PLACE
+
 
 @dataclass(frozen=True)
 class _Placement:
@@ -103,13 +114,23 @@ class _Placement:
 class _Reading:
     """A way to place the simulated scan: p, in metres, becomes R p + t; R is a rotation or a mirror image.
 
+    words : description of the turn or motion; "" for none
     M : (3, 4) float64, [R | t]
     unit : that the file is read in; "" for metres
+    lift_m : difference of the ground heights, as part of t
     """
 
-    name: str
+    words: str
     M: FloatArray
     unit: str = ""
+    lift_m: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Human-readable description, such as "mirrored in y and shifted by +1.80 m in z, in feet"."""
+        lift = f"shifted by {self.lift_m:+.2f} m in z" if self.lift_m else ""
+        words = " and ".join(filter(None, (self.words, lift)))
+        return ", ".join(filter(None, (words, self.unit and f"in {self.unit}"))) or AS_IT_LIES
 
 
 class _Side:
@@ -131,10 +152,12 @@ def check_frames(
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
     The simulated scan is read as it lies; mirrored, turned by quarter turns, upside down; either scan in any of the
-    frames that settings have; in centimetres and millimetres where it lies far beyond the real one; each of these also
-    shifted by the difference of the ground heights; and as small_gicp moves it, where that extra is installed. A
+    frames that settings have; in centimetres, millimetres and feet where it lies far beyond the real one; each of these
+    also shifted by the difference of the ground heights; and as small_gicp moves it, where that extra is installed. A
     reading is suspect if it covers at least `LEAST_COVERAGE`, that is `LEAST_GAIN` more than the scan as it lies, and
-    leaves at most `MOST_LEFT_OPEN` of what that leaves uncovered.
+    leaves at most `MOST_LEFT_OPEN` of what that leaves uncovered. Otherwise a scan is suspect if its ground lies
+    `LEAST_LIFT_M` or more above or below the real one. Lifts are medians over ground points and their horizontal
+    neighbours, applied and measured once more before they are reported.
 
     Parameters
     ----------
@@ -158,35 +181,8 @@ def check_frames(
     target_points = target_points[_is_inside(target_points, placement.include_box)]
     if len(target_points) < FEWEST_POINTS:
         return None
-    target, as_it_lies = _Side(target_points), 0.0
-    best: tuple[float, _Reading] | None = None
-    for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
-        own = _thinned(sim * scale, settings, "sim")
-        if len(own) < FEWEST_POINTS:
-            continue
-        source = _Side(own)
-        for reading in _readings(target, source, placement, unit):
-            coverage = _coverage(target, source, reading, placement.include_box)
-            if reading.name == AS_IT_LIES:
-                as_it_lies = coverage
-                if 1 - as_it_lies < LEAST_GAIN:  # no other reading can be suspect
-                    return FrameCheck(as_it_lies, AS_IT_LIES, as_it_lies, False, "")
-            if best is None or coverage > best[0]:
-                best = coverage, reading
-        if best is not None and best[1].unit == unit and best[0] < 1 and can_move():
-            reading = _registered(target, source, best[1])
-            coverage = _coverage(target, source, reading, placement.include_box)
-            if coverage - best[0] >= LEAST_GAIN_BY_MOVING:
-                best = coverage, reading
-    if best is None:
-        return None
-    coverage, reading = best
-    is_suspect = (
-        coverage >= LEAST_COVERAGE
-        and coverage - as_it_lies >= LEAST_GAIN
-        and 1 - coverage <= MOST_LEFT_OPEN * (1 - as_it_lies)
-    )
-    return FrameCheck(as_it_lies, reading.name, coverage, is_suspect, _setting(reading, placement))
+    found = _search(_Side(target_points), sim, real, settings, placement)
+    return None if found is None else _conclude(found, placement)
 
 
 def can_move() -> bool:
@@ -212,20 +208,103 @@ def ground_height(points: FloatArray) -> float:
     return float((steps.min() + fullest + 1) * _GROUND_STEP_M - GROUND_BAND_M)
 
 
+@dataclass(frozen=True)
+class _Search:
+    """Outcome of comparing all readings: the coverage as it lies, and the best reading with its own.
+
+    sources : thinned simulated scan by unit
+    """
+
+    target: _Side
+    sources: dict[str, _Side]
+    present: _Reading
+    as_it_lies: float
+    best: _Reading
+    coverage: float
+
+
+def _search(
+    target: _Side, sim: FloatArray, real: FloatArray, settings: InputSettings, placement: _Placement
+) -> _Search | None:
+    """Compares the readings; stops early if the scan as it lies covers so much that no other can be suspect."""
+    sources: dict[str, _Side] = {}
+    as_it_lies, box = 0.0, placement.include_box
+    best: tuple[float, _Reading] | None = None
+    present = _Reading("", placement.motion)
+    for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
+        own = _thinned(sim * scale, settings, "sim")
+        if len(own) < FEWEST_POINTS:
+            continue
+        source = sources[unit] = _Side(own)
+        for reading in _readings(target, source, placement, unit):
+            coverage = _coverage(target, source, reading, box)
+            if reading.name == AS_IT_LIES:
+                as_it_lies = coverage
+                if 1 - as_it_lies < LEAST_GAIN:
+                    return _Search(target, sources, present, as_it_lies, reading, as_it_lies)
+            if best is None or coverage > best[0]:
+                best = coverage, reading
+        if best is not None and best[1].unit == unit and best[0] < 1 and can_move():
+            reading = _registered(target, source, best[1])
+            coverage = _coverage(target, source, reading, box)
+            if coverage - best[0] >= LEAST_GAIN_BY_MOVING:
+                best = coverage, reading
+    return None if best is None else _Search(target, sources, present, as_it_lies, best[1], best[0])
+
+
+def _conclude(found: _Search, placement: _Placement) -> FrameCheck:
+    """Decides whether the best reading is suspect, or else a lift; lifts of either are refined."""
+    reading, coverage, as_it_lies, box = found.best, found.coverage, found.as_it_lies, placement.include_box
+    is_suspect = (
+        coverage >= LEAST_COVERAGE
+        and coverage - as_it_lies >= LEAST_GAIN
+        and 1 - coverage <= MOST_LEFT_OPEN * (1 - as_it_lies)
+    )
+    start, before = (reading, coverage) if is_suspect else (found.present, as_it_lies)
+    source = found.sources.get(start.unit)
+    if source is not None and coverage >= LEAST_SAME_PLACE and (levelled := _levelled(found.target, source, start)):
+        after = _coverage(found.target, source, levelled, box)
+        if after >= before - _MOST_COVERAGE_LOST:
+            reading, coverage, is_suspect = levelled, after, True
+    return FrameCheck(as_it_lies, reading.name, coverage, is_suspect, _setting(reading, placement))
+
+
+def _levelled(target: _Side, source: _Side, reading: _Reading) -> _Reading | None:
+    """The reading with the ground at the height of the real one; None if that changes little or does not converge."""
+    placed = _placed(source.points, reading.M)
+    ground = target.points[target.is_ground]
+    tree = cKDTree(ground[:, :2])
+    step_m = 0.0 if reading.lift_m else target.ground_m - ground_height(placed)
+    change_m = 0.0
+    for _ in range(_LIFT_STEPS):
+        change_m += step_m
+        z = placed[:, 2] + change_m
+        is_ground = np.abs(z - target.ground_m) < GROUND_BAND_M
+        apart, row = tree.query(placed[is_ground, :2], distance_upper_bound=VOXEL_M)
+        is_near = np.isfinite(apart)
+        if is_near.sum() < FEWEST_POINTS:
+            return None
+        step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
+    lift_m = reading.lift_m + change_m
+    if abs(step_m) > _MOST_LIFT_LEFT_M or abs(lift_m) < LEAST_LIFT_M:
+        return None
+    M = reading.M.copy()
+    M[2, 3] += change_m
+    return replace(reading, M=M, lift_m=lift_m)
+
+
 def _readings(target: _Side, source: _Side, placement: _Placement, unit: str) -> Iterator[_Reading]:
     """Every reading but that of small_gicp; as it lies comes first, so that of equal ones it is taken."""
     motion = placement.motion
-    beside = f", in {unit}" if unit else ""
     for name, turn in _TURNS.items():
+        words = "" if name == AS_IT_LIES else name
         M = np.column_stack([motion[:, :3] @ turn, motion[:, 3]])
-        words = f"in {unit}" if unit and name == AS_IT_LIES else name + beside
         yield _Reading(words, M, unit)
-        shift_m = target.ground_m - ground_height(_placed(source.points, M))
-        if abs(shift_m) >= _LEAST_SHIFT_M:
-            shifted = M.copy()
-            shifted[2, 3] += shift_m
-            also = "" if name == AS_IT_LIES else f"{name} and "
-            yield _Reading(f"{also}shifted by {shift_m:+.2f} m in z{beside}", shifted, unit)
+        lift_m = target.ground_m - ground_height(_placed(source.points, M))
+        if abs(lift_m) >= _LEAST_SHIFT_M:
+            lifted = M.copy()
+            lifted[2, 3] += lift_m
+            yield _Reading(words, lifted, unit, lift_m)
 
 
 def _registered(target: _Side, source: _Side, start: _Reading) -> _Reading:
@@ -243,9 +322,9 @@ def _registered(target: _Side, source: _Side, start: _Reading) -> _Reading:
     T: FloatArray = result.T_target_source
     M = np.column_stack([T[:3, :3] @ start.M[:, :3], T[:3, :3] @ start.M[:, 3] + T[:3, 3]])
     turn_deg = float(np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
-    also = "" if start.name == AS_IT_LIES else f"{start.name} and "
-    shift_m = float(np.linalg.norm(T[:3, 3]))
-    return _Reading(f"{also}moved by {shift_m:.2f} m and {turn_deg:.1f} degrees", M, start.unit)
+    before = replace(start, unit="").name
+    moved = f"moved by {np.linalg.norm(T[:3, 3]):.2f} m and {turn_deg:.1f} degrees"
+    return _Reading(moved if before == AS_IT_LIES else f"{before} and {moved}", M, start.unit)
 
 
 def _coverage(target: _Side, source: _Side, reading: _Reading, box: Box | None) -> float:
@@ -322,7 +401,10 @@ def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
         return {}
     with np.errstate(over="ignore", invalid="ignore"):  # infinite distances fit no unit
         sim_m, real_m = (float(np.quantile(np.linalg.norm(points, axis=1), 0.75)) for points in sides)
-    return {unit: scale for unit, scale in _SCALES.items() if real_m / 10 < scale * sim_m < 10 * real_m}
+    reach = {unit: _SIMILAR_REACH.get(unit, 10.0) for unit in _SCALES}
+    return {
+        unit: scale for unit, scale in _SCALES.items() if real_m / reach[unit] < scale * sim_m < reach[unit] * real_m
+    }
 
 
 def _placed(points: FloatArray, M: FloatArray) -> FloatArray:

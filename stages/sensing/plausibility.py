@@ -58,8 +58,12 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
         left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
         odd.append(
             f"{near:.0%} of the points lie within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
-            f"input.min_range_m={min_range_m:g} leaves {left:.1%} of the points there"
-            + (f"; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them" if left else "")
+            + (
+                f"{left:.1%} are kept by input.min_range_m={min_range_m:g}; input.min_range_m={EGO_RANGE_M:g} or "
+                "input.exclude_box drops them"
+                if left >= 0.0005
+                else f"they are already dropped by input.min_range_m={min_range_m:g}"
+            )
         )
     return odd
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -19,6 +19,8 @@ from .plausibility import widest_azimuth_gap_deg
 
 #: Limits of the bands of range, metres, for which the share of lost pulses is told.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
+#: Columns of table `sensor` that `pairs` has for both sides.
+PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 _FEWEST_POINTS = 500
 _QUANTA_M = (0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
@@ -42,8 +44,10 @@ class SensorFacts:
     range_quantum_m : that ranges are multiples of
     range_noise_m : standard deviation along the ray on smooth surfaces
     lost_share : by band of range, see `LOST_BANDS_M`: share of the pulses that are missing in surfaces that are seen
+    lost_in_all : share over all bands together
     has_ring, has_time : whether each point has its beam's number, and its time
-    model : title of the known sensor with these beams
+    model : title of the known sensor with these beams, or of two
+    model_beams : number of beams in its table
     untold : by field, why it is not told
     """
 
@@ -58,9 +62,11 @@ class SensorFacts:
     range_quantum_m: float | None = None
     range_noise_m: float | None = None
     lost_share: tuple[float | None, ...] = ()
+    lost_in_all: float | None = None
     has_ring: bool = False
     has_time: bool = False
     model: str | None = None
+    model_beams: int | None = None
     untold: dict[str, str] = field(default_factory=dict)
 
 
@@ -99,8 +105,9 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
-    lost, untold["lost_share"] = _lost_share(sweep, step)
-    model, untold["model"] = recognise(pattern)
+    lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, step)
+    known = recognise(pattern, step, quantum)
+    untold["model"] = known.reason
     return replace(
         facts,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
@@ -112,34 +119,43 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
         range_quantum_m=quantum,
         range_noise_m=noise,
         lost_share=lost,
-        model=model,
+        lost_in_all=lost_in_all,
+        model=known.title,
+        model_beams=known.n_beams,
         untold={name: why for name, why in untold.items() if why},
     )
 
 
-def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
-    """One sentence for each thing in which the sensors of the two sides differ; nothing about what is not told.
+def sensor_row(sensor: SensorFacts) -> dict[str, Any]:
+    """Columns of table `sensor`; None if undetermined, and then `reason` has the causes."""
+    low, high = _limits(sensor) if sensor.elevation_deg else (None, None)
+    return {
+        "model": sensor.model,
+        "n_beams": len(sensor.elevation_deg) or None,
+        "lowest_deg": low,
+        "highest_deg": high,
+        "origin_height_m": float(np.mean(_heights(sensor))) if sensor.elevation_deg else None,
+        "azimuth_step_deg": sensor.azimuth_step_deg,
+        "range_quantum_m": sensor.range_quantum_m,
+        "range_noise_m": sensor.range_noise_m,
+        "lost_share": sensor.lost_in_all,
+        "reason": "; ".join(f"{name}: {why}" for name, why in sensor.untold.items()) or None,
+    }
 
-    Elevations differ if their number or limits do (by more than 0.3 degrees, or three beams), or if they are even on
-    one side alone; steps by more than 5 %, quanta at all, noise by a factor of 1.5 and 5 mm, lost shares by 5 points.
+
+def pair_columns(sensor: SensorFacts, side: str) -> dict[str, Any]:
+    """Columns of `pairs` for the sensor of a side, "real" or "sim"."""
+    row = sensor_row(sensor)
+    return {f"sensor_{side}_{name.removeprefix('n_')}": row[name] for name in PAIR_COLUMNS}
+
+
+def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
+    """One line for each property in which the sensors of the two sides differ; nothing about undetermined ones.
+
+    Beams differ if their number (by more than two) or limits (by more than 0.3 degrees) do, or if they are even on one
+    side only; steps by more than 5 %, quanta at all, noise by a factor of 1.5 and 5 mm, lost shares by 5 points.
     """
-    found = []
-    if real.elevation_deg and sim.elevation_deg:
-        limits = np.abs(np.subtract(_limits(real), _limits(sim))).max()
-        n_apart = abs(len(real.elevation_deg) - len(sim.elevation_deg))
-        if limits > 0.3 or n_apart > 2 or real.is_even != sim.is_even:
-            found.append(f"real: {beams_text(real)}; simulated: {beams_text(sim)}")
-        if np.abs(np.subtract(_heights(real), _heights(sim))).max() > 0.03:
-            found.append(
-                f"beams start {_heights_text(real)} in the real scan, {_heights_text(sim)} in the simulated one"
-            )
-        if real.focal_m != sim.focal_m:
-            found.append(
-                f"beams cross {1e3 * real.focal_m:.1f} mm before the axis in the real scan, "
-                f"{1e3 * sim.focal_m:.1f} mm in the simulated one"
-            )
-    elif real.elevation_deg or sim.elevation_deg:
-        found.append(f"real: {beams_text(real)}; simulated: {beams_text(sim)}")
+    found = _beam_differences(real, sim)
     steps = (real.azimuth_step_deg, sim.azimuth_step_deg)
     if steps[0] and steps[1] and not 1 / 1.05 < steps[0] / steps[1] < 1.05:
         found.append(f"azimuth step: {steps[0]:.3f} degrees real, {steps[1]:.3f} simulated")
@@ -160,22 +176,81 @@ def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
     return found
 
 
+def _beam_differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
+    if not (real.elevation_deg and sim.elevation_deg):
+        is_one = bool(real.elevation_deg or sim.elevation_deg)
+        return [f"beams: {_count_text(real)} real, {_count_text(sim)} simulated"] if is_one else []
+    found = []
+    if has_other_beams(real, sim):
+        found.append(f"beams: {_name_text(real)} real, {_name_text(sim)} simulated")
+    bottom, top = np.subtract(_limits(sim), _limits(real))
+    if max(abs(bottom), abs(top)) > 0.3:
+        found.append(f"simulated beams: highest {top:+.1f} degrees, lowest {bottom:+.1f} degrees from the real ones")
+    if real.is_even != sim.is_even:
+        found.append(f"only {'real' if real.is_even else 'simulated'} beams are evenly spaced")
+    if np.abs(np.subtract(_heights(real), _heights(sim))).max() > 0.03:
+        found.append(f"beams start {_heights_text(real)} in the real scan, {_heights_text(sim)} in the simulated one")
+    if real.focal_m != sim.focal_m:
+        found.append(
+            f"beams cross {1e3 * real.focal_m:.1f} mm before the axis in the real scan, "
+            f"{1e3 * sim.focal_m:.1f} mm in the simulated one"
+        )
+    return found
+
+
+def has_other_beams(one: SensorFacts, other: SensorFacts) -> bool:
+    """True if two scans are of sensors with different numbers of beams, or of known sensors that differ."""
+    if one.model and other.model:
+        return one.model not in other.model and other.model not in one.model
+    return abs(len(one.elevation_deg) - len(other.elevation_deg)) > 2
+
+
 def beams_text(facts: SensorFacts) -> str:
     """Number, range and spacing of the beams, and the model: "32 beams, -25 to +15 degrees, uneven: ..."."""
     if not facts.elevation_deg:
-        return f"beams not told ({facts.untold['elevation_deg']})"
+        return f"no beams detected ({facts.untold['elevation_deg']})"
     low, high = _limits(facts)
     evenness = "evenly spaced" if facts.is_even else "uneven"
-    about = "" if facts.is_sharp else "about "
-    text = f"{about}{len(facts.elevation_deg)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
-    return f"{text}: {facts.model}" if facts.model else f"{text}: {facts.untold['model']}"
+    text = f"{_count_text(facts)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
+    return f"{text}: {facts.model or facts.untold['model']}"
+
+
+def _name_text(facts: SensorFacts) -> str:
+    return f"{_count_text(facts)} ({facts.model})" if facts.model else _count_text(facts)
+
+
+def unlike_others(sensors: Mapping[str, SensorFacts]) -> tuple[str, list[str]]:
+    """Name of the scan whose sensor is the most frequent, and one line for each scan with another sensor.
+
+    Parameters
+    ----------
+    sensors : by name of the scan, at least one
+    """
+    seen = {name: facts for name, facts in sensors.items() if facts.elevation_deg} or sensors
+    n_alike = {name: sum(not has_other_beams(own, other) for other in seen.values()) for name, own in seen.items()}
+
+    def rank(name: str) -> tuple[int, bool, bool, int]:
+        own = seen[name]
+        return n_alike[name], own.model is not None, bool(own.is_sharp), own.n_points
+
+    usual = max(seen, key=rank)
+    others = [name for name, own in seen.items() if has_other_beams(seen[usual], own)]
+    return usual, [f"{name}: beams {_name_text(seen[name])}, others {_name_text(seen[usual])}" for name in others]
+
+
+def _count_text(facts: SensorFacts) -> str:
+    """Number of beams; a beam without any return is not seen."""
+    n = len(facts.elevation_deg)
+    if facts.model_beams:
+        return f"{n} of {facts.model_beams}" if n < facts.model_beams else f"{facts.model_beams}"
+    return (f"at least {n}" if facts.is_sharp else f"about {n}") if n else "none detected"
 
 
 def sensor_lines(facts: SensorFacts) -> list[str]:
     """What the points tell of their sensor, line by line; what they do not tell, with the reason."""
     view = facts.field_of_view_deg
     rows = [
-        ("beams", beams_text(facts)),
+        ("beams", beams_text(facts).replace("no beams", "none").replace(" beams", "", 1)),
         ("beams start", _heights_text(facts)) if facts.origin_height_m else ("", ""),
         ("beams cross", f"{1e3 * facts.focal_m:.1f} mm before the axis") if facts.focal_m else ("", ""),
         ("field of view", f"{view[0]:+.4g} to {view[1]:+.4g} degrees, {view[2]:.0f} degrees around")
@@ -192,7 +267,7 @@ def sensor_lines(facts: SensorFacts) -> list[str]:
 
 def _told(facts: SensorFacts, name: str, attribute: str, text: Callable[[Any], str]) -> tuple[str, str]:
     if attribute in facts.untold:
-        return name, f"not told ({facts.untold[attribute]})"
+        return name, f"none detected ({facts.untold[attribute]})"
     value = getattr(facts, attribute)
     return (name, text(value)) if value not in (None, ()) else ("", "")
 
@@ -219,7 +294,12 @@ def _heights(facts: SensorFacts) -> tuple[float, float]:
 
 
 def _heights_text(facts: SensorFacts) -> str:
-    return " and ".join(f"{height:g}" for height in facts.origin_height_m or (0.0,)) + " m above the origin"
+    heights = facts.origin_height_m or (0.0,)
+    if not any(heights):
+        return "at the origin"
+    if min(heights) >= 0 or max(heights) <= 0:
+        return f"{' and '.join(f'{abs(h):g}' for h in heights)} m {'above' if max(heights) > 0 else 'below'} the origin"
+    return f"{' and '.join(f'{h:+g}' for h in heights)} m from the origin"
 
 
 def _quantum_text(facts: SensorFacts) -> str:
@@ -309,9 +389,10 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
 
 
-def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | None, ...], str]:
+def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | None, ...], float | None, str]:
+    """Share by band and over all bands."""
     if step_deg is None:
-        return (), "no azimuth step is told"
+        return (), None, "no azimuth step is told"
     n_firings = np.round(sweep.gap_deg / step_deg)
     nearer, farther = (
         np.minimum(sweep.range_m[:-1], sweep.range_m[1:]),
@@ -319,8 +400,10 @@ def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | No
     )
     is_surface = (n_firings >= 1) & (n_firings <= _HOLE + 1) & (farther - nearer < 0.03 * nearer + 0.05)
     shares: list[float | None] = []
-    for low_m, high_m in pairwise(LOST_BANDS_M):
+    for low_m, high_m in (*pairwise(LOST_BANDS_M), (LOST_BANDS_M[0], LOST_BANDS_M[-1])):
         firings = n_firings[is_surface & (nearer >= low_m) & (nearer < high_m)]
         enough = len(firings) >= _FEWEST_POINTS
-        shares.append(round(float(1.0 - len(firings) / firings.sum()), 3) if enough else None)
-    return tuple(shares), ""
+        shares.append(round(float(1.0 - len(firings) / firings.sum()), 4) if enough else None)
+    *by_band, in_all = shares
+    why = f"fewer than {_FEWEST_POINTS} gaps between returns of one surface"
+    return tuple(by_band), in_all, why if in_all is None else ""

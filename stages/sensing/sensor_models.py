@@ -23,6 +23,7 @@ class SensorModel:
     unit_deg : how far the elevations of one unit, which its own calibration has, lie from the table as a whole;
         0 where drivers use the table for every unit
     focal_m : how far before the axis its beams cross, which drivers take off, or leave in; 0 where it is not known
+    column_deg : azimuth steps are multiples of it; 0 if the rotation rate sets them
     """
 
     name: str
@@ -39,6 +40,7 @@ class SensorModel:
     source: str = ""
     unit_deg: float = 0.0
     focal_m: float = 0.0
+    column_deg: float = 0.0
 
     @property
     def n_beams(self) -> int:
@@ -136,6 +138,7 @@ SENSORS = {
         title="Ouster OS1-64 (gen 1)",
         source="ouster-sdk, gen1_altitude_angles",
         unit_deg=0.6,
+        column_deg=360.0 / 2048,
     ),
     "carla": SensorModel(
         name="carla",
@@ -210,6 +213,7 @@ SENSORS = {
         title="Ouster OS1-128",
         source="ouster-sdk, tests/pcaps/OS-1-128_v2.3.0_1024x10.json (one unit)",
         unit_deg=0.6,
+        column_deg=360.0 / 2048,
     ),
     "pandar64": SensorModel(
         name="pandar64",
@@ -224,6 +228,8 @@ SENSORS = {
         signal_range_m=60.0,
         title="Hesai Pandar64",
         source="HesaiLidar_General_SDK, pandarGeneral_internal.cc",
+        unit_deg=0.2,
+        column_deg=0.2,
     ),
     "pandar40p": SensorModel(
         name="pandar40p",
@@ -238,5 +244,26 @@ SENSORS = {
         signal_range_m=60.0,
         title="Hesai Pandar40P",
         source="HesaiLidar_General_SDK, pandarGeneral_internal.cc",
+        unit_deg=0.2,
+        column_deg=0.2,
     ),
+}
+SENSORS |= {
+    name: SensorModel(
+        name=name,
+        elevation_deg=tuple(np.linspace(15.0, lowest_deg, n_beams).tolist()),
+        azimuth_offset_deg=(0.0,) * n_beams,
+        azimuth_step_deg=0.18,
+        min_range_m=0.05,
+        max_range_m=120.0,
+        range_noise_m=0.005,
+        range_quantum_m=0.004,
+        lost_share=0.03,
+        signal_range_m=60.0,
+        title=f"Hesai PandarXT-{n_beams}",
+        source=f"PandarXT-{n_beams} user manual; nebula, calibration PandarXT{n_beams}.csv",
+        unit_deg=0.2,
+        column_deg=0.09,
+    )
+    for name, n_beams, lowest_deg in (("xt32", 32, -16.0), ("xt16", 16, -15.0))
 }

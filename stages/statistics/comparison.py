@@ -1,13 +1,15 @@
-"""Two simulator versions on the same real scans: which scores differ, and which objects got better or worse.
+"""Two simulator versions on the same real scans: which scores changed beyond chance, and what became of each object.
 
-A score is better or worse where chance makes such a difference of any of the scores in under 5 % of the cases. The
-rates of false verdicts were found by simulation: `benchmarks/false_alarms.py`, and the table in `docs/faults.md`.
+Equal simulators exchange *before* and *after*, so that each change is as likely as its opposite. That is all that the
+test of `adjusted_p_values` assumes. Its rates of false alarms and its power were found by simulation:
+`benchmarks/false_alarms.py`, and the table in `docs/compare.md`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +18,25 @@ from scipy.stats import t as student_t
 from ..arrays import BoolArray, FloatArray, IntArray
 
 CONFIDENCE = 0.95
-#: Fewer independent pairs decide nothing: all of n change the same way by chance in 2 x 0.5^n of the cases.
+#: Fewer independent pairs decide nothing but changes far beyond the noise.
 LEAST_PAIRS = 6
+#: Fewer have no interval.
+LEAST_FOR_INTERVAL = 3
+#: From this number of blocks on, signs are flipped: 2^(1-n) is then below 5 % over six families. Below it, rotations.
+LEAST_FLIPPED = 8
+#: Up to this number of blocks, all flips of signs are enumerated; above it, `DRAWS` are drawn.
+MOST_ENUMERATED = 14
+DRAWS = 20_000
 #: The degrees of freedom of Student's t are this share of n - 1: a deviation that is estimated from a few values of
 #: skewed or heavy-tailed differences is worth less than one of normal ones (excess kurtosis 2 halves it).
 WORTH = 0.5
 #: Pairs within this time see the same surroundings, and count as one: a car drives out of its own view in it.
 BLOCK_S = 10.0
-#: A change of more than so many standard deviations of the pairs' changes is named, however few pairs there are.
+#: Of fewer than `LEAST_PAIRS` blocks, only a change of more than this many standard deviations is decided.
 FAR_STDS = 5.0
 #: A score of an object has changed if it moved by more than this.
 LEAST_CHANGE = 0.05
-#: Changes that agree to this share of their mean are those of copies, not of different scans.
+#: Smaller differences are rounding, such as between two processors.
 ALIKE = 1e-9
 
 KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
@@ -35,108 +44,149 @@ KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing i
 
 @dataclass(frozen=True)
 class Difference:
-    """A mean difference (after less before) with its 95 % interval; None where it cannot be computed.
+    """A mean difference (after minus before) with its 95 % interval; None where it cannot be computed.
 
     n_pairs : pairs that have both values
-    n_blocks : independent ones among them: pairs of one block count once, with their mean
+    n_blocks : independent blocks among them: pairs of one block count once, with their mean
     before, after, difference : means over the blocks
     std : standard deviation (n - 1) of the blocks' differences
-    low, high : the interval of this score alone
-    p : how often chance makes a difference as large, of this score alone
-    why : why there is no interval
+    low, high : interval of this score alone (Student's t), None for fewer than 3 blocks; [0, 0] if nothing differs
     """
 
-    n_pairs: int
-    n_blocks: int
-    before: float | None
-    after: float | None
-    difference: float | None
-    std: float | None
-    low: float | None
-    high: float | None
-    p: float | None
-    why: str = ""
+    n_pairs: int = 0
+    n_blocks: int = 0
+    before: float | None = None
+    after: float | None = None
+    difference: float | None = None
+    std: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
+    """(..., b) means over the pairs of each block; NaN if none has a value.
+
+    Parameters
+    ----------
+    values : (..., n) by pair, NaN where null
+    blocks : (n,) block of each pair, from `blocks_of`
+    """
+    own = np.unique(blocks, return_inverse=True)[1]
+    known = ~np.isnan(values)
+    totals = np.zeros((2, own.max(initial=-1) + 1, *values.shape[:-1]))
+    np.add.at(totals[0], own, np.moveaxis(np.where(known, values, 0.0), -1, 0))
+    np.add.at(totals[1], own, np.moveaxis(known, -1, 0))
+    with np.errstate(invalid="ignore"):
+        means: FloatArray = np.moveaxis(totals[0] / totals[1], 0, -1)
+    return means
 
 
 def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | None = None) -> Difference:
-    """The mean of after - before, with interval and p of a paired t-test that allows for skew.
+    """Mean of after - before over the blocks, with the interval of `mean_test`.
 
-    See `mean_test`. Pairs that lack a value are left out. There is no interval for fewer than 6 blocks, and none where
-    all blocks change alike: different scans do not, and where they do nothing says what chance makes. But where two
-    pairs or more all differ by 0 the interval is [0, 0].
+    Pairs that lack a value are left out. Fewer than three blocks have no interval.
 
     Parameters
     ----------
     before, after : (n,) a score of each pair, NaN where null
-    blocks : (n,) which pairs depend on each other, from `blocks_of`; by default each pair is a block of its own
+    blocks : (n,) block of each pair, from `blocks_of`; by default each pair is a block
 
     Examples
     --------
-    >>> paired_difference(np.arange(2.0), np.arange(2.0) + 0.5).why
-    '2 pairs are too few for a 95 % interval, 6 are wanted'
+    >>> found = paired_difference(np.zeros(3), np.array([0.4, 0.5, 0.6]))
+    >>> found.difference, found.n_blocks
+    (0.5, 3)
     """
     known = ~(np.isnan(before) | np.isnan(after))
     n = int(np.count_nonzero(known))
     if not n:
-        return Difference(0, 0, None, None, None, None, None, None, None, "no pair has both values")
-    own = np.arange(n) if blocks is None else np.unique(blocks[known], return_inverse=True)[1]
-    size = np.bincount(own)
-    a, b = (np.bincount(own, values[known]) / size for values in (before, after))
-    change, n_blocks = b - a, len(size)
-    counts = (n, n_blocks, float(a.mean()), float(b.mean()), float(change.mean()))
-    std = float(change.std(ddof=1)) if n_blocks > 1 else None
-    if n > 1 and not np.any(before[known] != after[known]):
-        return Difference(*counts, std, 0.0, 0.0, 1.0)
-    if n_blocks < LEAST_PAIRS:
-        return Difference(*counts, std, None, None, None, _too_few(n, n_blocks))
-    if np.ptp(change) <= ALIKE * np.abs(change).max():
-        return Difference(*counts, std, None, None, None, "all pairs change alike, so that nothing says what chance is")
-    p, low, high = (float(value) for value in mean_test(change))
-    return Difference(*counts, std, low, high, p)
+        return Difference()
+    own = np.arange(n, dtype=np.int32) if blocks is None else blocks[known]
+    a, b = block_means(np.stack([before[known], after[known]]), own)
+    change = b - a
+    counts = (n, len(change), float(a.mean()), float(b.mean()), float(change.mean()))
+    if n > 1 and (np.abs(change) <= ALIKE).all():
+        return Difference(*counts, 0.0, 0.0, 0.0)
+    if len(change) < 2:
+        return Difference(*counts)
+    std = float(change.std(ddof=1))
+    if len(change) < LEAST_FOR_INTERVAL:
+        return Difference(*counts, std)
+    _, low, high = mean_test(change)
+    return Difference(*counts, std, float(low), float(high))
 
 
 def mean_test(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The p-value of a mean of 0, and the two ends of its 95 % interval: Student's t, with skew allowed for.
+    """The p-value of a mean of 0, and the ends of its 95 % interval: Student's t on (n - 1) / 2 degrees of freedom.
 
-    With W = mean / std, g the skewness, T = sqrt(n) W and Hall's monotone transformation (On the removal of skewness
-    by transformation, J. R. Stat. Soc. B 1992, with the constant g / 6n)
-
-        H = sqrt(n) (W + g W^2 / 3 + g^2 W^3 / 27 + g / 6n)
-
-    p is that of the smaller of |T| and |H| (0 where they differ in sign) on (n - 1) / 2 degrees of freedom, and the
-    interval reaches as far as the wider one of both. Few values hide their skew, whence the halved degrees of freedom.
+    Few values hide how heavy their tails are, hence the halved degrees of freedom.
 
     Parameters
     ----------
-    change : (..., n) float64, n at least 3, not all equal
+    change : (..., n) float64, n at least 2
     """
     n = change.shape[-1]
-    mean = change.mean(axis=-1)
-    centred = change - mean[..., None]
-    std = np.sqrt((centred**2).sum(axis=-1) / (n - 1))
-    skew = (centred**3).mean(axis=-1) / std**3
-    ratio = mean / std
-    plain = np.sqrt(n) * ratio
-    skewed = np.sqrt(n) * (ratio + skew * ratio**2 / 3 + skew**2 * ratio**3 / 27 + skew / (6 * n))
-    size = np.where(plain * skewed > 0, np.minimum(np.abs(plain), np.abs(skewed)), 0.0)
+    mean, error = change.mean(axis=-1), change.std(axis=-1, ddof=1) / np.sqrt(n)
     degrees = WORTH * (n - 1)
-    reach = student_t.isf((1 - CONFIDENCE) / 2, degrees) / np.sqrt(n)
-    ends = []
-    for sign in (1.0, -1.0):
-        cube = np.cbrt(1 + skew * (sign * reach - skew / (6 * n)))
-        is_skewed = np.abs(skew) > ALIKE
-        hall = np.where(is_skewed, 3 * (cube - 1) / np.where(is_skewed, skew, 1.0), sign * reach)
-        ends.append(mean - std * sign * np.maximum(sign * hall, reach))
-    return 2 * student_t.sf(size, degrees), ends[0], ends[1]
+    reach = student_t.isf((1 - CONFIDENCE) / 2, degrees) * error
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = 2 * student_t.sf(np.abs(mean) / error, degrees)
+    return p, mean - reach, mean + reach
 
 
-def blocks_of(contents: Sequence[str], timestamps_s: Sequence[float | None]) -> IntArray:
-    """(n,) the block of each pair: copies of one real scan are one block, and so are scans within 10 s of its first.
+def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -> FloatArray:
+    """(m,) p-value of each score of one family, adjusted for all of them (maxT); NaN if it cannot be below 1.
+
+    With x_i the change of a score in block i, moved towards 0 by `least`, and e a vector of signs,
+
+        T(e) = max over scores of |sum_i e_i x_i| / sqrt(sum_i x_i^2)
+
+    and p is the share of all e for which T(e) is at least a score's own value at e = (1, ..., 1). The same signs are
+    applied to all scores, so that their dependence is kept (Westfall and Young, Resampling-Based Multiple Testing,
+    1993). That is exact for changes that are as likely as their opposites; as few blocks have few signs, below
+    `LEAST_FLIPPED` e is drawn from the whole sphere of that radius instead (rotation test: Langsrud, Rotation tests,
+    Stat. Comput. 2005), which is exact for normal changes and the t-test for one score. Below `LEAST_PAIRS` blocks a
+    change must also exceed `FAR_STDS` standard deviations. A score whose mean cannot exceed `least` under any signs has
+    no p-value; as that does not depend on the signs, it may be left out of all corrections.
 
     Parameters
     ----------
-    contents : (n,) what tells real scans apart, such as a hash of their content
-    timestamps_s : (n,) when they were taken, in seconds; None where that is not known
+    change : (m, n) by score and block, NaN where null
+    least : (m,) changes of the mean up to this size do not matter
+    step : (m,) smallest step of the score, such as 1 for a count; few blocks may agree in it by chance
+    """
+    known = ~np.isnan(change)
+    n_known = known.sum(axis=1)
+    x = np.where(known, change, 0.0)
+    mean = x.sum(axis=1) / np.maximum(n_known, 1)
+    x = np.where(known, x - (np.sign(mean) * np.minimum(least, np.abs(mean)))[:, None], 0.0)
+    few = change.shape[1] < LEAST_FLIPPED
+    squares, rounding = (x**2).sum(axis=1), few * n_known * (step / 2) ** 2
+    p = np.full(len(change), np.nan)
+    most = np.abs(np.where(known, change, 0.0)).sum(axis=1) / np.maximum(n_known, 1)  # of |mean| over all flips
+    live = (most > np.maximum(least, ALIKE)) & (n_known > 1)
+    if not live.any():
+        return p
+    unit = x[live] / np.sqrt(squares[live, None])
+    own = np.abs(x[live].sum(axis=1)) / np.sqrt((squares + rounding)[live])
+    highest = np.abs(unit @ _directions(change.shape[1]).T).max(axis=0)
+    p[live] = (highest >= own[:, None] - ALIKE).mean(axis=1)
+    if change.shape[1] < LEAST_PAIRS:
+        ratio_of_far = FAR_STDS / np.sqrt(1 - 1 / n_known[live] + FAR_STDS**2)  # of |mean| and root mean square
+        p[live] = np.where(own / np.sqrt(n_known[live]) > ratio_of_far, p[live], 1.0)
+    return p
+
+
+def blocks_of(
+    contents: Sequence[str], timestamps_s: Sequence[float | None], neighbours: Sequence[tuple[int, int]] = ()
+) -> IntArray:
+    """(n,) block of each pair: copies of a real scan, scans within 10 s of a block's first, and chains of neighbours.
+
+    Parameters
+    ----------
+    contents : (n,) identity of the real scans, such as a hash of their content
+    timestamps_s : (n,) time of recording, in seconds; None if unknown
+    neighbours : pairs (by index) whose real scans show the same place
 
     Examples
     --------
@@ -150,6 +200,8 @@ def blocks_of(contents: Sequence[str], timestamps_s: Sequence[float | None]) -> 
         if time_s - start_s >= BLOCK_S:
             start_s, block = time_s, int(blocks[i])
         blocks[blocks == blocks[i]] = block
+    for i, j in neighbours:
+        blocks[blocks == blocks[j]] = blocks[i]
     return blocks
 
 
@@ -170,55 +222,6 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
         highest = max(highest, min(1.0, (len(known) - rank) * p))
         adjusted[i] = highest
     return adjusted
-
-
-def judge(difference: Difference, higher_is_better: bool, p: float | None, seed_noise: float | None = None) -> str:
-    """In a word: `better` or `worse` where p is below 5 %, `same` where nothing differs, else `undecided`.
-
-    Parameters
-    ----------
-    p : from `holm`, over all scores that are looked at
-    seed_noise : a difference up to this may be made by seeds alone, and is `undecided`; None where that is not known
-    """
-    if difference.low == difference.high == 0:
-        return "same"
-    change = difference.difference
-    if change is None or p is None or p >= 1 - CONFIDENCE or abs(change) <= (seed_noise or 0.0):
-        return "undecided"
-    return direction(change, higher_is_better)
-
-
-def direction(change: float, higher_is_better: bool) -> str:
-    """`better` or `worse`."""
-    return "better" if (change > 0) == higher_is_better else "worse"
-
-
-def far_beyond_noise(differences: Sequence[Difference], seed_noise: Sequence[float | None]) -> list[bool]:
-    """Whether each score moved by more than five paired standard deviations, and by more than seeds make.
-
-    Said of any number of independent pairs from two on, so that a break is named where too few pairs decide. Of few
-    pairs a standard deviation is itself uncertain: Student's t (n - 1) must leave under 5 % to chance, after Holm.
-
-    Parameters
-    ----------
-    differences, seed_noise : (m,) of all scores that are looked at; None where seed noise is not known
-    """
-    p_values: list[float | None] = []
-    for one in differences:
-        if one.difference is None or one.std is None:
-            p_values.append(None)
-        elif one.std <= ALIKE * abs(one.difference):  # integers that all fall alike; the sign test is what is left
-            p_values.append(2 * 0.5**one.n_blocks if one.difference else 1.0)
-        else:
-            size = abs(one.difference) / one.std * np.sqrt(one.n_blocks)
-            p_values.append(2 * float(student_t.sf(size, one.n_blocks - 1)))
-    return [
-        p is not None
-        and p < 1 - CONFIDENCE
-        and one.difference is not None
-        and abs(one.difference) > max(FAR_STDS * (one.std or 0.0), noise or 0.0)
-        for one, p, noise in zip(differences, holm(p_values), seed_noise, strict=True)
-    ]
 
 
 def kinds_of_change(
@@ -243,8 +246,16 @@ def kinds_of_change(
     return found
 
 
-def _too_few(n: int, n_blocks: int) -> str:
-    wanted = f"too few for a {100 * CONFIDENCE:.0f} % interval, {LEAST_PAIRS} are wanted"
-    if n != n_blocks:
-        return f"{n} pairs count as {n_blocks}, which is {wanted}"
-    return f"1 pair is {wanted}" if n == 1 else f"{n} pairs are {wanted}"
+@cache
+def _directions(n: int) -> FloatArray:
+    """(k, n) vectors of length sqrt(n): signs, all or some of them, or directions of the sphere; the first is all 1."""
+    rng = np.random.default_rng(n)
+    if n < LEAST_FLIPPED:
+        normal = rng.normal(size=(DRAWS, n))
+        drawn = normal * np.sqrt(n / (normal**2).sum(axis=1, keepdims=True))
+    elif n <= MOST_ENUMERATED:  # an opposite has the same T: the first sign stays
+        drawn = 1.0 - 2.0 * ((np.arange(1, 2 ** (n - 1))[:, None] >> np.arange(n)) & 1)
+    else:
+        drawn = rng.choice([-1.0, 1.0], size=(DRAWS, n))
+    directions: FloatArray = np.vstack([np.ones(n), drawn])
+    return directions

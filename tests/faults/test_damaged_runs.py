@@ -14,7 +14,7 @@ import pytest
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError
-from runs import FOLDERS, assert_same_tables, command, marks, run
+from runs import FOLDERS, assert_same_tables, marks, own_process, run
 from tries import assert_resumes, temporary_files, times
 
 pytestmark = pytest.mark.slow
@@ -79,12 +79,12 @@ def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dat
 @pytest.mark.parametrize("harm", times(["flipped"], HARMS))
 def test_the_command_says_what_it_replaces_and_show_believes_nothing(again, finished, dataset, tally, harm):
     HARMS[harm](again / "metrics" / "001.parquet", random.Random(harm))
-    shown = command("show", again, "001")
+    shown = own_process("show", again, "001")
     hint = f"metrics/001.parquet is damaged or gone; run it again with: fidpipe run {dataset}"
     assert (shown.returncode, hint in shown.stderr) == (1, True), shown.stderr
     told = assert_resumes(dataset, again, finished, tally, f"a table {harm} (the command)")
     assert "replacing metrics of 1 pair: damaged or gone" in told
-    assert command("show", again, "001").returncode == 0
+    assert own_process("show", again, "001").returncode == 0
 
 
 @pytest.mark.parametrize("seed", range(times(5, 200)))

@@ -15,7 +15,7 @@ from fidpipe.pipeline.report.terminal import status
 from fidpipe.pipeline.storage.ledger import Ledger
 from fidpipe.schemas.errors import DiskFullError
 from fidpipe.schemas.settings import Settings
-from runs import JOBS_PER_PAIR, assert_same_tables, command, run
+from runs import JOBS_PER_PAIR, assert_same_tables, own_process, run
 
 N_PAIRS = 3
 
@@ -68,7 +68,7 @@ def test_a_run_on_a_full_file_system_stops_once_and_goes_on_where_there_is_room(
     out, n_tables = small_disk / "run", [0]
     for n_kib in (100, 150, 500, 1200, 1700):
         assert mount(small_disk, f"remount,size={n_kib}k") == 0
-        stopped = command("run", dataset, "--out", out, "--workers", 1)
+        stopped = own_process("run", dataset, "--out", out, "--workers", 1)
         errors = [
             line for line in stopped.stderr.splitlines() if " pairs, 0 failed" not in line
         ]  # but for the progress
@@ -79,7 +79,7 @@ def test_a_run_on_a_full_file_system_stops_once_and_goes_on_where_there_is_room(
     assert n_tables == sorted(n_tables)
     assert n_tables[-1] > n_tables[3] > n_tables[2] == 0
     assert mount(small_disk, "remount,size=64m") == 0
-    done = command("run", dataset, "--out", out, "--workers", 1)
+    done = own_process("run", dataset, "--out", out, "--workers", 1)
     assert done.returncode == 0
     n_made, n_reused = map(int, re.search("([0-9]+) jobs done, ([0-9]+) reused", done.stdout).groups())
     assert n_made + n_reused == 3 * JOBS_PER_PAIR
@@ -107,7 +107,7 @@ def test_the_estimate_of_disk_space_is_near_what_a_run_takes(real_data, tmp_path
 
 
 def test_check_says_how_much_a_run_needs_and_what_is_free(dataset):
-    shown = command("check", dataset).stdout
+    shown = own_process("check", dataset).stdout
     assert re.search(r"a run needs about 1\.2 MB on disk; [0-9.]+ [MG]B are free here", shown)
 
 

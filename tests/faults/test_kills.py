@@ -27,10 +27,11 @@ from runs import (
     STAGE_NAMES,
     assert_same_tables,
     changed_files,
-    command,
     marks,
     no_temporary_files,
+    own_process,
     run,
+    some_of,
 )
 
 N_PAIRS = 4
@@ -40,8 +41,13 @@ pytestmark = pytest.mark.slow
 TESTS = Path(broken_jobs.__file__).parent
 
 
-@pytest.mark.parametrize("how", ["kill", "kill-writing"])
-@pytest.mark.parametrize("stage", STAGE_NAMES)
+@pytest.mark.parametrize(
+    ("how", "stage"),
+    some_of(
+        [(how, stage) for how in ("kill", "kill-writing") for stage in STAGE_NAMES],
+        [("kill", "matching"), ("kill-writing", "communities"), ("kill-writing", "metrics")],
+    ),
+)
 def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_path, how, stage):
     out = tmp_path / "run"
     died = break_run(how, stage, 2, dataset, out)
@@ -51,15 +57,20 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     before = marks(out)
     outcome = run(dataset, out)
     i = STAGE_NAMES.index(stage)
-    n_finished = 2 * i + 1 if i < 3 else JOBS_PER_PAIR + 6 + i - 3  # none of them was reported, all were adopted
+    n_finished = 2 * i + 1 if i < 4 else JOBS_PER_PAIR + 8 + i - 4  # none of them was reported, all were adopted
     assert outcome.n_made == 4 * JOBS_PER_PAIR - n_finished
     assert not {name for name in before if name in changed_files(out, before)}
     assert_same_tables(out, finished)
     assert no_temporary_files(out)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("how", "workers"),
+    some_of(
+        [(how, workers) for how in (signal.SIGKILL, signal.SIGINT, signal.SIGTERM) for workers in (1, 2)],
+        [(signal.SIGKILL, 2), (signal.SIGINT, 1), (signal.SIGTERM, 2)],
+    ),
+)
 def test_a_run_stopped_from_outside_goes_on_where_it_was(dataset, finished, tmp_path, workers, how):
     out = tmp_path / "run"
     process = start(dataset, out, workers)
@@ -70,7 +81,7 @@ def test_a_run_stopped_from_outside_goes_on_where_it_was(dataset, finished, tmp_
         assert process.returncode == 130
         assert "interrupted; run the same command again to go on" in errors
         assert "Traceback" not in errors
-    assert command("run", dataset, "--out", out, "--workers", "1").returncode == 0
+    assert own_process("run", dataset, "--out", out, "--workers", "1").returncode == 0
     assert_same_tables(out, finished)
     assert no_temporary_files(out)
 
@@ -96,7 +107,7 @@ def test_a_second_run_on_the_same_folder_is_refused(dataset, finished, tmp_path)
     process = start(dataset, out, 1)
     wait_for(out / LEDGER)
     process.send_signal(signal.SIGSTOP)
-    second = command("run", dataset, "--out", out, "--workers", "1")
+    second = own_process("run", dataset, "--out", out, "--workers", "1")
     assert second.returncode == 1
     assert "another fidpipe is writing here; wait for it, or give another --out" in second.stderr
     process.send_signal(signal.SIGCONT)
@@ -140,7 +151,7 @@ def scheduler(tmp_path):
 
 
 def test_an_external_scheduler_gives_the_same_tables_and_its_dashboard_is_told(dataset, finished, tmp_path, scheduler):
-    ended = command("run", dataset, "--out", tmp_path / "run", "--scheduler", scheduler)
+    ended = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", scheduler)
     assert ended.returncode == 0
     assert_same_tables(tmp_path / "run", finished)
     told = re.search(r"dask dashboard: (http://127\.0\.0\.1:\d+/status)", ended.stderr)
@@ -149,7 +160,7 @@ def test_an_external_scheduler_gives_the_same_tables_and_its_dashboard_is_told(d
 
 
 def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
-    result = command("run", dataset, "--out", tmp_path / "run", "--scheduler", "tcp://127.0.0.1:9")
+    result = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", "tcp://127.0.0.1:9")
     assert result.returncode == 1
     assert "scheduler tcp://127.0.0.1:9: no cluster with a worker could be reached" in result.stderr
 

@@ -6,14 +6,14 @@ import time
 import numpy as np
 import pytest
 
-from runs import assert_same_tables, command
+from runs import assert_same_tables, own_process
 from scenes import drifted, street, write_dataset
 from tries import Started, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
 
 pytestmark = pytest.mark.slow
 
 N_PAIRS = 4
-LIMIT_S = 20  # a healthy pair takes far less, on a busy machine too
+LIMIT_S = 6  # a healthy pair takes 0.2 s
 POISON = "002"
 
 #: Reads what `numpy.save` writes, unless a file beside it says what else to do, and at which reading.
@@ -94,7 +94,7 @@ def finished(dataset, tmp_path_factory):
 @pytest.fixture
 def undisturbed(dataset, finished, installed):
     if not finished.exists():
-        assert command("run", dataset, "--out", finished, "--workers", 1).returncode == 0
+        assert own_process("run", dataset, "--out", finished, "--workers", 1).returncode == 0
     return finished
 
 
@@ -145,7 +145,7 @@ def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
         assert (code, len(named)) == (3, 1), errors
         assert "Traceback" not in errors
         assert n_lost(out, undisturbed) == 1
-        status = command("status", out, timeout=60)
+        status = own_process("status", out, timeout=60)
         assert (status.returncode, "1 pair failed" in status.stdout + status.stderr or POISON in status.stdout) == (
             0,
             True,
@@ -176,6 +176,6 @@ def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_p
 def test_a_reader_of_another_package_gives_the_same_tables_in_a_worker_and_in_the_command(
     dataset, undisturbed, tmp_path
 ):
-    assert command("run", dataset, "--out", tmp_path / "run", "--workers", 2).returncode == 0
+    assert own_process("run", dataset, "--out", tmp_path / "run", "--workers", 2).returncode == 0
     assert_same_tables(tmp_path / "run", undisturbed)
     assert temporary_files(tmp_path / "run") == []

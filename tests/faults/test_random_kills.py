@@ -57,7 +57,7 @@ def test_a_command_that_is_killed_goes_on_where_it_was(dataset, finished, tmp_pa
     print(f"seed {seed}: kill -9 of the command {moment:.3f} s after it opened its folder")
     started.kill()
     told = assert_resumes(dataset, out, finished, tally, "kill -9 of the command", workers=1 + seed % 2)
-    assert "jobs done" in told
+    assert "preset paper" in told
 
 
 @pytest.mark.parametrize("seed", range(times(1, 25)))

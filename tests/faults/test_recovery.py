@@ -21,7 +21,7 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.run import RunRequest, run_dataset
+from fidpipe.pipeline.run import RunRequest, _Run, run_dataset
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError, StageError
 from fidpipe.schemas.settings import Settings, load
@@ -78,15 +78,12 @@ def flip(path, position):
     path.write_bytes(content)
 
 
-def as_before_footers(out):
-    """Makes of a run what an older fidpipe would have left: no word of the job in the tables, an index of lines."""
+def without_footers(out):
+    """Rewrites the tables of a run without the job in their footers, and removes the ledger."""
     lose_ledger(out)
     for path in out.rglob("*.parquet"):
         table = pq.read_table(path)
         pq.write_table(table.replace_schema_metadata({"fidpipe.key": "key"}), path)
-    (out / "index.jsonl").write_text('0123 {"kind":"job"}\n')
-    (out / ".journal").mkdir()
-    (out / ".journal" / "token.0").write_text("0123 torn")
 
 
 @pytest.mark.parametrize("spoil", LEDGERS)
@@ -163,21 +160,8 @@ def test_a_folder_that_may_not_be_written_is_shown_and_judged_but_not_run(again,
     assert f"run {again}: cannot be written (Permission denied); give another --out" in " ".join(refused.stderr.split())
 
 
-def test_an_older_run_is_replaced_with_a_word_about_it(again, finished, dataset):
-    as_before_footers(again)
-    outcome, told = run_told(dataset, again)
-    assert (outcome.n_made, outcome.failures) == (N_JOBS, {})
-    assert "replacing all tables: an older fidpipe wrote them" in told
-    assert not (again / "index.jsonl").exists()
-    assert not (again / ".journal").exists()
-    assert_same_tables(again, finished)
-    again_told = run_told(dataset, again)
-    assert again_told[0].n_made == 0
-    assert "older fidpipe" not in again_told[1]
-
-
-def test_an_older_run_is_not_shown_as_if_it_were_whole(again):
-    as_before_footers(again)
+def test_a_run_whose_tables_lost_their_footers_is_not_shown_as_if_it_were_whole(again):
+    without_footers(again)
     with pytest.raises(RunError, match=r"pairs\.parquet is damaged or gone; run it again with: fidpipe run"):
         FinishedRun(again)
     assert run_status(again).stages == {stage: {"to do": 2} for stage in STAGE_NAMES}
@@ -210,6 +194,48 @@ def test_what_an_interrupted_run_had_finished_is_kept(dataset, finished, tmp_pat
     assert set(before) & changed_files(out, before) == set()
     assert no_temporary_files(out)
     assert_same_tables(out, finished)
+
+
+def test_a_run_with_nothing_to_do_leaves_the_finished_record_until_it_has_the_next(again, dataset, monkeypatch):
+    """Readers next to it see the finished run, also if it dies."""
+    before = FinishedRun(again).record
+    seen = []
+
+    def dies(*_):
+        seen.append(FinishedRun(again).record)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Run, "write", dies)
+    with pytest.raises(KeyboardInterrupt):
+        run(dataset, again)
+    assert seen == [FinishedRun(again).record] == [before]
+
+
+def test_readers_next_to_a_working_run_say_so_and_then_that_it_has_not_ended(again, dataset, monkeypatch):
+    def dies(*_):
+        with pytest.raises(RunError, match="another fidpipe is working on this run; wait until it ends"):
+            FinishedRun(again)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_Run, "write", dies)
+    with pytest.raises(KeyboardInterrupt):
+        run(dataset, again, from_stage="metrics")
+    with pytest.raises(RunError, match="the run has not ended"):
+        FinishedRun(again)
+
+
+def test_another_table_of_pairs_takes_the_finished_record_away_until_it_has_the_next(again, dataset, monkeypatch):
+    """A new pair that fails before all stages: nothing is computed, and the table of pairs has one more row."""
+    larger = shutil.copytree(dataset, again.with_name("larger"))
+    shutil.rmtree(again)
+    run(larger, again)
+    for side in ("real", "sim"):
+        (larger / side / "more.bin").write_bytes(b"no points")
+    monkeypatch.setattr(_Run, "_timing_parts", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        run(larger, again)
+    with pytest.raises(RunError, match="the run has not ended"):
+        FinishedRun(again)
 
 
 def test_tables_of_every_stage_tell_of_their_job(finished):

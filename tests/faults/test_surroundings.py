@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from runs import FIDPIPE, assert_same_tables, command, run
+from runs import FIDPIPE, assert_same_tables, own_process, run
 from scenes import drifted, street, write_bin
 from tries import Started, assert_no_process, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
 
@@ -88,7 +88,7 @@ def test_a_clock_that_is_set_back_changes_nothing(dataset, finished, tmp_path, t
     assert (code, "Traceback" in errors) == (0, False), errors
     assert_same_tables(out, finished)
     tally.add("the clock is set back by ten years in the middle of a run", n_lost(out, finished))
-    again = command("run", dataset, "--out", out, "--workers", 1, env={**os.environ, **clock})
+    again = own_process("run", dataset, "--out", out, "--workers", 1, env={**os.environ, **clock})
     assert again.returncode == 0, again.stderr
     assert " 0 jobs done" in " " + again.stdout + again.stderr
     assert_resumes(dataset, out, finished, tally, "the clock was ahead, and is right again")
@@ -168,14 +168,14 @@ def remount(folder, how):
 
 def test_a_file_system_that_becomes_read_only_ends_a_run_with_a_line(dataset, finished, file_system, tally):
     out = file_system / "run"
-    assert command("run", dataset, "--out", out, "--workers", 1, "--pairs", "00[01]").returncode == 0
+    assert own_process("run", dataset, "--out", out, "--workers", 1, "--pairs", "00[01]").returncode == 0
     assert remount(file_system, "ro")
-    refused = command("run", dataset, "--out", out, "--workers", 1)
+    refused = own_process("run", dataset, "--out", out, "--workers", 1)
     assert refused.returncode == 1
     assert len(lines_of(refused.stderr)) == 1
     assert "Read-only file system" in refused.stderr
     for words in (("status", out), ("show", out), ("show", out, "000")):
-        assert command(*words).returncode == 0
+        assert own_process(*words).returncode == 0
     assert remount(file_system, "rw")
     assert_resumes(dataset, out, finished, tally, "the file system of a run is read-only")
 
@@ -186,7 +186,7 @@ def fill(disk, free):
     (disk / "ballast").write_bytes(bytes(max(0, left)))
 
 
-STAGES = ["ground", "graph", "communities", "matching", "selection", "metrics", "coverage", "surface"]
+STAGES = ["ground", "sensor", "graph", "communities", "matching", "selection", "metrics", "coverage", "surface"]
 
 
 @pytest.mark.parametrize("stage", times(["graph"], STAGES))
@@ -194,13 +194,13 @@ def test_a_disk_that_is_full_in_a_stage_is_named_and_the_run_goes_on_where_there
     dataset, finished, file_system, tally, stage
 ):
     out = file_system / "run"
-    assert command("run", dataset, "--out", out, "--workers", 1).returncode == 0
+    assert own_process("run", dataset, "--out", out, "--workers", 1).returncode == 0
     first = (out / stage / "000.parquet", out / stage / "000.real.parquet")
     size = max(path.stat().st_size for path in first if path.exists())
     for path in (out / stage).iterdir():
         path.unlink()
     fill(file_system, max(0, size // 4096 - 1) * 4096)
-    stopped = command("run", dataset, "--out", out, "--workers", 1)
+    stopped = own_process("run", dataset, "--out", out, "--workers", 1)
     assert (stopped.returncode, len([of for of in lines_of(stopped.stderr) if "error:" in of])) == (1, 1), (
         stopped.stderr
     )

@@ -224,6 +224,25 @@ def test_runs_of_equal_values_in_parquet_are_bounded(tmp_path):
         read_scan(tmp_path / "a.parquet")
 
 
+@pytest.mark.parametrize("repeated", [1, 1_000_000])
+def test_a_long_text_that_is_stored_once_counts_as_often_as_it_occurs(tmp_path, repeated):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    n_rows = 1_000_000
+    texts = pa.array(["car", "x" * 100_000])
+    chosen = pa.array((np.arange(n_rows) < repeated).astype(np.int32))
+    columns = dict.fromkeys("xyz", np.random.default_rng(0).random(n_rows))
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({**columns, "label": pa.DictionaryArray.from_arrays(chosen, texts)}), path)
+    with path.open("rb") as stream:
+        if repeated == 1:
+            bounds.check_pages(path, stream)
+        else:
+            with pytest.raises(OversizeError, match=r"would unpack to 1000\d{8} or more"):
+                bounds.check_pages(path, stream)
+
+
 def test_a_page_that_claims_gigabytes_is_refused(tmp_path):
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -191,7 +191,7 @@ def test_wrong_columns_of_a_real_scan_are_seen(real_data, tmp_path):
     assert any("are the columns right" in text for text in as_four.warnings)
 
 
-def test_check_tells_the_sensors_of_both_sides_from_the_first_two_pairs(tmp_path):
+def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_names_other_ones(tmp_path):
     azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 360, 0.5)), np.radians(np.arange(-15.0, 16.0, 2.0)))
     range_m = 10 + 4 * np.sin(3 * azimuth)
     rows = np.stack(
@@ -203,11 +203,13 @@ def test_check_tells_the_sensors_of_both_sides_from_the_first_two_pairs(tmp_path
         axis=-1,
     ).reshape(-1, 3)
     dataset = folders(tmp_path, ("a", "b", "c"), ("a", "b"))
-    for name in ("a", "b"):
-        write_bin(dataset / "real" / f"{name}.bin", rows)
+    for name in ("a", "b", "c"):
+        write_bin(dataset / "real" / f"{name}.bin", rows if name != "c" else rows[np.arange(len(rows)) // 720 % 2 == 0])
     sensors = check_dataset(dataset, Settings()).sensors
-    assert sensors.pair_ids == ("a", "b")
+    assert sensors.pair_ids == ("a", "b", "c")
     assert sensors.sides["real"].model == "Velodyne VLP-16"
     assert sensors.sides["real"].azimuth_step_deg == pytest.approx(0.5, abs=0.001)
     assert sensors.sides["sim"].model is None
-    assert sensors.differences[0].startswith("real: 16 beams, -15 to +15 degrees, evenly spaced: Velodyne VLP-16; sim")
+    assert sensors.differences[0] == "beams: 16 real, none detected simulated"
+    (line,) = sensors.unlike
+    assert line == "real scan of pair c: beams at least 8, others 16 (Velodyne VLP-16)"

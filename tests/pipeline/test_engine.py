@@ -45,7 +45,8 @@ SEES_MATCHING = probe({"matching": ("real_id",)}, gives="perturb_baselines")
 def make_parts(dataset, out, parts, pool):
     """Has the parts made of every pair, after the stages up to matching; gives the engine and the finished jobs."""
     pairs = read_dataset(dataset).pairs
-    planner = Planner(STAGES[:4], Settings(), {})
+    up_to_matching = [stage for stage in STAGES if stage.name in ("ground", "graph", "communities", "matching")]
+    planner = Planner(up_to_matching, Settings(), {})
     folder = RunFolder(out)
     machines = Machines(pool=pool)
     with folder.locked(), RunEngine(folder, Settings(), machines, Reporter(Console(quiet=True))) as engine:

@@ -22,7 +22,7 @@ from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets import readers
 from fidpipe.pipeline.datasets.readers import Format, read_scan
 from fidpipe.schemas.errors import DatasetError, ScanError
-from runs import JOBS_PER_PAIR, command
+from runs import JOBS_PER_PAIR, own_process
 from scenes import drifted, street, write_bin
 
 N_POINTS = 100
@@ -274,7 +274,7 @@ def test_an_example_touches_the_files_that_its_section_names_and_they_are_few(ti
 def plain(dataset, tmp_path_factory):
     """A run by the package as it is."""
     out = tmp_path_factory.mktemp("runs") / "streets"
-    assert command("run", dataset, "--out", out, "--workers", 1).returncode == 0
+    assert own_process("run", dataset, "--out", out, "--workers", 1).returncode == 0
     return out
 
 
@@ -337,7 +337,7 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     package, _ = extended("A score", tmp_path)
     words = ("--sweep", "noise=0.01", "--repeats", 1, "--global-repeats", 1, "--workers", 1)
     perturb = ("perturb", dataset, "--out", tmp_path / "perturb", *words)
-    assert command(*perturb).returncode == 0
+    assert own_process(*perturb).returncode == 0
     result = package.fidpipe("run", dataset, "--out", again, "--workers", 1)
     assert made_again(result) == {"metrics"}
     assert "code of stage metrics is new" in result.stderr

@@ -27,6 +27,9 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.metrics import COVERAGE_SCORES, OBJECT_METRICS
 from fidpipe.schemas.settings import load
+from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.sensor import describe_sensor
+from fidpipe.stages.sensing.sensor_models import SENSORS
 from runs import assert_same_tables, command, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
@@ -63,6 +66,23 @@ def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
         assert row["match_rate"] == 1
         assert {row[f"{metric}_mean"] for metric in OBJECT_METRICS} == {0}
         assert {row[metric.column] for metric in COVERAGE_SCORES} == {1}
+
+
+def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_none(folder, tmp_path):
+    rows = make_pair(0, 0, SENSORS["vlp16"], 12_000).real.rows
+    for side in ("real", "sim"):
+        write_bin(tmp_path / "data" / side / "cast.bin", rows[:, :3])
+        write_bin(tmp_path / "data" / side / "street.bin", street())
+    text = Console(record=True, width=500, file=StringIO())
+    floor(tmp_path / "data", tmp_path / "floor", Reporter(text), settings=REFERENCE)
+    used = pd.read_csv(tmp_path / "floor" / "dataset" / "floor.csv", index_col=0)
+    own = describe_sensor(rows[:, :3].astype(np.float32).astype(float))
+    assert (used.noise_m["cast"], used.lost_share["cast"]) == (own.range_noise_m, own.lost_in_all)
+    assert (used.noise_m["street"], used.lost_share["street"]) == (0.03, 0.03)
+    shown_text = text.export_text()
+    assert "1 of 2 real scans do not show their noise or losses" in shown_text and "--noise-m" in shown_text
+    again = read_scan(tmp_path / "floor" / "dataset" / "sim" / "cast.parquet").points
+    assert len(again) == pytest.approx(len(rows) * (1 - own.lost_in_all), rel=0.02)
 
 
 def test_more_noise_is_no_better(folder, tmp_path):
@@ -132,7 +152,7 @@ def test_a_scan_that_cannot_be_read_fails_alone(tmp_path):
 def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
     data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "floor"
     n_made = floor(data, out).n_made
-    with pytest.raises(RunError, match=r"range noise 0.03 m, .*; asked for: range noise 0.1 m, .*; add --replace"):
+    with pytest.raises(RunError, match=r"range noise as measured, .*; asked for: range noise 0.1 m, .*; add --replace"):
         floor(data, out, noise_m=0.1)
     with pytest.raises(RunError, match="is finished, and .* would be replaced"):
         floor(data, out, settings=load(assignments=["graph.k=20"]))
@@ -140,7 +160,7 @@ def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, t
         floor(folder / "streets", out)
     with pytest.raises(RunError, match=r"run .*run: holds a run of .*streets, no floor; give another --out"):
         floor(folder / "streets", folder / "run")
-    assert floor(data, out, noise_m=0.1, replace=True).n_made == n_made - 3  # all but those of the real side
+    assert floor(data, out, noise_m=0.1, replace=True).n_made == n_made - 4  # all but those of the real side
 
 
 def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
@@ -275,16 +295,16 @@ def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
     assert "preset reference" in text
     assert pd.read_parquet(tmp_path / "floor" / "pairs.parquet").cdc_mean.tolist() == [0]
     shown(*words, "--neighbours", "--noise-m", 0.1, "--out", tmp_path / "other", code=2)
-    help_text = " ".join(shown("floor", "--help").split())
-    for option, default in (("--noise-m", FloorRequest.noise_m), ("--dropout", FloorRequest.lost_share)):
-        assert f"[default: ({default:g})]" in help_text.partition(option)[2]
+    help_text = " ".join(shown("floor", "--help").replace("│", " ").split())
+    for option in ("--noise-m", "--dropout"):
+        assert "[default: (measured on each scan)]" in help_text.partition(option)[2]
 
 
 def test_what_limits_trust_names_the_floor_only_where_none_is_at_hand(folder):
     wanted = f"fidpipe floor {folder / 'streets'}"
-    assert wanted in shown("show", folder / "run")
-    assert wanted not in shown("show", folder / "run", "--floor", folder / "floor")
-    assert "fidpipe floor" not in shown("show", folder / "floor")
+    assert wanted in " ".join(shown("show", folder / "run", "--all").split())
+    assert "fidpipe floor" not in shown("show", folder / "run", "--all", "--floor", folder / "floor")
+    assert "fidpipe floor" not in shown("show", folder / "floor", "--all")
 
 
 def test_a_floor_of_scans_in_another_frame_is_that_of_the_turned_ones(tmp_path):

@@ -14,7 +14,7 @@ from sknetwork.clustering import Louvain
 from fidpipe.pipeline.results.verify.verify import verify_run
 from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
-from runs import rewrite, run
+from runs import rewrite, run, some_of
 from scenes import box, drifted, street, write_bin
 
 WORDS = ["matching.delta_m=6", "metrics.baselines=chamfer", "ground.prior_m=0.25"]
@@ -275,8 +275,17 @@ def _(frame):
     frame.loc[row, "value"] = frame.value[row] * 1.000001
 
 
+#: Those that are hard to see: agreeing with everything else, or small.
+FEW = [
+    *("two rows of graph/a.sim swapped", "an edge less", "two points of different communities have each other's"),
+    *("both gaps exchanged", "displacement of an object doubled", "the mean distance for the median"),
+    *("two influences exchanged", "a label of an object", "one flag of ground", "a baseline of the whole scans"),
+    *("planarity and scattering exchanged", "median range of the other objects"),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FORGERIES)
+@pytest.mark.parametrize("name", some_of(FORGERIES, FEW))
 def test_a_forged_table_is_found(forged, name):
     file, change = FORGERIES[name]
     before = pq.read_table(forged / file)

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.page.compare import history_page
 from fidpipe.pipeline.report.terminal.history import history_csv, history_decision, history_remarks, history_view
-from fidpipe.pipeline.results.compare import SCORES
 from fidpipe.pipeline.results.history import read_history
 from fidpipe.schemas.errors import RunError
 from reports import embedded
@@ -39,19 +38,20 @@ def runs(tmp_path_factory):
 
 
 def test_means_are_over_the_pairs_that_all_runs_have(runs):
-    found = read_history(runs)
+    found = read_history(runs, independent=True)
     assert found.pairs == tuple("012345")
     assert list(found.left_out) == list(found.failed) == ["6"]
     assert [(one.n_scored, one.n_failed) for one in found.runs] == [(7, 0), (7, 0), (6, 1)]
     for i, folder in enumerate(runs):
         pairs = pd.read_parquet(folder / "pairs.parquet").set_index("pair_id").loc[list(found.pairs)]
-        for column, score in zip(SCORES, found.scores, strict=True):
-            assert score.steps[i].mean == pytest.approx(pairs[column].mean())
+        means = {own.family: own.steps[i].mean for own in found.families}
+        assert means["surface missing"] == pytest.approx(pairs["covered_real_0p3m"].mean())
+        assert means["objects"] == pytest.approx(pairs["cdc_mean"].mean())
 
 
 def test_verdicts_are_against_the_first_run_and_against_the_one_before(runs):
-    found = read_history(runs)
-    _, worse, back = next(score for score in found.scores if score.name == "simulated covered, 0.3 m").steps
+    found = read_history(runs, independent=True)
+    _, worse, back = next(own for own in found.families if own.family == "surface invented").steps
     assert (worse.since_first, worse.since_last) == ("worse", "worse")
     assert (back.since_first, back.since_last) == ("same", "better")
     assert worse.low <= worse.mean <= worse.high
@@ -75,31 +75,31 @@ def test_runs_stand_as_given_or_by_date(runs):
 def test_eight_runs_with_long_names_fit_80_columns(runs):
     console = Console(width=80, highlight=False)
     with console.capture() as capture:
-        console.print(history_view(read_history([runs[0], *[runs[1]] * 6, runs[2]])))
+        console.print(history_view(read_history([runs[0], *[runs[1]] * 6, runs[2]], independent=True)))
     lines = capture.get().splitlines()
     assert max(map(len, lines)) <= 80
     assert sum("…" in line and line.endswith("1603597909") for line in map(str.rstrip, lines)) == 6, "one line a run"
-    (covered,) = (line.split() for line in lines if line.strip().startswith("match rate"))
-    assert len(covered) == 3 + 8
+    (covered,) = (line.split() for line in lines if line.strip().startswith("position"))
+    assert len(covered) > 8
 
 
 def test_csv_and_json_hold_every_step(runs):
-    found = read_history(runs)
+    found = read_history(runs, independent=True)
     rows = list(csv.DictReader(io.StringIO(history_csv(found))))
-    assert len(rows) == 3 * len(SCORES)
-    assert float(rows[0]["mean"]) == found.scores[0].steps[0].mean
+    assert len(rows) == 3 * len(found.families)
+    assert float(rows[0]["mean"]) == found.families[0].steps[0].mean
     told = json.loads(json.dumps(found.as_dict()))
     assert told["runs"][1]["folder"] == str(runs[1])
-    assert told["scores"][0]["steps"][1]["mean"] == found.scores[0].steps[1].mean
+    assert told["families"][0]["steps"][1]["mean"] == found.families[0].steps[1].mean
 
 
 def test_the_page_has_a_line_for_each_score_with_its_intervals(runs):
-    found = read_history(runs)
+    found = read_history(runs, independent=True)
     charts = embedded(history_page(found))["charts"]
-    assert len(charts) == len(SCORES)
+    assert len(charts) == len(found.families)
     line = charts["history_0"]["data"][0]
-    step = found.scores[0].steps[1]
-    assert line["y"] == pytest.approx([own.mean for own in found.scores[0].steps])
+    step = found.families[0].steps[1]
+    assert line["y"] == pytest.approx([own.mean for own in found.families[0].steps])
     assert line["error_y"]["array"][1] == pytest.approx(step.high - step.mean)
 
 

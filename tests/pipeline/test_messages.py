@@ -282,8 +282,9 @@ def test_paths_that_are_too_long_are_said_in_one_line(dataset, tmp_path):
 def test_a_command_to_type_next_can_be_typed_where_a_name_has_spaces(dataset, tmp_path):
     data = shutil.copytree(dataset, tmp_path / "two words")
     ended = command("run", data, "--out", "my run", "--workers", 1, cwd=tmp_path)
-    assert "fidpipe report 'my run'" in ended.stdout
-    assert f"fidpipe floor '{data}'" in ended.stdout
+    assert "fidpipe report 'my run' --open" in ended.stdout
+    everything = command("show", "my run", "--all", cwd=tmp_path).stdout
+    assert f"fidpipe floor '{data}' --preset paper" in " ".join(everything.split())
     assert "fidpipe show my run" not in ended.stdout
 
 

@@ -53,12 +53,14 @@ def test_points_bear_their_object_and_edges_join_object_points(run, side):
 def test_every_table_comes_as_arrow_with_its_schema(run):
     for name in (
         "ground",
+        "sensor",
         "graph",
         "communities",
         "objects",
         "matching",
         "coverage",
         "surface",
+        "pieces",
         "selection",
         "metrics",
     ):

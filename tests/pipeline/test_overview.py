@@ -1,8 +1,6 @@
 """The overview of a run against its tables, what a run ends with, and what it says of the run that it replaced."""
 
 import json
-import math
-import os
 import shutil
 from io import StringIO
 
@@ -20,8 +18,8 @@ from fidpipe.pipeline.report.terminal.show import as_view, pair_view
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.results.findings import ObjectRows, SideRows
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
-from fidpipe.pipeline.results.overview import Tally, run_overview, verdict_sentence
-from fidpipe.pipeline.results.quadrants import quadrant_of
+from fidpipe.pipeline.results.overview import Tally
+from fidpipe.schemas.results import ObjectOverview
 from fidpipe.schemas.settings import Settings
 from runs import command, run
 from scenes import drifted, street, write_bin
@@ -59,55 +57,53 @@ def side_of(rows):
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     range_m, n_points, covered, is_matched, label = columns
     ids = np.arange(len(rows), dtype=np.int32)
-    shape = np.full(len(rows), "planar")
     size = np.full(len(rows), 10.0)
-    return SideRows(
-        0 * ids, ids, n_points, range_m, label.astype(object), shape, size, covered, is_matched.astype(bool)
-    )
+    return SideRows(0 * ids, ids, n_points, range_m, label.astype(object), size, covered, is_matched.astype(bool))
 
 
-def counted(real, sim, matched):
-    """The overview of one pair; matched objects as (real, sim, cdc, r_lambda, alignment)."""
+def pieces_of(*rows):
+    """Pieces as (pair, side, piece_id, n_points, fate, label)."""
+    pair, side, piece_id, n_points, fate, label = (np.array(column) for column in zip(*rows, strict=True))
+    n = len(rows)
+    place = {"range_m": np.full(n, 7.2), "bearing_deg": np.full(n, 40.0), "label": label.astype(object)}
+    size = dict(zip(("extent_x", "extent_y", "extent_z"), np.tile([[4.2], [1.8], [1.5]], n), strict=True))
+    moved = {f"moved_{axis}_m": np.where(fate == "moved", 0.5 * (axis == "y"), np.nan) for axis in "xyz"}
+    own = {"side": side.astype(object), "piece_id": piece_id, "n_points": n_points, "fate": fate.astype(object)}
+    return {"pair": pair, **own, **place, **size, **moved}
+
+
+NO_PIECES = {name: column[:0] for name, column in pieces_of((0, "real", 0, 1, "gone", None)).items()}
+
+
+def counted(real, sim, matched, pieces=NO_PIECES, names=("a",)):
+    """The overview of some pairs; matched objects as (real, sim, cdc, r_lambda, alignment)."""
     real_rows, sim_rows, cdc, r_lambda, alignment = (np.array(column) for column in zip(*matched, strict=True))
     scores = {"cdc": cdc, "r_lambda": r_lambda, "alignment_rms_m": alignment}
     real, sim = side_of(real), side_of(sim)
     scores["n_real"] = real.n_points[real_rows]
     tally = Tally()
-    tally.add(ObjectRows(["a"], real, sim, 0 * real_rows, scores, real_rows, sim_rows))
-    return tally.objects()
+    tally.add(ObjectRows([*names], real, sim, 0 * real_rows, scores, real_rows, sim_rows, pieces))
+    return tally.objects([])
 
 
-def test_the_verdict_counts_what_the_tables_hold(finished):
+CARS = [(5.0, 500, 1.0, True, "car")] * 3
+MATCHED = [(0, 0, 0.0, 0.0, 0.1), (1, 1, 0.0, 0.0, 0.1), (2, 2, 0.0, 0.0, 0.1)]
+
+
+def test_the_overview_of_the_record_is_that_of_the_tables(finished):
     _, folder, outcome = finished
-    verdict = outcome.record.overview.verdict
-    metrics, matching = pd.read_parquet(folder / "metrics"), pd.read_parquet(folder / "matching")
-    quadrants = pd.Series(quadrant_of(metrics.cdc.to_numpy(), metrics.r_lambda.to_numpy(dtype=float))).value_counts()
-    for name in ("faithful", "structure lost", "displaced", "failed"):
-        assert getattr(verdict, name.replace(" ", "_")) == quadrants.get(name, 0)
-    assert verdict.missing == (matching.status == "missing").sum()
-    assert verdict.hallucinated == (matching.status == "hallucinated").sum()
-    assert verdict.n_real == len(metrics) + verdict.missing
-    assert f"Of the {verdict.n_real} real objects in 2 pairs" in verdict_sentence(verdict)
-
-
-def test_numbers_are_the_means_over_pairs(finished):
-    _, folder, outcome = finished
-    pairs = pd.read_parquet(folder / "pairs.parquet")
-    for number in outcome.record.overview.numbers:
-        assert number.mean == pytest.approx(pairs[number.column].mean())
-        assert number.std == pytest.approx(pairs[number.column].std())
-        assert (number.n_pairs, number.last) == (2, None)
-    assert [number.better for number in outcome.record.overview.numbers] == ["higher", *["lower"] * 3, "higher"]
-
-
-def test_an_old_record_gets_the_same_overview_from_the_tables(finished, tmp_path):
-    _, folder, outcome = finished
-    old = shutil.copytree(folder, tmp_path / "old")
-    record = json.loads((old / "run.json").read_text())
-    del record["overview"]
-    (old / "run.json").write_text(json.dumps(record))
-    found = run_overview(FinishedRun(old))
-    assert found.model_copy(update={"key": ""}) == outcome.record.overview.model_copy(update={"key": ""})
+    overview = outcome.record.overview
+    objects, coverage = pd.read_parquet(folder / "objects"), pd.read_parquet(folder / "coverage")
+    both = objects.merge(coverage.dropna(subset="community_id"), on=["pair_id", "side", "community_id"])
+    pieces = pd.read_parquet(folder / "pieces")
+    for band, low, high in zip(overview.surface[:5], (0, 10, 20, 30, 50), (10, 20, 30, 50, 999), strict=True):
+        own = both[(both.side == "real") & (both.range_m >= low) & (both.range_m < high)]
+        assert band.n_real == own.n_points_x.sum()
+        if band.n_real:
+            missing = (own.n_points_x * (1 - own.covered_0p3m)).sum() / own.n_points_x.sum()
+            assert band.missing_share == pytest.approx(missing)
+    assert {one.name for one in overview.surface if one.group == "class"} == set(objects.label.dropna())
+    assert [one.n_points for one in overview.pieces] == pieces.n_points.nlargest(len(overview.pieces)).tolist()
 
 
 def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(finished, monkeypatch):
@@ -119,57 +115,42 @@ def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_n
     assert again.record.overview == outcome.record.overview
     one_by_one = Tally()
     findings.read_objects(again.store, NUSCENES, watch=one_by_one.add)
-    assert one_by_one.objects().verdict == outcome.record.overview.verdict
-    assert one_by_one.objects().worst == outcome.record.overview.worst
-    assert one_by_one.objects().failings == outcome.record.overview.failings
+    found = one_by_one.objects(again.scored)
+    assert found == ObjectOverview(
+        **{name: getattr(again.record.overview, name) for name in ObjectOverview.model_fields}
+    )
 
 
-def test_a_large_object_that_is_gone_is_worse_than_a_bad_one_and_that_than_a_handful_of_points():
-    real = [(20.0, 1000, 0.0, False, "wall"), (9.0, 1000, 0.9, True, "car"), (9.0, 8, 0.0, False, "pole")]
-    sim = [(9.0, 900, 0.9, True, "car")]
-    worst = counted(real, sim, [(1, 0, 1.0, 0.5, 0.1)]).worst
-    assert [one.object_id for one in worst] == [0, 1, 2]
-    assert worst[0].what == "missing, absent: 0 % of it covered within 0.3 m"
-    assert worst[1].what == "failed: CDC 1.00, r_lambda 0.50"
-    assert math.log(1000) > (1.0 / 2 + 0.5) / 2 * math.log(1000) > math.log(8)
-
-
-def test_faithful_objects_and_those_only_divided_differently_are_not_among_the_worst():
-    real = [(5.0, 5000, 1.0, True, "wall"), (5.0, 5000, 0.9, False, "wall")]
-    sim = [(5.0, 5000, 1.0, True, "wall"), (5.0, 5000, 0.81, False, "wall"), (5.0, 20, 0.5, False, "car")]
-    found = counted(real, sim, [(0, 0, 0.5, 0.4, 0.1)])
-    assert [(one.side, one.object_id) for one in found.worst] == [("sim", 2)]
-    assert found.worst[0].what == "hallucinated, partly there: 50 % of it covered within 0.3 m"
-
-
-def test_one_of_one_is_no_common_failing_and_a_share_counts_as_much_as_a_number():
-    far = [(60.0, 50, 0.0, i >= 4, "wall") for i in range(6)]  # 4 of 6 missing: 16 / 6
-    near = [(15.0, 50, 0.0, i >= 5, "tree") for i in range(25)]  # 5 of 25: 25 / 25
-    there = [(25.0, 50, 0.95, False, "car") for _ in range(9)]
-    alone = [(35.0, 50, 0.0, False, "pole"), (35.0, 50, 0.0, False, "pole")]
-    real = [*far, *near, *there, *alone]
-    matched = [i for i, one in enumerate(real) if one[3]]
-    sim = [real[i] for i in matched]
-    scores = [(i, j, 0.0, 0.0, 0.1) for j, i in enumerate(matched)]
-    failings = counted(real, sim, scores).failings
-    assert [failing.words for failing in failings] == [
-        "wall beyond 50 m: missing 4 of 6",
-        "tree at 10 to 20 m: missing 5 of 25",
+def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_once():
+    pieces = pieces_of(
+        *((0, "real", 0, 90, "gone", None), (1, "sim", 0, 500, "gone", "car"), (1, "real", 1, 300, "moved", None)),
+        *((1, "sim", 1, 310, "moved", None), (0, "sim", 2, 10, "gone", None)),
+    )
+    found = counted(CARS, CARS, MATCHED, pieces, names=("a", "b")).pieces
+    assert [(one.pair_id, one.fate_words, one.words) for one in found] == [
+        ("b", "invented", "car, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
+        ("b", "moved by 0.5 m to the left", "car-sized, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
+        ("a", "missing", "car-sized, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
+        ("a", "invented", "car-sized, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
     ]
 
 
-def test_objects_without_any_label_are_told_by_their_shape():
-    real = [(5.0, 500, 0.0, False, ""), (5.0, 500, 1.0, True, "")]
-    found = counted(real, [real[1]], [(1, 0, 0.0, 0.0, 0.1)])
-    assert (found.class_is, found.worst[0].label) == ("shape", "planar")
+def test_surface_is_counted_by_points_per_range_band_and_class():
+    real = [(5.0, 300, 1.0, True, "car"), (60.0, 100, 0.2, False, "tree"), (5.0, 100, 0.0, False, "")]
+    found = counted(real, [real[0]], [(0, 0, 0.0, 0.0, 0.1)]).surface
+    known = {one.name: (one.n_real, one.missing_share, one.n_sim, one.invented_share) for one in found if one.n_real}
+    assert known == {
+        "0 to 10 m": (400, 0.25, 300, 0.0),
+        "over 50 m": (100, 0.8, 0, None),
+        "car": (300, 0.0, 300, 0.0),
+        "tree": (100, 0.8, 0, None),
+    }
 
 
 def test_an_alignment_is_bad_for_its_object_or_for_any():
-    real = [(5.0, 500, 1.0, True, "car")] * 3
     matched = [(0, 0, 0.0, 0.0, 2.4), (1, 1, 0.0, 0.0, 2.6), (2, 2, 0.0, np.nan, 9.0)]
-    found = counted(real, real, matched)
+    found = counted(CARS, CARS, matched)
     assert (found.n_aligned, found.n_badly_aligned) == (2, 1), "of 10 m; without r_lambda it does not matter"
-    assert found.verdict.unjudged == 1
 
 
 def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_still_does(finished, tmp_path):
@@ -183,25 +164,16 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     assert after.previous.changes == ("1 pair of other scans",)
     assert after.previous.n_pairs == 2
     before = finished[2].record.summary
-    for number in after.overview.numbers:
-        assert number.last == before[number.column].mean
-    assert after.overview.numbers[0].mean != after.overview.numbers[0].last
+    assert after.previous.means["cdc_mean"] == before["cdc_mean"].mean
     again = run(data, folder).record
     assert (again.previous, again.overview) == (after.previous, after.overview)
-    shown = text_of(as_view(FinishedRun(folder), None, None), 300)
-    moved = after.overview.numbers[1].mean - after.overview.numbers[1].last
-    assert f"{moved:+.3f}" in shown
-    assert "1 pair of other scans" in shown
-    assert "says nothing about chance" in shown
-    assert "are of other objects than before: the match rate moved" in shown
-    assert "are of other objects than before: the match rate moved" in " ".join(verdict_of(read_results(folder)).moved)
+    moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
+    for shown in (text_of(as_view(FinishedRun(folder), None, None), 300), verdict_of(read_results(folder)).change):
+        assert moved in shown
+        assert "(1 pair of other scans); chance: fidpipe compare" in shown
     other = run(data, folder, Settings.model_validate({"matching": {"delta_m": 3.0}})).record
     assert other.previous.changes == ("matching.delta_m was 5.0, is 3.0",)
     assert other.previous.means["cdc_mean"] == after.summary["cdc_mean"].mean
-    covered = next(
-        line for line in text_of(as_view(FinishedRun(folder), None, None)).splitlines() if "covered, 0" in line
-    )
-    assert "same" in covered, "no setting of the matching moves a surface"
 
 
 def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished, tmp_path, monkeypatch):
@@ -222,35 +194,21 @@ def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished
     assert previous.changes == ("matching.delta_m was 5.0, is 3.0",)
 
 
-def test_a_run_ends_with_verdict_numbers_worst_failings_and_where_the_report_is(finished):
+def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_step(finished):
     _, folder, outcome = finished
-    shown = text_of(outcome_view(outcome), 200)
-    places = [
-        shown.index(text)
-        for text in (
-            "jobs done",
-            "Pairs (means over matched objects)",
-            verdict_sentence(outcome.record.overview.verdict)[:60],
-            "In five numbers",
-            "The worst objects",
-            "What limits the trust",
-            "to look at them: fidpipe report",
-        )
-    ]
-    assert places == sorted(places)
-    assert shown.rstrip().splitlines()[-1] == f"to look at them: fidpipe report {folder}"
-    assert "claim" not in shown, "the paper's claims are asked for by --paper"
-    assert "2 independent pairs: too few" in shown
-
-
-def test_a_report_of_these_results_is_named_and_an_older_one_is_not_taken_for_it(finished, tmp_path):
-    folder = shutil.copytree(finished[1], tmp_path / "run")
-    run_ = FinishedRun(folder)
-    (folder / "report.html").write_text("<html>")
-    assert text_of(as_view(run_, None, None), 300).rstrip().endswith(f"report: {folder / 'report.html'}")
-    later = (folder / "report.html").stat().st_mtime + 10
-    os.utime(folder / "pairs.parquet", (later, later))
-    assert "the report there is older" in text_of(as_view(run_, None, None), 300)
+    lines = text_of(outcome_view(outcome), 200).splitlines()
+    assert lines[0].startswith("streets: 2 pairs in ")
+    assert lines[0].endswith(" s, preset paper")
+    headings = [line[:14].strip() for line in lines[1:] if line[:14].strip()]
+    assert headings == ["surface", "pieces", "Fix first", "Worst places", "Objects", "Trust", "Next"]
+    assert lines[-1] == f"Next          fidpipe report {folder} --open"
+    assert len(lines) <= 24
+    text = "\n".join(lines)
+    assert "faithful" not in text
+    assert "r_lambda" in text
+    assert "(paper 0.37)" in text, "under preset paper"
+    assert "2 independent pairs: too few for a verdict (6)" in text
+    assert "2 pairs, preset paper" in text_of(as_view(FinishedRun(folder), None, None)).splitlines()[0]
 
 
 @pytest.mark.parametrize("name", [None, NUSCENES[0]])
@@ -259,8 +217,7 @@ def test_no_line_is_wider_than_80_columns_with_long_names_and_labels(finished, n
     for with_all in (False, True):
         shown = text_of(as_view(run_, name, None, with_all=with_all))
         assert max(map(len, shown.splitlines())) <= 80
-        rows = [line.split()[0] for line in shown.splitlines() if "…" in line]
-        assert rows, "some name was shortened"
+        assert "…" in shown, "some name was shortened"
     if name is None:
         first = [line.split()[0] for line in shown.splitlines() if line.startswith(" n008")]
         assert len(set(first)) == 2, "shortened names can be told apart"
@@ -312,7 +269,7 @@ def test_run_as_json_is_json_alone_and_what_show_gives(by_command):
     assert found["failures"] == {}
     shown = json.loads(invoked("show", out, "--json").stdout)
     assert {name: found[name] for name in shown} == shown
-    assert found["record"]["overview"]["verdict"]["n_pairs"] == 2
+    assert {"causes", "pieces", "surface", "trust"} < set(found["record"]["overview"])
 
 
 def test_check_as_json_names_each_scan_and_fault(finished, tmp_path):
@@ -340,8 +297,8 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
     one = pd.read_csv(StringIO(invoked("show", out, NUSCENES[0], 0, "--csv").stdout), index_col=0)
     assert float(one.score["cdc"]) == metrics.cdc[0]
     markdown = invoked("show", out, "--markdown").stdout
-    assert markdown.startswith("Of the ")
-    assert "| match rate |" in markdown
+    assert markdown.startswith("**streets: 2 pairs, preset paper**")
+    assert "\nsurface: " in markdown
     assert NUSCENES[0] in invoked("show", out, NUSCENES[0], "--markdown").stdout
 
 
@@ -355,6 +312,6 @@ def test_formats_exclude_each_other(by_command, words):
 def test_status_answers_in_ten_lines_and_times_only_when_asked(by_command):
     shown = invoked("status", by_command[1]).stdout
     assert len(shown.splitlines()) <= 10
-    assert "done of all pairs: ground, graph" in shown
+    assert "done of all pairs: ground, sensor, graph" in shown
     assert "Time of a pair" not in shown
     assert "Time of a pair" in invoked("status", by_command[1], "--timings").stdout

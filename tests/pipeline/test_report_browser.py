@@ -288,6 +288,36 @@ def test_hostile_names_are_shown_as_they_are_but_for_direction_marks(page):
     assert complaints(page) == []
 
 
+BUTTONS_3D = ["Download plot as a PNG", "Zoom", "Pan", "Orbital rotation", "Reset camera to default"]
+
+
+def buttons(browser):
+    """The titles of the buttons of each chart that has any, and all the addresses that charts could be uploaded to."""
+    return browser.execute_script(
+        "const charts = [...document.querySelectorAll('.js-plotly-plot')];"
+        "const titles = (chart) => [...chart.querySelectorAll('.modebar-btn')].map(({dataset}) => dataset.title);"
+        "const found = charts.map((chart) => [chart.id, titles(chart)]).filter(([, own]) => own.length);"
+        "return [Object.fromEntries(found), [...new Set(charts.map((chart) => chart._context.plotlyServerURL))]]"
+    )
+
+
+def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, run_folder, tmp_path):
+    single = write_report(run_folder, one_page_a_pair=True, out=tmp_path / "single").page
+    (tmp_path / "compare.html").write_text(compare_page(compare_runs([run_folder, run_folder])), encoding="utf-8")
+    (tmp_path / "history.html").write_text(history_page(read_history([run_folder] * 3)), encoding="utf-8")
+    write_report(run_folder, out=tmp_path / "whole")
+    with_3d = [*(set(single.parent.glob("*.html")) - {single}), *(tmp_path / "whole").glob("*.html")]
+    assert len(with_3d) == len(HOSTILE_PAIRS) + 1
+    for path in with_3d:
+        open_page(browser, path)
+        choose(browser, "object", "real 0")
+        assert browser.execute_script("return Boolean(document.getElementById('overlay').data)")
+        assert buttons(browser) == [{"scene": BUTTONS_3D}, [""]], path
+    for path in (single, tmp_path / "compare.html", tmp_path / "history.html"):
+        open_page(browser, path)
+        assert buttons(browser) == [{}, [""]], path
+
+
 def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, run_folder, tmp_path):
     index = write_report(run_folder, one_page_a_pair=True, out=tmp_path).page
     resize(browser, WIDTHS[0])

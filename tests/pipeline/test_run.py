@@ -7,14 +7,18 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from typer.testing import CliRunner
 
 import fidpipe
+from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
 from pools import WatchedPool
-from runs import FOLDERS, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
+from runs import FOLDERS, JOBS_PER_PAIR, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
 N_PAIRS = 3
@@ -43,7 +47,9 @@ def test_every_table_has_the_schema_of_the_contract(finished):
     assert not outcome.failures
     for folder in FOLDERS:
         files = list((out / folder).glob("*.parquet"))
-        assert len(files) == (3 if folder in ("matching", "coverage", "surface", "selection", "metrics") else 6)
+        assert len(files) == (
+            3 if folder in ("matching", "coverage", "surface", "pieces", "selection", "metrics") else 6
+        )
         for path in files:
             table = pq.read_table(path)
             TABLES[folder].check(table)
@@ -105,7 +111,7 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
 def test_a_second_run_makes_nothing(again, dataset):
     before = marks(again)
     outcome = run(dataset, again)
-    assert (outcome.n_made, outcome.n_reused) == (0, 33)
+    assert (outcome.n_made, outcome.n_reused) == (0, 3 * JOBS_PER_PAIR)
     assert not changed_files(again, before)
     timings = pd.read_parquet(again / "timings.parquet")
     assert timings.reused.all()
@@ -115,11 +121,15 @@ def test_a_second_run_makes_nothing(again, dataset):
 @pytest.mark.parametrize(
     ("word", "untouched"),
     [
-        ("matching.delta_m=3", ["ground", "graph", "communities", "objects", "coverage", "surface"]),
-        ("selection.t=2", ["ground", "graph", "communities", "objects", "matching", "coverage", "surface"]),
-        ("communities.seed=1", ["ground", "graph"]),
-        ("graph.k=30", ["ground"]),
-        ("ground.prior_m=0.2", []),
+        (
+            "matching.delta_m=3",
+            ["ground", "sensor", "graph", "communities", "objects", "coverage", "surface", "pieces"],
+        ),
+        ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
+        ("communities.seed=1", ["ground", "sensor", "graph", "pieces"]),
+        ("graph.k=30", ["ground", "sensor", "pieces"]),
+        ("pieces.reach_m=2", ["ground", "sensor", "graph"]),
+        ("ground.prior_m=0.2", ["sensor"]),
         ("input.max_range_m=50", []),
     ],
 )
@@ -165,7 +175,7 @@ def test_from_makes_a_stage_and_those_after_it_again(again, dataset, stage):
     before = marks(again)
     outcome = run(dataset, again, from_stage=stage)
     redone = STAGE_NAMES[STAGE_NAMES.index(stage) :]
-    assert outcome.n_made == sum(6 if name in STAGE_NAMES[:3] else 3 for name in redone)
+    assert outcome.n_made == 3 * sum(len(stage.parts) for stage in STAGES if stage.name in redone)
     assert {name.split("/")[0] for name in changed_files(again, before)} - {"objects"} == set(redone)
 
 
@@ -241,7 +251,7 @@ def test_a_failed_pair_leaves_no_table_behind(dataset, tmp_path):
     assert set(outcome.failures) == {"001"}
     for table in ("ground", "graph", "communities", "objects"):
         assert set(pd.read_parquet(out / table).pair_id) == {"000", "002"}
-    assert (outcome.n_made, outcome.n_reused) == (22, 0)
+    assert (outcome.n_made, outcome.n_reused) == (2 * JOBS_PER_PAIR, 0)
     again = run(data, out, pattern="000")
     assert {row["pair_id"]: row["reason"] for row in again.rows}["001"] == outcome.failures["001"]
 
@@ -254,7 +264,7 @@ def test_a_mended_pair_is_scored_by_the_next_run(dataset, tmp_path):
     (data / "real" / "000.bin").write_bytes(good)
     outcome = run(data, tmp_path / "run")
     assert not outcome.failures
-    assert outcome.n_made == 11
+    assert outcome.n_made == JOBS_PER_PAIR
     assert run_status(tmp_path / "run").failures == {}
 
 
@@ -327,6 +337,23 @@ def test_a_mirrored_simulator_is_put_right(tmp_path):
 def test_a_shared_cut_is_the_real_sides(dataset, tmp_path):
     for row in run(dataset, tmp_path / "run", settings_of("ground.shared=true")).rows:
         assert row["ground_sim_threshold_m"] == row["ground_real_threshold_m"]
+
+
+def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at_its_own(tmp_path):
+    scan = street()
+    write_bin(tmp_path / "data" / "real" / "a.bin", scan)
+    write_bin(tmp_path / "data" / "sim" / "a.bin", scan + [0, 0, 0.12])
+    notes = {}
+    for preset, tolerance_m in (("paper", 0.02), ("reference", 0.001)):
+        outcome = run(tmp_path / "data", tmp_path / preset, load(None, preset=preset))
+        notes[preset] = outcome.record.notes
+        (row,) = outcome.rows
+        assert row["ground_sim_threshold_m"] - row["ground_real_threshold_m"] == pytest.approx(0.12, abs=tolerance_m)
+    assert notes["reference"] == {}
+    (note,) = notes["paper"]["a"]
+    assert note.startswith("the simulated road's peak is 11 cm above the real one")
+    assert any(note in caution.words for caution in FinishedRun(tmp_path / "paper").record.overview.trust)
+    assert note in CliRunner().invoke(app, ["show", str(tmp_path / "paper"), "a"]).output.replace("\n", " ")
 
 
 @pytest.mark.parametrize("word", ["graph.edges=intersection", "matching.method=optimal", "ground.method=none"])

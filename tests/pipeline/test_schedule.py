@@ -159,10 +159,11 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
     assert pool.submitted.count("score_objects") == n_objects > 3
     assert pool.submitted.count("gather_objects") == 3
     assert {tuple(stage for _, stage, _ in jobs) for jobs in pool.batches} == {
-        ("ground", "graph", "communities"),
+        ("ground", "sensor", "graph", "communities"),
         ("matching",),
         ("coverage",),
         ("surface",),
+        ("pieces",),
     }
     assert_same_tables(tmp_path / "run", finished)
 

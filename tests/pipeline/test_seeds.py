@@ -49,7 +49,7 @@ def seeds(out):
 
 def test_the_main_tables_stay_those_of_the_set_seed(plain, repeated):
     out, outcome = repeated
-    assert (outcome.n_made, outcome.n_reused) == (2, 22)
+    assert (outcome.n_made, outcome.n_reused) == (2, 28)
     assert not changed_files(out, marks(plain))
     assert_same_tables(out, plain)
     assert not (plain / "seeds").exists()

@@ -173,7 +173,7 @@ def test_sensors_are_known_by_name():
     np.testing.assert_allclose(np.diff(carla), np.diff(carla)[0])
     with pytest.raises(FidpipeError, match="'hdl46': no such sensor; did you mean hdl64"):
         read_sensor("hdl46")
-    with pytest.raises(FidpipeError, match="one of recorded, vlp32c, hdl64, os1-64, carla, .*pandar40p, or a table"):
+    with pytest.raises(FidpipeError, match="one of recorded, vlp32c, hdl64, os1-64, carla, .*xt32, xt16, or a table"):
         read_sensor("xyz")
 
 

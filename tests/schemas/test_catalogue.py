@@ -12,6 +12,7 @@ from fidpipe.schemas.metrics import (
     OBJECT_METRICS,
     OBJECT_SCORES,
     PAIR_SCORES,
+    PIECE_SCORES,
     SURFACE_SCORES,
     metric_of,
 )
@@ -28,7 +29,9 @@ from toys import TOY_TABLES
 
 
 def test_no_column_stands_in_the_catalogue_twice():
-    assert len(METRIC) == sum(map(len, (OBJECT_SCORES, PAIR_SCORES, COVERAGE_SCORES, SURFACE_SCORES, BASELINES)))
+    assert len(METRIC) == sum(
+        map(len, (OBJECT_SCORES, PAIR_SCORES, COVERAGE_SCORES, SURFACE_SCORES, PIECE_SCORES, BASELINES))
+    )
 
 
 def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():

@@ -31,6 +31,17 @@ def test_the_pairs_table_has_the_columns_of_the_contract():
         "ground_real_tilt_deg",
         "n_communities_real",
     ]
+    sensor = ["beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share"]
+    assert names[-10:] == [f"sensor_{side}_{name}" for side in ("real", "sim") for name in sensor]
+    names = names[:-10]
+    assert names[-5:] == [
+        "n_missing_pieces",
+        "n_invented_pieces",
+        "missing_pieces_share",
+        "invented_pieces_share",
+        "found",
+    ]
+    names = names[:-5]
     assert names[-16:-14] == ["alignment_rms_m_mean", "alignment_rms_m_std"]
     assert names[-14:-8] == [f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")]
     assert names[-8:-4] == ["shift_x_m", "shift_y_m", "shift_z_m", "shift_m"]

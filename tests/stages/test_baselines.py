@@ -7,10 +7,12 @@ from scipy.spatial.distance import pdist
 from fidpipe.schemas.metrics import BASELINE_NAMES
 from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
 from fidpipe.stages.baselines import BASELINES, compare_objects, compare_points, emd
+from fidpipe.stages.baselines.dcd import density_aware_chamfer
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Subgraph, adjacency
+from fidpipe.stages.literal import baselines as literal
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid
 
@@ -78,6 +80,19 @@ def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
     assert result.rmse_m == pytest.approx(0, abs=1e-9)
     nowhere = register(car, far, 0.5)
     assert (nowhere.fitness, nowhere.rmse_m) == (0, None)
+
+
+def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rng):
+    real, sim = rng.normal(0, 1, (400, 3)), np.round(rng.normal(0, 1, (500, 3)))
+    real[:200], sim = np.round(real[:200]), np.unique(sim, axis=0)  # a grid: many points are equally near
+    real = np.unique(real, axis=0)
+    turned = rng.permutation(len(real)), rng.permutation(len(sim))
+    values = [
+        (histogram_distance(a, b, 60, 20, 2), density_aware_chamfer(a, b, 1.0).dcd)
+        for a, b in ((real, sim), (real[turned[0]], sim[turned[1]]))
+    ]
+    assert values[0] == pytest.approx(values[1], abs=1e-12)
+    assert values[0][1] == pytest.approx(literal.dcd(real, sim, 1.0), abs=1e-12)
 
 
 def test_the_settings_name_every_baseline_in_the_order_of_the_list():

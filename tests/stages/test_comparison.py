@@ -1,4 +1,5 @@
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -6,10 +7,10 @@ import pytest
 from scipy import stats
 
 from fidpipe.stages.statistics.comparison import (
+    adjusted_p_values,
+    block_means,
     blocks_of,
-    far_beyond_noise,
     holm,
-    judge,
     kinds_of_change,
     mean_test,
     paired_difference,
@@ -19,25 +20,94 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import false_alarms
 
 
-def test_a_difference_common_to_all_pairs_is_found_however_much_they_vary(rng):
-    before = rng.uniform(0, 1, 30)
-    found = paired_difference(before, before + 0.05 + rng.normal(0, 0.01, 30))
-    assert found.difference == pytest.approx(0.05, abs=0.01)
-    assert 0.04 < found.low < found.difference < found.high < 0.06
-    assert judge(found, True, found.p) == "better"
-    assert judge(found, False, found.p) == "worse"
+def p_of(*changes, least=0.0, step=0.0):
+    rows = np.array(changes)
+    return adjusted_p_values(rows, np.full(len(rows), least), np.full(len(rows), step)).tolist()
 
 
-def test_the_interval_of_many_even_pairs_agrees_with_the_percentiles_of_resampled_means(rng):
-    before, after = rng.normal(0, 1, 200), rng.normal(0.3, 1, 200)
-    change = after - before
-    means = np.sort([rng.choice(change, 200).mean() for _ in range(5000)])
-    found = paired_difference(before, after)
-    assert found.low == pytest.approx(means[125], abs=0.02)
-    assert found.high == pytest.approx(means[4875], abs=0.02)
+def test_eight_changes_of_one_sign_have_the_p_value_of_one_flip_in_128():
+    assert p_of([1.0] * 8) == [1 / 128]
+    assert p_of([-3.0, -1.0, -2.0, -1.0, -4.0, -1.0, -5.0, -9.0]) == [1 / 128]
 
 
-def test_the_interval_and_p_are_those_of_a_t_test_with_half_the_degrees_where_there_is_no_skew():
+def test_p_values_are_shares_of_all_joint_flips_that_reach_as_far(rng):
+    changes = rng.normal(0.6, 1, (2, 8))
+    highest = []
+    for signs in product([-1, 1], repeat=8):
+        flipped = changes * signs
+        highest.append(max(abs(row.sum()) / (row**2).sum() ** 0.5 for row in flipped))
+    own = [abs(row.sum()) / (row**2).sum() ** 0.5 for row in changes]
+    expected = [np.mean(np.array(highest) >= value - 1e-9) for value in own]
+    assert p_of(*changes) == pytest.approx(expected)
+
+
+def test_two_scores_that_say_the_same_cost_nothing(rng):
+    change = rng.normal(1, 1, 10)
+    assert p_of(change, 5 * change) == pytest.approx(p_of(change) * 2)
+
+
+def test_six_blocks_have_the_p_value_of_the_t_test(rng):
+    change = rng.normal(1, 1, 6)
+    assert p_of(change) == pytest.approx([stats.ttest_1samp(change, 0).pvalue], rel=0.15)
+
+
+def test_many_blocks_are_drawn_and_never_have_a_p_value_of_0():
+    assert p_of([0.1] * 30) == [1 / 20_001]
+
+
+def test_a_displacement_far_beyond_the_noise_is_decided_by_three_pairs_and_a_mere_trend_is_not():
+    assert p_of([-0.119, -0.122, -0.116])[0] < 0.05 / 6
+    assert p_of([0.1, 0.05, 0.2]) == [1.0]
+
+
+def test_changes_up_to_the_least_one_that_matters_are_none():
+    small = [0.004, 0.005, 0.006, 0.004, 0.005, 0.006, 0.004, 0.005]
+    assert p_of(small) == [1 / 128]
+    assert np.isnan(p_of(small, least=0.005)).all(), "no signs make it larger"
+    assert p_of([0.02, -0.02, 0.02, -0.02, 0.02, -0.02, 0.02, -0.01], least=0.005) == [1.0]
+    assert p_of(np.array(small) + 0.1, least=0.005) == [1 / 128]
+
+
+def test_few_equal_steps_of_a_count_may_be_chance_and_large_ones_are_not():
+    assert p_of([1.0, 1.0, 1.0], step=1.0) == [1.0]
+    assert p_of([9.0, 9.0, 9.0], step=1.0)[0] < 0.05
+
+
+def test_constant_and_absent_scores_have_no_p_value_and_take_no_share():
+    changing = [1.0, 2.0, 1.0, 2.0, 3.0, 1.0, 2.0, 1.0]
+    found = p_of(changing, [0.0] * 8, [np.nan] * 8, [1e-12] * 8)
+    assert found[0] == 1 / 128
+    assert np.isnan(found[1:]).all()
+
+
+def test_a_score_that_some_pairs_lack_is_tested_on_the_others():
+    nan = float("nan")
+    assert p_of([1.0] * 8 + [nan] * 2) == [1 / 128]
+
+
+@pytest.mark.parametrize("n", [3, 5, 6, 8, 10])
+@pytest.mark.parametrize("kind", [name for name in false_alarms.DISTRIBUTIONS if "of mean 0" not in name])
+def test_equal_simulators_raise_a_false_alarm_in_at_most_one_of_twenty_cases(kind, n):
+    repeats = 150
+    rate = false_alarms.rates(*false_alarms.DISTRIBUTIONS[kind], n, repeats)[0]
+    assert rate <= 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5  # and its binomial error, one-sided 1 %
+
+
+@pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.4), (10, 0.2, 0.9), (20, 0.8, 1.0)])
+def test_changes_are_decided_the_more_often_the_more_pairs_there_are(n, one, two):
+    _, _, by_one, by_two = false_alarms.rates(*false_alarms.DISTRIBUTIONS["normal"], n, 60)
+    assert by_one >= one
+    assert by_two >= two
+
+
+def test_a_mean_over_blocks_leaves_out_what_is_null():
+    nan = float("nan")
+    values = np.array([[1.0, 3.0, 5.0, nan], [nan, 2.0, 4.0, nan]])
+    means = block_means(values, np.array([7, 7, 2, 3], dtype=np.int32))
+    assert np.array_equal(means, [[5.0, nan, 2.0], [4.0, nan, 2.0]], equal_nan=True)
+
+
+def test_the_interval_is_that_of_student_with_half_the_degrees_of_freedom():
     change = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]) + 2.0
     p, low, high = mean_test(change)
     error = change.std(ddof=1) / 7**0.5
@@ -45,37 +115,36 @@ def test_the_interval_and_p_are_those_of_a_t_test_with_half_the_degrees_where_th
     assert (low, high) == pytest.approx(stats.t.interval(0.95, 3, 2, error))
 
 
-def test_no_difference_between_random_pairs_is_undecided(rng):
-    found = paired_difference(rng.normal(0, 1, 30), rng.normal(0, 1, 30))
-    assert found.low < 0 < found.high
-    assert judge(found, True, found.p) == "undecided"
+def test_differences_are_means_over_the_pairs_that_have_both_values():
+    found = paired_difference(np.array([1.0, np.nan, 3.0]), np.array([1.5, 2.0, np.nan]))
+    assert (found.n_pairs, found.difference, found.low) == (1, 0.5, None)
+    nothing = paired_difference(np.array([np.nan]), np.array([1.0]))
+    assert (nothing.n_pairs, nothing.difference) == (0, None)
 
 
-def test_equal_values_are_the_same_and_equal_steps_say_nothing_of_chance():
-    same = paired_difference(np.array([0.1, 0.7]), np.array([0.1, 0.7]))
-    assert (same.low, same.high, judge(same, False, same.p)) == (0.0, 0.0, "same")
-    step = paired_difference(np.arange(8.0), np.arange(8.0) - 0.5)
-    assert (step.low, judge(step, False, step.p)) == (None, "undecided")
-    assert "all pairs change alike" in step.why
+def test_rounding_is_no_difference():
+    same = paired_difference(np.array([0.1, 0.7]), np.array([0.1 + 6e-15, 0.7]))
+    assert (same.low, same.high) == (0.0, 0.0)
 
 
 def test_copies_of_a_scan_count_once(rng):
     before, after = rng.normal(0, 1, 6), rng.normal(3, 1, 6)
     once = paired_difference(before, after)
-    copied = paired_difference(
-        np.repeat(before, 8),
-        np.repeat(after, 8),
-        blocks_of([*"a" * 8, *"b" * 8, *"c" * 8, *"d" * 8, *"e" * 8, *"f" * 8], [None] * 48),
-    )
+    copied = paired_difference(np.repeat(before, 8), np.repeat(after, 8), blocks_of([*("abcdef" * 8)], [None] * 48))
+    assert copied.n_pairs == 48
+    blocks = blocks_of(np.repeat([*"abcdef"], 8).tolist(), [None] * 48)
+    copied = paired_difference(np.repeat(before, 8), np.repeat(after, 8), blocks)
     assert (copied.n_pairs, copied.n_blocks) == (48, 6)
-    assert (copied.low, copied.high, copied.p) == pytest.approx((once.low, once.high, once.p))
-    alone = paired_difference(np.full(8, 1.0), np.full(8, 1.5), blocks_of(["a"] * 8, [None] * 8))
-    assert (alone.n_blocks, alone.p, judge(alone, True, alone.p)) == (1, None, "undecided")
-    assert alone.why == "8 pairs count as 1, which is too few for a 95 % interval, 6 are wanted"
+    assert (copied.low, copied.high) == pytest.approx((once.low, once.high))
 
 
 def test_scans_within_ten_seconds_are_one_block_and_untimed_ones_stand_alone():
     assert blocks_of([*"abcdef"], [0.0, 9.9, 10.0, None, 30.0, 19.9]).tolist() == [0, 0, 2, 3, 4, 2]
+
+
+def test_neighbours_form_chains():
+    assert blocks_of([*"abcde"], [None] * 5, [(0, 1), (1, 2)]).tolist() == [0, 0, 0, 3, 4]
+    assert len(set(blocks_of([*"abcde"], [None] * 5, [(3, 4), (0, 1), (1, 3)]).tolist())) == 2
 
 
 def test_p_values_are_those_of_holm_by_hand():
@@ -84,70 +153,7 @@ def test_p_values_are_those_of_holm_by_hand():
     assert holm([]) == []
 
 
-def test_a_difference_that_seeds_alone_make_is_undecided(rng):
-    before = rng.uniform(0, 1, 12)
-    found = paired_difference(before, before + rng.uniform(0.1, 0.12, 12))
-    assert judge(found, True, found.p) == judge(found, True, found.p, 0.05) == "better"
-    assert judge(found, True, found.p, 0.2) == "undecided"
-
-
-def test_a_break_on_five_pairs_is_far_beyond_noise_and_noise_is_not(rng):
-    before = rng.normal(0.54, 0.1, 5)
-    broken, same = (paired_difference(before, before + step + rng.normal(0, 0.1, 5)) for step in (1.0, 0.0))
-    assert far_beyond_noise([broken, same], [None, None]) == [True, False]
-    assert far_beyond_noise([broken, same], [1.5, None]) == [False, False]
-
-
-@pytest.mark.parametrize("case", false_alarms.CASES, ids=[name for name, _, _ in false_alarms.CASES])
-def test_without_any_difference_ten_scores_raise_a_false_alarm_in_at_most_one_of_twenty_cases(case):
-    _, make, n = case
-    repeats = 200
-    false, far, fails_a_gate = false_alarms.rates(make, n, repeats)
-    most = 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5  # the nominal rate and its binomial error, one-sided 1 %
-    assert false <= most
-    assert far <= most
-    assert fails_a_gate <= most
-
-
-@pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.01), (10, 0.05, 0.6), (50, 0.95, 0.99)])
-def test_what_does_differ_is_decided_the_more_often_the_more_pairs_there_are(n, one, two):
-    by_one, by_two = (false_alarms.power(false_alarms.normal, n, step, 100) for step in (1.0, 2.0))
-    assert by_one >= one
-    assert by_two >= two
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
-def test_fewer_than_six_pairs_decide_nothing_however_much_they_agree(n, rng):
-    before = rng.uniform(0, 1, n)
-    for step in (np.full(n, 0.5), rng.uniform(0.5, 0.6, n)):
-        found = paired_difference(before, before + step)
-        assert found.difference == pytest.approx(step.mean())
-        assert (found.low, found.high, judge(found, True, found.p)) == (None, None, "undecided")
-        assert "too few for a 95 % interval, 6 are wanted" in found.why
-
-
-def test_without_any_difference_few_pairs_are_never_better_or_worse(rng):
-    for n in (2, 4):
-        found = [paired_difference(*rng.normal(0, 1, (2, n))) for _ in range(50)]
-        verdicts = {judge(one, True, one.p) for one in found}
-        assert verdicts == {"undecided"}
-
-
-def test_six_pairs_that_all_change_the_same_way_are_decided(rng):
-    before = rng.uniform(0, 1, 6)
-    found = paired_difference(before, before - rng.uniform(0.1, 0.2, 6))
-    assert judge(found, False, found.p) == "better"
-
-
-def test_pairs_without_a_value_are_left_out_and_too_few_have_no_interval():
-    found = paired_difference(np.array([1.0, np.nan, 3.0]), np.array([1.5, 2.0, np.nan]))
-    assert (found.n_pairs, found.difference, found.low) == (1, 0.5, None)
-    assert judge(found, True, found.p) == "undecided"
-    nothing = paired_difference(np.array([np.nan]), np.array([1.0]))
-    assert (nothing.n_pairs, nothing.difference, nothing.why) == (0, None, "no pair has both values")
-
-
-def test_what_has_become_of_an_object_by_hand():
+def test_the_kind_of_change_of_an_object_by_hand():
     nan = np.nan
     rows = [
         (False, False, nan, nan, nan, nan, "missing in both"),

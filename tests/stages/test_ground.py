@@ -101,6 +101,56 @@ def test_a_shared_cut_is_that_of_the_real_side():
     np.testing.assert_array_equal(shared.is_ground, sim @ own.axis < own.threshold_m)
 
 
+def two_levels(seed, lift_m=0.0):
+    """Road in stripes of two heights, equally many points each, and two walls; 3 % loss and 3 cm noise by seed."""
+    rng = np.random.default_rng(seed)
+    upper = road(2000, z=-1.71 + lift_m, seed=9)
+    upper[:, 0] -= upper[:, 0] % 12 / 2  # every other stripe of 6 m
+    ground = np.vstack([upper, upper + [6, 0, -0.15]])
+    walls = np.vstack([box([0, y, 2.2], [30, 0.2, 6], 800, seed=9) for y in (-12, 12)])
+    scan = np.vstack([ground, walls])[rng.random(5600) > 0.03]
+    return scan + rng.normal(0, 0.03, scan.shape)
+
+
+def test_own_peaks_jump_between_two_road_levels_and_that_of_the_real_side_does_not():
+    settings = GroundSettings(peak="real")
+    real, sims = two_levels(0), [two_levels(seed) for seed in range(1, 7)]
+    own = remove_ground(real, settings)
+    assert max(abs(remove_ground(sim, settings).peak_m - own.peak_m) for sim in sims) > 0.05
+    for sim in sims:
+        cut = remove_ground(sim, settings, own, real)
+        assert cut.peak_m == pytest.approx(own.peak_m, abs=0.01)
+        assert cut.threshold_m - cut.peak_m == pytest.approx(own.threshold_m - own.peak_m, abs=1e-12)
+
+
+@pytest.mark.parametrize("lift_m", [-0.5, -0.3, -0.1, 0.1, 0.2, 0.5])
+def test_the_simulated_cut_follows_a_road_that_lies_lower_or_higher(lift_m):
+    real = two_levels(0)
+    own = remove_ground(real, GroundSettings())
+    whole_scan = remove_ground(two_levels(1) + [0, 0, lift_m], GroundSettings(peak="real"), own, real)
+    road_alone = remove_ground(two_levels(1, lift_m), GroundSettings(peak="real"), own, real)
+    for cut in (whole_scan, road_alone):
+        assert cut.peak_m - own.peak_m == pytest.approx(lift_m, abs=0.01)
+        assert cut.threshold_m - own.threshold_m == pytest.approx(lift_m, abs=0.01)
+
+
+def test_the_simulated_cut_is_its_own_where_the_sides_share_no_road():
+    real, sim = street(0), street(1) + [40, 0, 0]
+    alone = remove_ground(sim, GroundSettings())
+    cut = remove_ground(sim, GroundSettings(peak="real"), remove_ground(real, GroundSettings()), real)
+    assert (cut.peak_m, cut.threshold_m) == (alone.peak_m, alone.threshold_m)
+    assert "fewer than 20 cells within 30 m hold points of both sides" in cut.notes[-1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_height_between_the_roads_agrees_with_the_textbook_in_any_order_of_rows(seed):
+    real, sim = two_levels(seed), two_levels(seed + 5)[::2] + [0.3, 0.1, 0.2]
+    own = remove_ground(real, GroundSettings())
+    cut = remove_ground(sim, GroundSettings(peak="real"), own, real)
+    assert cut.peak_m - own.peak_m == pytest.approx(method.road_offset(real, sim, own.axis), abs=1e-9)
+    assert remove_ground(sim[::-1], GroundSettings(peak="real"), own, real[::-1]).peak_m == cut.peak_m
+
+
 def test_patchwork_takes_the_road():
     pytest.importorskip("pypatchworkpp")
     scan = np.vstack([road(20000, 25.0), box([8, 4, -0.3], [4, 1.8, 1.2], 800)])

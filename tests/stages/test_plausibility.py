@@ -32,9 +32,9 @@ def test_near_hits_are_told_with_what_the_present_settings_leave_of_them():
     ring = 2.0 * np.column_stack([np.cos(np.arange(3000)), np.sin(np.arange(3000)), np.zeros(3000)])
     scan = np.vstack([road(1000), ring])
     (dropped,) = implausible(scan, "real", 2.5)
-    assert "hits on the ego vehicle? input.min_range_m=2.5 leaves 0." in dropped
+    assert "hits on the ego vehicle? 0.2% are kept by input.min_range_m=2.5; " in dropped
     (left,) = implausible(scan, "real", 1.0)
-    assert "input.min_range_m=1 leaves 75." in left and left.endswith(
+    assert "75.3% are kept by input.min_range_m=1; " in left and left.endswith(
         "input.min_range_m=3 or input.exclude_box drops them"
     )
 

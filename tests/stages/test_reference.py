@@ -4,10 +4,9 @@ import pytest
 import textbook
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings, load
-from fidpipe.stages.communities import find_communities
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, below_cut, cover, nearest_distances
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.literal import method, surfaces
+from fidpipe.stages.literal import method, pieces, surfaces
 from fidpipe.stages.matching import match_reference
 from fidpipe.stages.method import compare, n_communities, partition
 from fidpipe.stages.reference import (
@@ -37,25 +36,19 @@ def scores(real, sim, settings=SETTINGS):
 
 def test_simulated_points_go_to_the_object_of_the_nearest_real_point(boxes, rng):
     real = partition(boxes, SETTINGS)
-    sim = rng.permutation(np.vstack([boxes + 0.2, box([30, 0, 0], [1, 1, 1], 12, 4), [[40.0, 0, 0]], [[-9.0, 0, 0]]]))
-    edges = build_graph(sim, SETTINGS.graph)
-    found = assign_to_reference(sim, edges, real.reference, SETTINGS.communities)
+    invented = np.vstack([box([30, 0, 0], [1, 1, 1], 60, 4), box([33, 0, 0], [1, 1, 1], 70, 5)])
+    sim = rng.permutation(np.vstack([boxes + 0.2, invented, [[40.0, 0, 0]], [[-9.0, 0, 0]]]))
+    found = assign_to_reference(sim, real.reference, SETTINGS.communities, 0.6)
 
     def groups_of(outside):
-        own = np.array(outside)
-        among = build_graph(sim, SETTINGS.graph)
-        inside = np.isin(among.src, own) & np.isin(among.dst, own)
-        place = {node: i for i, node in enumerate(outside)}
-        ends = [np.array([place[node] for node in end[inside]], np.int32) for end in (among.src, among.dst)]
-        order = visiting_order(sim[own], 0)
-        edges = type(among)(*ends, among.length_m[inside])
-        return find_communities(len(own), edges, SETTINGS.communities, order=order).labels.tolist()
+        return method.canonical(pieces.components(sim[outside], 0.6))
 
     wanted = textbook.assigned(boxes, real.labels.tolist(), sim, 1.0, 8, groups_of)
     assert found.tolist() == wanted
     new, stray = found > real.labels.max(), sim[:, 0] == -9
-    assert set(sim[new][:, 0].round()) <= {29, 30, 31, 40}
-    assert new.sum() >= 8
+    assert set(sim[new][:, 0].round()) <= {29, 30, 31, 32, 33, 34}
+    assert new.sum() == 130
+    assert len(set(found[new])) == 2
     assert not new[stray].any()  # alone, so that it goes to the nearest real object after all
 
 
@@ -63,13 +56,13 @@ def test_simulated_points_go_to_the_object_of_the_nearest_real_point(boxes, rng)
 def test_a_point_between_two_real_points_goes_to_the_first_by_place_whatever_its_row(order):
     points, labels = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3, 0]]), np.array([1, 0, 0], dtype=np.int32)
     reference, sim = ReferenceObjects(points[order], labels[order]), np.array([[0.5, 0, 0]])
-    assert assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities)[0] == 1
+    assert assign_to_reference(sim, reference, SETTINGS.communities, 0.6)[0] == 1
 
 
 def test_the_reach_is_inclusive():
     reference = ReferenceObjects(np.zeros((1, 3)), np.zeros(1, dtype=np.int32))
-    sim = np.vstack([np.full((8, 3), [1.0, 0, 0]) * np.linspace(1, 1, 8)[:, None], box([50, 0, 0], [1, 1, 1], 8)])
-    labels = assign_to_reference(sim, build_graph(sim, GraphSettings()), reference, SETTINGS.communities)
+    sim = np.vstack([np.full((8, 3), [1.0, 0, 0]) * np.linspace(1, 1, 8)[:, None], box([50, 0, 0], [0.2, 0.2, 0.2], 8)])
+    labels = assign_to_reference(sim, reference, SETTINGS.communities, 0.6)
     assert labels.tolist() == [0] * 8 + [1] * 8
 
 
@@ -146,14 +139,24 @@ def test_labels_and_instances_of_the_input_are_the_objects():
     labels = np.array(["car"] * 150 + [None] * 30, dtype=object)
     instances = np.array([1] * 60 + [2] * 40 + [3] * 50 + [0] * 30, dtype=np.int32)
     edges = build_graph(points, GraphSettings())
-    by_label, by_instance = (
-        find_reference_objects(
-            points, edges, CommunitySettings(objects="reference", reference=kind), Annotation(labels, instances)
-        )
-        for kind in ("labels", "instances")
+    (by_label, by_instance), (of_cars, _) = (
+        [
+            find_reference_objects(
+                points,
+                edges,
+                CommunitySettings(objects="reference", reference=kind, leave_out=leave_out),
+                Annotation(labels, instances),
+            )
+            for kind in ("labels", "instances")
+        ]
+        for leave_out in ((), ("unlabelled",))
     )
     assert by_label.tolist() == [0] * 100 + [1] * 50 + [2] * 30  # the two cars that touch are one piece
     assert by_instance.tolist() == [0] * 60 + [2] * 40 + [1] * 50 + [3] * 30
+    assert of_cars.tolist() == [0] * 100 + [1] * 50 + [-1] * 30
+    with pytest.raises(StageError, match=r"classes that communities.leave_out names \(car, unlabelled\)"):
+        everything = CommunitySettings(objects="reference", reference="labels", leave_out=("unlabelled", "Car"))
+        find_reference_objects(points, edges, everything, Annotation(labels))
 
 
 def test_crumbs_of_a_label_go_to_its_nearest_larger_piece():

@@ -37,6 +37,8 @@ VLP32A = """
 def room(sensor, step_deg=STEP_DEG, lost_share=None):
     """What a sensor sees that stands tilted in the room, in its own frame; noise, quantum, losses as its model has."""
     rng = np.random.default_rng(0)
+    if sensor.column_deg and step_deg:
+        step_deg = sensor.column_deg * round(step_deg / sensor.column_deg)
     directions = fire(sensor, step_deg=step_deg).directions()
     steep = directions @ TILT.T
     steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
@@ -133,8 +135,40 @@ def test_units_that_are_in_no_table_are_known_by_their_pattern():
     assert recognise(pattern(OS1_64))[0] == "Ouster OS1-64 (gen 1)"
     halved = BeamPattern(pattern(HDL64_S3).elevation_deg[1::2], 0.02, False, (), -90.0, 1.0)
     assert recognise(halved)[0] == "every second beam of Velodyne HDL-64E"
-    assert recognise(pattern(VLP32A)) == (None, "no sensor of the table has such beams")
+    assert recognise(pattern(VLP32A)) == (None, "no sensor of the table has such beams", None)
     assert "at least 8" in recognise(pattern("-3 -2 0 1"))[1]
+
+
+def test_a_name_agrees_with_step_and_quantum():
+    beams = pattern(" ".join(map(str, SENSORS["xt16"].elevation_deg)))
+    assert recognise(beams).title == "Velodyne VLP-16 or Hesai PandarXT-16"
+    assert recognise(beams, 0.18, 0.004).title == recognise(beams, None, 0.004).title == "Hesai PandarXT-16"
+    assert recognise(beams, 0.1991).title == recognise(beams, None, 0.002).title == "Velodyne VLP-16"
+    neither = recognise(beams, 0.18, 0.05)
+    assert neither.title is None and "its range quantum is 2 mm, not 50 mm" in neither.reason
+    ouster = recognise(pattern(OS1_64), 0.2)
+    assert ouster.reason.endswith("its azimuth steps are multiples of 0.176 degrees, not 0.200")
+
+
+def test_beams_without_returns_are_counted_against_the_table():
+    points = room(SENSORS["pandar40p"])
+    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    facts = describe_sensor(points[(slope_deg < 13) & (slope_deg > -22)])
+    assert beams_text(facts) == "38 of 40 beams, -19 to +11 degrees, uneven: Hesai Pandar40P"
+    assert beams_text(describe_sensor(room(even(-24.8, 2.0, 64)))).startswith("at least 64 beams, ")
+
+
+@pytest.mark.parametrize(
+    ("heights_m", "text"),
+    [
+        ((-0.12,), "0.12 m below the origin"),
+        ((0.11, 0.19), "0.11 and 0.19 m above the origin"),
+        ((-0.02, 0.1), "-0.02 and +0.1 m from the origin"),
+    ],
+)
+def test_heights_are_above_or_below_the_origin(heights_m, text):
+    facts = replace(describe_sensor(room(SENSORS["vlp16"])), origin_height_m=heights_m)
+    assert f"beams start: {text}" in sensor_lines(facts)
 
 
 def test_two_blocks_of_beams_that_start_above_the_origin_are_seen_through():
@@ -167,28 +201,27 @@ def test_the_sides_differ_in_a_sentence():
     real, sim = describe_sensor(room(SENSORS["vlp32c"])), describe_sensor(room(SENSORS["carla"], lost_share=0.2))
     assert differences(real, real) == []
     found = differences(real, sim)
-    assert found[0] == (
-        "real: 32 beams, -25 to +15 degrees, uneven: Velodyne VLP-32C; "
-        "simulated: 32 beams, -30 to +10 degrees, evenly spaced: CARLA's default channels"
-    )
+    assert found[:3] == [
+        "beams: 32 (Velodyne VLP-32C) real, 32 (CARLA's default channels) simulated",
+        "simulated beams: highest -5.0 degrees, lowest -5.0 degrees from the real ones",
+        "only simulated beams are evenly spaced",
+    ]
     assert "range quantum: 4 mm real, no quantum from 0.5 to 50 mm simulated" in found
     assert any(text.startswith("range noise on smooth surfaces:") for text in found)
     assert any(text.startswith("pulses lost in surfaces 0 to 10 m away:") for text in found)
     lost = describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3)))
-    assert "beams not told" in differences(real, lost)[0]
+    assert differences(real, lost)[0] == "beams: 32 real, none detected simulated"
     assert differences(real, replace(real, has_time=True)) == ["a time for each point: no real, yes simulated"]
 
 
 def test_every_fact_has_a_line():
     lines = sensor_lines(describe_sensor(room(SENSORS["vlp32c"]), has_time=True))
-    assert lines[0] == f"beams: {beams_text(describe_sensor(room(SENSORS['vlp32c'])))}"
+    assert lines[0] == "beams: 32, -25 to +15 degrees, uneven: Velodyne VLP-32C"
     assert "azimuth step: 0.400 degrees" in lines
     assert "range quantum: 4 mm" in lines
     assert "for each point: ring: no, time: yes" in lines
-    assert any(
-        "not told (returns do not lie" in line or "beams not told" in line
-        for line in sensor_lines(describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3))))
-    )
+    unknown = sensor_lines(describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3))))
+    assert unknown[0].startswith("beams: none detected (returns do not lie")
 
 
 @pytest.mark.parametrize("with_rings", [False, True])

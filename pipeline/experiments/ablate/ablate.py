@@ -24,6 +24,7 @@ from ....schemas.settings import Settings, parse
 from ....stages.arrays import FloatArray
 from ....stages.statistics.parameter_choice import Influence, ParameterSet, Trial, Verdict, influence, judge_parameters
 from ...engine.costs import CostModel
+from ...engine.engine import absolute_paths
 from ...engine.plan import PairPlan, Part
 from ...engine.progress import Reporter
 from ..experiment import ExperimentOutcome, ExperimentRequest, experimenting, mean_rows, read_source
@@ -89,6 +90,7 @@ def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
     FidpipeError
         The dataset, a setting or the folder is wrong; before any work.
     """
+    request = absolute_paths(request)
     base = parameters_of(request.settings)
     if request.settings.communities.objects == "reference":
         if set(request.values.get("delta_m", ())) - {base.delta_m}:

@@ -45,9 +45,9 @@ STAGE = Stage(
     name="ablate",
     takes={"ground": ANNOTATED_COLUMNS},
     gives=("ablate",),
-    settings=("graph", "communities", "matching", "selection"),
+    settings=("graph", "communities", "matching", "pieces", "selection"),
     grain=Grain.PAIR,
-    version=1,
+    version=2,
     make=make_rows,
     libraries=seeds.STAGE.libraries,
 )

@@ -91,7 +91,7 @@ def make_baselines(context: Context) -> Made:
 def _with_seed(settings: Settings, seed: int) -> Settings:
     """The settings with another Louvain seed, drawn from the seed of a repeat."""
     communities = settings.communities.model_copy(update={"seed": seed % 2**31})
-    return Settings(graph=settings.graph, communities=communities)
+    return Settings(graph=settings.graph, communities=communities, pieces=settings.pieces)
 
 
 def _unaltered_scan(context: Context) -> PartitionedScan:
@@ -129,9 +129,9 @@ GLOBAL = Stage(
     name="perturb_global",
     takes={"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)},
     gives=("perturb_global",),
-    settings=("graph", "communities", "matching", "selection"),
+    settings=("graph", "communities", "matching", "pieces", "selection"),
     grain=Grain.PAIR,
-    version=1,
+    version=2,
     make=make_global,
     libraries=seeds.STAGE.libraries,
 )

@@ -23,6 +23,7 @@ from ....stages.sensing.perturbations import KINDS, Perturbation
 from ....stages.sensing.typical_objects import ChosenObject
 from ....stages.statistics.sweeps import Means
 from ...engine.costs import CostModel
+from ...engine.engine import absolute_paths
 from ...engine.plan import Part
 from ...engine.progress import Reporter
 from ...jobs.points import column
@@ -101,6 +102,7 @@ def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcom
     FidpipeError
         The scan, the dataset, a setting or the folder is wrong; before any work.
     """
+    request = absolute_paths(request)
     source = read_source(request.source, request.pattern, first_only=True)
     if request.objects and any(word.isdigit() for word in request.objects) and len(source.pairs) > 1:
         raise DatasetError(

@@ -64,7 +64,7 @@ def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
     with style.new_figure(11, _height(frame, 3.2), f"pair {style.shown_name(pair_id)}") as figure:
         objects, sides, fidelity = figure.subplots(1, 3, sharex=True, sharey=True)
-        style.dots(objects, real.points, 1.2, style.community_colours(n_objects)[real.community])
+        style.dots(objects, real.points, 1.2, style.community_colours(n_objects + 1)[real.community])
         objects.set_title(f"(A) {n_objects} objects of the real scan")
 
         _draw_sides(sides, tables)
@@ -77,7 +77,7 @@ def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
             sides.scatter(*centroids.T, s=13, c=SIDE_COLOURS[side], edgecolors="black", linewidths=0.6, zorder=3)
         sides.set_title(f"(B) real and simulated, {len(matched)} matched centroids joined")
 
-        values = np.full(n_objects, np.nan)
+        values = np.full(n_objects + 1, np.nan)  # the last of points of no object, -1
         values[matched.real_id] = matched.r_lambda.to_numpy(dtype=float)
         of_point = values[real.community]
         known = ~np.isnan(of_point)

@@ -28,7 +28,6 @@ from .pair import FACTS, FAR_M, MATCHED_COLUMNS, UNMATCHED_COLUMNS
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
 _MOST_FAILURES = 5
-_NOT_IN_TABLES = "for each point"  # rings and times
 _DIGITS = 6
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
@@ -114,12 +113,10 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
 
 
 def _sensors(results: RunResults) -> dict[str, Any]:
-    """What one pair tells of the sensors of both sides: its first by name."""
+    """Sensors of both sides, estimated from the first pair by name."""
     pair_id = results.pairs.pair_id.min()
     facts = PairTables(results, pair_id).sensors
-    lines = {
-        side: [line for line in sensor_lines(facts[side]) if not line.startswith(_NOT_IN_TABLES)] for side in SIDES
-    }
+    lines = {side: sensor_lines(facts[side]) for side in SIDES}
     return {"pair_id": pair_id, "lines": lines, "differences": differences(facts["real"], facts["sim"])}
 
 

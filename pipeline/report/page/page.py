@@ -10,7 +10,6 @@ from urllib.parse import quote
 from plotly.offline import get_plotlyjs
 
 from ...results.floor import excess_over
-from ...results.overview import run_overview
 from ...storage.files import remove_stale, write_whole
 from ...storage.tables import file_stem
 from ..figures.run import draw_figures
@@ -22,7 +21,7 @@ from .render import render
 PAGE = "report.html"
 PAGES = "report"
 FIGURES = "figures"
-#: A page holds the points of so many pairs, a third of them worst, median and best each, and of the worst objects'.
+#: A page holds the points of so many pairs, a third of them worst, median and best each, and of the largest pieces.
 MOST_VIEWS = 15
 _PLOTLY = "plotly.min.js"
 _INDEX = "index.html"
@@ -67,7 +66,8 @@ def write_report(
     excess = None if floor is None else excess_over(results.run, floor)
     folder = out or folder
     chosen = results.select(pattern)
-    of_worst = set() if (overview := run_overview(results.run)) is None else {one.pair_id for one in overview.worst}
+    overview = results.run.record.overview
+    of_worst = {one.pair_id for one in overview.pieces} if overview else set()
     shown = chosen if one_page_a_pair else views_of(chosen, of_worst)
     files = {name: f"pair-{file_stem(name)}.html" for name in chosen} if one_page_a_pair else {}
     # An address must escape the per cent signs that the names of the files hold.
@@ -93,7 +93,7 @@ def write_report(
 
 
 def views_of(names: list[str], of_worst: Container[str]) -> list[str]:
-    """The pairs that one page shows in 3D, in their order: some of all, and those that the worst objects are in."""
+    """The pairs that one page shows in 3D, in their order: some of all, and those that the largest pieces are in."""
     some = some_of(names, MOST_VIEWS)
     return [name for name in names if name in some or name in of_worst]
 
@@ -128,7 +128,7 @@ def _view_note(n_shown: int, n_chosen: int, n_all: int, pattern: str | None) -> 
     chosen = f"the {n_chosen} pairs that match {pattern}" if pattern else f"{n_all} pairs"
     if n_shown == n_chosen:
         return f"{chosen.capitalize() if pattern else chosen}, worst first."
-    n, besides = MOST_VIEWS // 3, " and those of the worst objects" if n_shown > MOST_VIEWS else ""
+    n, besides = MOST_VIEWS // 3, " and those of the largest pieces" if n_shown > MOST_VIEWS else ""
     return (
         f"Of {chosen} the page holds the points of {n_shown}: the {n} worst, {n} in the middle, the {n} best{besides}. "
         "--pairs PATTERN chooses others, --folder makes a page for each."

@@ -9,16 +9,24 @@ from rich.table import Table
 from rich.text import Text
 
 from ....schemas.metrics import METRIC
-from ....stages.statistics.comparison import BLOCK_S, CONFIDENCE, LEAST_CHANGE, LEAST_PAIRS
-from ...results.compare import Comparison, ScoreChange
+from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
+from ...results.compare import Comparison
+from ...results.families import ERROR_RATE, MARKS_NOTE, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
-from ..look import ARROWS
+from ...results.sectors import N_SECTORS
 from .floor import both_excesses_table, excess_notes
 from .layout import csv_table, markdown_table, number, percent, plain_table, shortened, signed
 
 _MOST_OBJECTS = 5
 _MOST_LEFT_OUT = 5
-_COLOURS = {"vanished": "red", "worse": "red", "better": "green", "appeared": "green", "undecided": "yellow"}
+_COLOURS = {
+    "vanished": "red",
+    "worse": "red",
+    "mixed": "red",
+    "better": "green",
+    "appeared": "green",
+    "undecided": "yellow",
+}
 #: What may have become of an object; those that are alike are not listed.
 _CHANGED = ("vanished", "worse", "mixed", "better", "appeared")
 OBJECTS_NOTE = (
@@ -29,143 +37,92 @@ GROUPS_NOTE = (
     "Classes and ranges are described, not judged: no test says which of these changes chance makes, and of many "
     "groups some always move. Mean changes are over the objects that both runs have matched; below 0 is better."
 )
-#: From this share of the matched objects on it is said first that they have gone.
-_MANY = 0.25
-ARROWS_NOTE = "↑ higher is better, ↓ lower is better"
+INTENSITY_NOTE = "intensity is not compared: no score uses it yet"
 
 
-def compare_view(comparisons: Sequence[Comparison]) -> RenderableType:
-    """Each comparison: the decision, the scores, then what has become of the real objects."""
-    return Group(*(part for comparison in comparisons for part in _parts(comparison)))
+def compare_view(comparisons: Sequence[Comparison], *, with_all: bool = False) -> RenderableType:
+    """Each comparison: the decision, and its families.
+
+    Parameters
+    ----------
+    with_all : also every score, and the real objects by class, by range and one by one
+    """
+    return Group(*(part for comparison in comparisons for part in _parts(comparison, with_all)))
 
 
 def decision(comparison: Comparison) -> str:
-    """The answer in one line: better or worse, on how many independent pairs, and how often chance says so."""
-    n, n_base = len(comparison.scores), len(comparison.pairs) + len(comparison.lost)
+    """The answer in one line: the decision, the families behind it, and the error rate."""
+    n_base = len(comparison.pairs) + len(comparison.lost)
+    parts = []
     if comparison.failed:
         count = f"all {n_base}" if len(comparison.failed) == n_base else f"{len(comparison.failed)} of {n_base}"
-        line = f"worse: {count} pairs that were scored before fail now"
-        return f"{line}; of the others: {_of_scores(comparison)}" if comparison.pairs else line
-    if comparison.decision == "same":
-        return f"same: all {n} scores are the same, {_pairs(comparison.n_blocks)}"
-    return f"{comparison.decision}: {_of_scores(comparison)}"
+        parts.append(f"{count} pairs that were scored before fail now")
+    by_verdict = {
+        word: [family.name for family in comparison.families if family.verdict == word and not family.why]
+        for word in ("worse", "mixed", "better")
+    }
+    parts += [f"{word}: {', '.join(names)}" for word, names in by_verdict.items() if names]
+    if comparison.pairs and not any(by_verdict.values()):
+        others = " of the others" * bool(comparison.failed)
+        is_same = overall(comparison.families) == "same"
+        few = f"{comparison.n_blocks} independent pair{'s' * (comparison.n_blocks != 1)} cannot decide"
+        is_few = comparison.n_blocks < LEAST_FOR_INTERVAL and not comparison.by_direction
+        unsure = few if is_few else f"no change{others} can be told from chance"
+        parts.append(f"no score{others} changed" if is_same else unsure)
+    words = [part.removeprefix(f"{comparison.decision}: ") for part in parts]
+    return f"{comparison.decision}: {'; '.join(words)}"
 
 
-def _of_scores(comparison: Comparison) -> str:
-    n, pairs = len(comparison.scores), _pairs(comparison.n_blocks)
-    worse = [score for score in comparison.scores if score.called == "worse"]
-    better = [score for score in comparison.scores if score.called == "better"]
-    if not worse and not better:
-        few = f" (at least {LEAST_PAIRS} are wanted)" if comparison.n_blocks < LEAST_PAIRS else ""
-        moved = [score.direction for score in comparison.scores]
-        counts = f"{moved.count('worse')} of {n} scores moved to the worse, {moved.count('better')} to the better"
-        return f"no difference can be told from chance with {pairs}{few}; {counts}"
-    parts = [f"{len(worse)} of {n} scores worse"] * bool(worse) + [f"{len(better)} of {n} better"] * bool(better)
-    far = f", far beyond the noise, though {pairs} are too few for a verdict"
-    on = far if all(score.verdict == "undecided" for score in (*worse, *better)) else f", with {pairs}"
-    rate = f"{100 * (1 - CONFIDENCE):.0f} %"
-    return f"{', '.join(parts)}{on}; chance alone calls any of them so in {rate} of such comparisons or fewer"
-
-
-def verdict(comparison: Comparison) -> str:
-    """In words, which scores are better and which are worse, and what broke although too few pairs decide."""
-    named = {word: [score.name for score in comparison.scores if score.verdict == word] for word in ("worse", "better")}
-    parts = [f"{word}: {', '.join(names)}" for word, names in named.items() if names]
-    for word in ("worse", "better"):
-        far = [score for score in comparison.scores if score.is_far and score.verdict == "undecided"]
-        words = [f"{score.name} ({_moved(score)})" for score in far if score.direction == word]
-        if words:
-            parts.append(
-                f"far beyond the noise, though {_pairs(comparison.n_blocks)} decide nothing: {word}: {', '.join(words)}"
-            )
-    n_gone, n_new = (comparison.kinds[kind] for kind in ("vanished", "appeared"))
-    n_before = sum(change.cdc_before is not None for change in comparison.objects)
-    if n_gone - n_new > _MANY * max(n_before, 1) and n_gone > LEAST_PAIRS:
-        parts.append(f"{n_gone} of {n_before} objects that were matched have vanished, {n_new} have appeared")
-    if parts:
-        return "; ".join(parts)
-    if {score.verdict for score in comparison.scores} == {"same"}:
-        return "all scores are the same"
-    decided = "no score is decidedly better or worse"
-    if comparison.n_blocks >= LEAST_PAIRS:
-        return decided
-    moved = [score for score in comparison.scores if score.direction and score.difference.before]
-    largest = max(moved, key=lambda s: abs((s.difference.difference or 0) / (s.difference.before or 1)), default=None)
-    return f"{_pairs(comparison.n_blocks)} cannot decide what is better or worse" + (
-        f"; the largest change is {largest.name} ({_moved(largest)})" if largest else ""
-    )
+def chance(comparison: Comparison) -> str:
+    """The second line: how pairs were counted, and how often equal simulators are called better or worse."""
+    counted = comparison.blocking
+    if comparison.by_direction:
+        counted += (
+            f"; a change counts if it is consistent over the frames and over {N_SECTORS} directions from each place "
+            "(--independent: over the frames alone, for a decision about these places only)"
+        )
+    if comparison.is_small:
+        return f"{counted}; fewer than {LEAST_PAIRS} pairs decide only changes far beyond the noise"
+    rate = f"{100 * ERROR_RATE:.0f} %"
+    return f"{counted}; error rate over all families at most {rate} for equal simulators"
 
 
 def remarks(comparison: Comparison) -> list[str]:
-    """What a reader must know beside the numbers."""
+    """What a reader must know in addition to the numbers."""
     lines = [f"settings differ: {text}" for text in comparison.settings]
-    lines += [f"also other: {text}" for text in comparison.notes]
-    undecided: dict[str, list[str]] = {}
-    for score in comparison.scores:
-        if score.difference.why:
-            undecided.setdefault(score.difference.why, []).append(score.name)
-    n_all = len(comparison.scores)
-    lines += [
-        f"undecided: {', '.join(names) if len(names) < n_all else f'all {n_all} scores'}: {why}"
-        for why, names in undecided.items()
-    ]
+    lines += [f"also differs: {text}" for text in comparison.notes]
+    tending = [family.name for family in comparison.families if family.tendency == "worse"]
+    if tending:
+        lines.append(f"not decided, but with a tendency to the worse (p below 5 % alone): {', '.join(tending)}")
+    lines += [f"({own.verdict}) does not count: {own.name}: {own.why}" for own in comparison.families if own.why]
     lines += _on_chance(comparison)
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
-        lines.append(f"{n_unfollowed} pairs have other real objects in the two runs: their objects are not followed")
+        lines.append(f"{n_unfollowed} pairs have different real objects in the two runs: they are not followed")
     left_out = [f"left out: pair {name}: {why}" for name, why in comparison.left_out.items()]
     lines += left_out[:_MOST_LEFT_OUT]
     if len(left_out) > _MOST_LEFT_OUT:
         lines.append(f"left out: {len(left_out) - _MOST_LEFT_OUT} more pairs")
-    verdicts = {score.name: score.verdict for score in comparison.scores}
-    if (verdicts[METRIC["r_lambda"].label], verdicts[METRIC["alignment_rms_m"].label]) == ("better", "worse"):
-        lines.append("r_lambda fell while the alignment got worse: a bad alignment alone lowers r_lambda")
-    return lines
+    return [*lines, INTENSITY_NOTE]
 
 
 def _on_chance(comparison: Comparison) -> list[str]:
-    """What the verdicts stand on: independent pairs, and seeds."""
-    n, n_blocks = len(comparison.pairs), comparison.n_blocks
+    """Seeds and floor: which changes are not more than these make."""
     lines = [comparison.on_partition] if comparison.on_partition else []
-    if n_blocks < n:
-        lines.append(
-            f"{n} pairs count as {n_blocks}: copies of a real scan, and scans within {BLOCK_S:g} s, count once"
-        )
-    elif not comparison.has_times and n > 1:
-        lines.append(
-            "no timestamps: each pair counts as independent; where pairs are neighbouring frames of a drive, give "
-            "timestamp_s in pairs.csv, or differences by chance are taken for real ones"
-        )
     by_seeds = [score.name for score in comparison.scores if score.beyond_seeds is False]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    below = [score for score in comparison.scores if score.beyond_floor is False and score.direction]
+    below = [score for score in comparison.scores if score.beyond_floor is False and score.towards]
     if below:
         lines.append(
-            "no more than the floor, what a second measurement of the real scan alone is off by: "
+            "no more than the floor, by which a second measurement of the real scan differs: "
             + ", ".join(
                 f"{score.name} ({signed(score.difference.difference)}, floor {number(score.floor)})" for score in below
             )
         )
     if comparison.excess:
         lines += list(dict.fromkeys(note for each in comparison.excess for note in excess_notes(each)))
-    decided = [score for score in comparison.scores if score.verdict in ("better", "worse") or score.is_far]
-    if any(score.seed_noise is None for score in decided):
-        names = [score.name for score in decided if score.seed_noise is None]
-        lines.append(
-            f"what seeds alone make is unknown of {', '.join(names)}; with fidpipe run --seeds 5 for both runs it is "
-            "known of the scores over all objects"
-        )
     return lines
-
-
-def _pairs(n: int) -> str:
-    return "1 independent pair" if n == 1 else f"{n} independent pairs"
-
-
-def _moved(score: ScoreChange) -> str:
-    change = score.difference
-    return f"{number(change.before)} to {number(change.after)}"
 
 
 def changed(comparison: Comparison) -> list[ObjectChange]:
@@ -181,48 +138,59 @@ def p_words(p: float | None) -> str:
     return "<0.001" if p is not None and p < 0.001 else number(p)
 
 
-def with_arrow(score: ScoreChange) -> str:
-    """The name of a score with its direction of good."""
-    return f"{score.name} {ARROWS[score.higher_is_better]}"
+def family_table(comparison: Comparison) -> list[list[str]]:
+    """Headings, then one row per family: name, verdict, p, and its most telling score."""
+    rows = [["family", "verdict", "p", "score", "before", "after", "change", "from", "to"]]
+    for family in comparison.families:
+        score = family.scores[0]
+        verdict = f"{family.verdict}, {family.why}" if family.why else family.verdict
+        rows.append([family.name, verdict, p_words(family.p), f"{score.name} {score.mark}", *_numbers(score)])
+    return rows
+
+
+def cause_table(comparison: Comparison) -> list[list[str]]:
+    """Headings, then one row per cause that changed: name, before, after, change, and the setting that controls it."""
+    rows = [["cause", "before", "after", "change, 95 %", "setting"]]
+    for cause in comparison.causes:
+        own, unit = cause.difference, f" ({cause.unit})" if cause.unit else ""
+        numbers = (signed(own.before), signed(own.after), _interval(own))
+        rows.append([f"{cause.name}{unit}", *numbers, cause.setting])
+    return rows
 
 
 def score_table(comparison: Comparison) -> list[list[str]]:
     """Headings, then one row per score: name, verdict, before, after, change, its interval and p, pairs that have it.
 
-    The name has an arrow to where it is better. Where both runs were repeated under other seeds, also whether the
-    change is more than they alone would make; with a floor, whether it is more than measuring again makes.
+    The name has an arrow to where it is better. If both runs were repeated under other seeds, also whether the
+    change is more than they alone would make; with a floor, whether it is more than a second measurement makes.
     """
     with_floor = any(score.floor is not None for score in comparison.scores)
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
     rows = [
         [
-            *("score", "verdict", "before", "after", "change", "from", "to", "p", "pairs"),
+            *("family", "score", "verdict", "before", "after", "change", "from", "to", "p", "pairs"),
             *["more than seeds make"] * with_seeds,
             *["more than the floor"] * with_floor,
         ]
     ]
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
-    for score in comparison.scores:
-        change = score.difference
-        numbers = (
-            number(change.before),
-            number(change.after),
-            *map(signed, (change.difference, change.low, change.high)),
-            p_words(score.p),
-        )
-        seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
-        floor = beyond[score.beyond_floor].format(number(score.floor))
-        rows.append(
-            [
-                with_arrow(score),
-                score.verdict,
-                *numbers,
-                str(change.n_pairs),
-                *[seeds] * with_seeds,
-                *[floor] * with_floor,
-            ]
-        )
+    for family in comparison.families:
+        for score in family.scores:
+            seeds = beyond[score.beyond_seeds].format(number(score.seed_noise))
+            floor = beyond[score.beyond_floor].format(number(score.floor))
+            verdict = f"{score.verdict}, {score.why}" if score.why else score.verdict
+            rows.append(
+                [
+                    *(family.name, f"{score.name} {score.mark}", verdict, *_numbers(score), p_words(score.p)),
+                    *(str(score.difference.n_pairs), *[seeds] * with_seeds, *[floor] * with_floor),
+                ]
+            )
     return rows
+
+
+def _numbers(score: ScoreChange) -> tuple[str, ...]:
+    own = score.difference
+    return (number(own.before), number(own.after), *map(signed, (own.difference, own.low, own.high)))
 
 
 def object_table(changes: Sequence[ObjectChange]) -> list[list[str]]:
@@ -262,10 +230,10 @@ def compare_markdown(comparisons: Sequence[Comparison]) -> str:
     """Each comparison for a merge request: the decision, tables of scores, classes and ranges, remarks."""
     parts = []
     for one in comparisons:
-        tables = [score_table(one)]
+        tables = [family_table(one), *[cause_table(one)] * bool(one.causes), score_table(one)]
         if one.objects:
             tables += [group_table(class_heading(one), one.by_class), group_table("range", one.by_range)]
-        texts = [f"**{decision(one)}**\n", f"{one.other} against {one.base}, {len(one.pairs)} pairs; {ARROWS_NOTE}.\n"]
+        texts = [f"**{decision(one)}**\n", f"{one.other} against {one.base}, {chance(one)}; {MARKS_NOTE}.\n"]
         texts += [markdown_table(headings, rows) for headings, *rows in tables]
         if one.objects:
             texts.append(f"{GROUPS_NOTE}\n")
@@ -276,30 +244,44 @@ def compare_markdown(comparisons: Sequence[Comparison]) -> str:
 
 def compare_csv(comparisons: Sequence[Comparison]) -> str:
     """One row per run and score, numbers in full."""
-    headings = ("base", "run", "score", "better is", "verdict", "pairs", "independent pairs")
+    headings = ("base", "run", "family", "score", "better is", "verdict", "pairs", "independent pairs")
     numbers = ("before", "after", "change", "from", "to", "p")
     rows = []
     for one in comparisons:
-        for score in one.scores:
-            own, better = score.difference, "higher" if score.higher_is_better else "lower"
-            words = (str(one.base), str(one.other), score.name, better, score.verdict, own.n_pairs, own.n_blocks)
-            rows.append([*words, own.before, own.after, own.difference, own.low, own.high, score.p])
+        for family in one.families:
+            for score in family.scores:
+                own = score.difference
+                words = (str(one.base), str(one.other), family.name, score.name, score.mark, score.verdict)
+                counts = (own.n_pairs, own.n_blocks)
+                rows.append([*words, *counts, own.before, own.after, own.difference, own.low, own.high, score.p])
     return csv_table([*headings, *numbers], rows)
 
 
-def _parts(comparison: Comparison) -> list[RenderableType]:
-    parts: list[RenderableType] = [
+def _parts(comparison: Comparison, with_all: bool) -> list[RenderableType]:
+    kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
+    notes = [Text(f"note: {text}", style="yellow") for text in remarks(comparison)]
+    first: list[RenderableType] = [
         Text(decision(comparison), style=f"bold {_COLOURS.get(comparison.decision, '')}"),
-        Text(f"{comparison.other} against {comparison.base}: {verdict(comparison)}"),
-        _scores(comparison),
-        Text(ARROWS_NOTE),
+        Text(f"{comparison.other} against {comparison.base}: {chance(comparison)}"),
+        *[_families(comparison)] * bool(comparison.families),
+        *[_causes(comparison)] * bool(comparison.causes),
     ]
+    if not with_all:
+        count = [Text(f"{len(comparison.objects)} real objects: {kinds}")] * bool(kinds)
+        return [
+            *first,
+            *count,
+            *notes,
+            Text("all scores and objects: --all; as a page: --html FILE"),
+            Text(),
+        ]
+    parts = [*first, _scores(comparison), Text(MARKS_NOTE)]
     if comparison.excess:
         headings, *excesses = both_excesses_table(*comparison.excess)
         parts.append(_table(f"Over the floor {comparison.excess[0].floor}", headings, excesses))
     if comparison.objects:
-        headings, *kinds = kind_table(comparison)
-        parts.append(_table("Real objects", headings, kinds))
+        headings, *counts = kind_table(comparison)
+        parts.append(_table("Real objects", headings, counts))
         narrow = {"objects": "count", "in both": "in\nboth"}
         for what, groups in ((class_heading(comparison), comparison.by_class), ("range", comparison.by_range)):
             headings, *rows = group_table(what, groups)
@@ -314,20 +296,44 @@ def _parts(comparison: Comparison) -> list[RenderableType]:
                 n = f"the first {_MOST_OBJECTS} of {len(own)}" if len(own) > _MOST_OBJECTS else f"{len(own)}"
                 parts.append(_objects(f"{kind} ({n})", own[:_MOST_OBJECTS]))
         parts.append(Text(OBJECTS_NOTE))
-    return [*parts, *(Text(f"note: {text}", style="yellow") for text in remarks(comparison)), Text()]
+    return [*parts, *notes, Text()]
+
+
+def _families(comparison: Comparison) -> Table:
+    """One line per family in 80 columns: verdict, and its most telling score before and after."""
+    rows = []
+    for family in comparison.families:
+        score, own = family.scores[0], family.scores[0].difference
+        verdict = f"({family.verdict})" if family.why else Text(family.verdict, style=_COLOURS.get(family.verdict, ""))
+        numbers = (number(own.before), number(own.after), _interval(own))
+        rows.append([family.name, verdict, score.name, *numbers])
+    columns = ("family", "verdict", "clearest change", "before", "after", "change, 95 %")
+    return plain_table("", columns, rows, words=(0, 1, 2))
+
+
+def _causes(comparison: Comparison) -> Table:
+    headings, *rows = cause_table(comparison)
+    return plain_table("Causes that changed: simulated minus real", headings, rows, words=(0, 4))
+
+
+def _interval(own: Difference) -> str:
+    """A change with half the width of its interval."""
+    return signed(own.difference) + (
+        "" if own.low is None or own.high is None else f" ±{number((own.high - own.low) / 2)}"
+    )
 
 
 def _scores(comparison: Comparison) -> Table:
-    """The scores, in 80 columns: the verdict last, and pairs only where not all have each score."""
+    """The scores, in 80 columns: the verdict last, and pairs only if not all have each score."""
     have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in comparison.scores)
     rows = []
     for score in comparison.scores:
         own = score.difference
-        interval = "-" if own.low is None else f"{signed(own.low)} {signed(own.high)}"
-        numbers = (number(own.before), number(own.after), signed(own.difference), interval, p_words(score.p))
-        rows.append([with_arrow(score), *[str(own.n_pairs)] * (not have_all), *numbers, score.verdict])
-    columns = ("score", *["pairs"] * (not have_all), "before", "after", "change", "95 % interval", "p", "verdict")
-    title = f"Means over {len(comparison.pairs)} pairs, change with 95 % interval (paired t)"
+        numbers = (number(own.before), number(own.after), _interval(own), p_words(score.p))
+        verdict = f"({score.verdict})" if score.why else score.verdict
+        rows.append([f"{score.name} {score.mark}", *[str(own.n_pairs)] * (not have_all), *numbers, verdict])
+    columns = ("score", *["pairs"] * (not have_all), "before", "after", "change, 95 %", "p", "verdict")
+    title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
     return _table(title, columns, rows, words=(0, len(columns) - 1))
 
 

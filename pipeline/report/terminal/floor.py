@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from ....schemas.metrics import metric_of
-from ...results.compare import SCORES
+from ....schemas.metrics import SHIFT_COLUMNS, metric_of
 from ...results.floor import RunExcess, ScoreExcess
 from .layout import number, plain_table, signed
 
@@ -19,7 +18,11 @@ EXCESS_NOTE = (
     "left between the distributions without it."
 )
 #: What the terminal shows; JSON and the page have all.
-_HEADLINES = (*SCORES, *("shift_m", "roughness_bias_m", "roughness_area_m"))
+_HEADLINES = (
+    *("match_rate", "n_missing", "n_hallucinated", "cdc_mean", "r_lambda_mean", "r_gap_mean"),
+    *("centroid_distance_m_mean", "alignment_rms_m_mean", "covered_real_0p3m", "covered_sim_0p3m"),
+    *(*SHIFT_COLUMNS[:3], "roughness_bias_m", "roughness_area_m"),
+)
 _MOST_NAMES = 5
 
 

@@ -1,121 +1,165 @@
-"""The overview of a run in the terminal: what it ends with, and the same as Markdown for a merge request."""
+"""The first answer of a run in the terminal, and the same as Markdown for a merge request."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from textwrap import fill
+from textwrap import TextWrapper
 
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
+from ....schemas.metrics import metric_of
 from ....schemas.record import RunRecord
-from ....schemas.results import Overview, PreviousRun
-from ...results.overview import verdict_sentence
-from .layout import markdown_table, number, plain_table, signed
+from ....schemas.results import Overview
+from ...results.floor import RunExcess
+from .layout import number, percent, shortened
 
-_OBJECT_HEADINGS = ("pair", "object", "class", "range (m)", "points", "what is wrong")
-_MOST_CHANGES = 3
-#: Cautions that a view has told of already.
-_TOLD = ("failed", "frames")
-
-
-def overview_view(folder: Path, record: RunRecord, overview: Overview) -> RenderableType:
-    """The verdict, the numbers and what moved, the worst objects, the commonest failings, what limits trust."""
-    headings, *rows = number_rows(record, overview)
-    parts: list[RenderableType] = [
-        Text(f"\n{verdict_sentence(overview.verdict)}\n", style="bold"),
-        plain_table("In five numbers", headings, rows, words=(0, len(headings) - 1)),
-        *(Text(line) for line in moved_lines(record, overview)),
-        *([Text()] if record.previous else ()),
-    ]
-    if overview.worst:
-        worst = plain_table(
-            "The worst objects", _OBJECT_HEADINGS, _worst_rows(overview), words=(0, 1, 2, 5), digits={3: 1}
-        )
-        first = overview.worst[0]
-        name = f"{first.side}:{first.object_id}"
-        parts += [worst, Text(f"see one with: {shlex.join(['fidpipe', 'show', str(folder), first.pair_id, name])}\n")]
-    if overview.failings:
-        parts += _list("The commonest failings", (failing.words for failing in overview.failings))
-    cautions = [caution.words for caution in overview.trust if caution.kind not in _TOLD]
-    return Group(*parts, *_list("What limits the trust in these numbers", cautions))
+#: Causes, places and cautions that are shown without --all.
+_FEW = 5, 3, 2
+_INDENT, _NARROWEST, _PAIR = 14, 40, 16
+_SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
+_COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
+#: Cautions that are shown above the answer.
+_SHOWN_ABOVE = ("failed", "frames")
+_WRAPPER = partial(TextWrapper, break_long_words=False, break_on_hyphens=False)
 
 
-def overview_markdown(record: RunRecord, overview: Overview) -> str:
-    """The same as Markdown."""
-    headings, *rows = number_rows(record, overview)
-    parts = [verdict_sentence(overview.verdict), markdown_table(headings, rows), *moved_lines(record, overview)]
-    if overview.worst:
-        parts += ["**The worst objects**", markdown_table(_OBJECT_HEADINGS, _worst_rows(overview))]
-    for title, lines in (
-        ("The commonest failings", [failing.words for failing in overview.failings]),
-        ("What limits the trust in these numbers", [caution.words for caution in overview.trust]),
-    ):
-        if lines:
-            parts += [f"**{title}**", "\n".join(f"- {line}" for line in lines)]
-    return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
+@dataclass(frozen=True)
+class FirstAnswer:
+    """The first answer of a run as a view: surface, pieces, causes, worst places, scores, trust, and the next step.
 
+    overview : of the record, or over a floor (`over_floor`)
+    excess : the run over a floor, whose coverage is shown
+    with_all : all causes, places and cautions
+    took : time and reused jobs of a run that just ended
+    """
 
-def number_rows(record: RunRecord, overview: Overview) -> list[list[str]]:
-    """Headings, then one row per number: mean and deviation over pairs, what it was and by how much it moved, best."""
-    has_last = record.previous is not None
-    rows = [["score", "mean", "std", "pairs", *["last run", "moved"] * has_last, "better"]]
-    for one in overview.numbers:
-        moved = None if one.mean is None or one.last is None else one.mean - one.last
-        last = [number(one.last), "same" if moved == 0 else signed(moved)] * has_last
-        pairs = f"{one.n_pairs} of {record.pairs.scored}"
-        rows.append([one.label, number(one.mean), number(one.std), pairs, *last, one.better])
-    return rows
-
-
-def moved_lines(record: RunRecord, overview: Overview) -> list[str]:
-    """What the last run of the folder was, what is other since, and what a moved number does not say."""
-    last = record.previous
-    if last is None:
-        return []
-    changes = changes_since(last) or ["nothing that is known"]
-    return [
-        f"last run: {last.written[:16].replace('T', ' ')} by fidpipe {last.fidpipe}, {last.n_pairs} "
-        f"pair{'s' * (last.n_pairs != 1)} scored; other since: {'; '.join(changes)}",
-        "a number that moved says nothing about chance: keep both runs (--out), and fidpipe compare judges",
-        *other_objects(overview),
-    ]
-
-
-def changes_since(last: PreviousRun) -> list[str]:
-    """What is other than in the last run of the folder; of many changes the first ones."""
-    n_more = len(last.changes) - _MOST_CHANGES
-    return [*last.changes[:_MOST_CHANGES], *[f"{n_more} more, see previous in run.json"] * (n_more > 0)]
-
-
-def other_objects(overview: Overview) -> list[str]:
-    """That the scores are of other objects than in the last run, where the match rate moved."""
-    match_rate = overview.numbers[0]
-    moved = match_rate.last is not None and match_rate.mean != match_rate.last
-    return ["CDC, r_lambda and r_gap are of other objects than before: the match rate moved"] * moved
-
-
-def _worst_rows(overview: Overview) -> list[tuple[object, ...]]:
-    return [
-        (one.pair_id, f"{one.side}:{one.object_id}", one.label, one.range_m, one.n_points, one.what)
-        for one in overview.worst
-    ]
-
-
-def _list(title: str, lines: Iterable[str]) -> list[RenderableType]:
-    """A title and the items below it; nothing where there is none."""
-    items = [_Item(line) for line in lines]
-    return [Text(title, style="bold"), *items, Text()] if items else []
-
-
-class _Item:
-    """One item of a list; its further lines hang below the first."""
-
-    def __init__(self, line: str) -> None:
-        self._line = f"- {line}"
+    folder: Path
+    record: RunRecord
+    overview: Overview
+    excess: RunExcess | None = None
+    with_all: bool = False
+    took: str = ""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        lines = fill(self._line, options.max_width, subsequent_indent="  ", break_on_hyphens=False)
-        yield Text(self._line if options.no_wrap else lines)
+        width = max(options.max_width, _NARROWEST)
+        yield Text(run_line(self.record, self.took), style="bold")
+        for heading, items in self.sections():
+            lines = [line for item in items for line in _lines(item, width - _INDENT)]
+            for i, line in enumerate(lines):
+                title = (heading if i == 0 else "").ljust(_INDENT)
+                yield Text.assemble((title, "bold" if heading[0].isupper() else ""), line)
+
+    def sections(self) -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
+        """Headings and their items: words, detail and setting; the last two may be empty."""
+        overview, record = self.overview, self.record
+        n_causes, n_places, n_cautions = (None, None, None) if self.with_all else _FEW
+        yield "  surface", [(surface_words(record, self.excess), "", "")]
+        yield "  pieces", [(pieces_words(record), "", "")]
+        causes = overview.causes[:n_causes]
+        yield (
+            "Fix first",
+            [(f"{i}  {own.words}", own.detail, own.setting) for i, own in enumerate(causes, 1)]
+            or [("nothing beyond the differences between two measurements of a scene", "", "")],
+        )
+        if overview.pieces:
+            pieces = overview.pieces[:n_places]
+            names = shortened({own.pair_id for own in pieces}, _PAIR)
+            yield "Worst places", [(f"{names[own.pair_id]}  {own.words}", "", own.fate_words) for own in pieces]
+        yield "Objects", [(scores_words(record), "", "")]
+        if record.previous:
+            yield "Last run", [(change_words(record), "", "")]
+        trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE]
+        show = shlex.join(["fidpipe", "show", str(self.folder), "--all"])
+        yield (
+            "Trust",
+            [(words, "", "") for words in trust[:n_cautions]] + [(f"more: {show}", "", "")] * (not self.with_all),
+        )
+        yield "Next", [(shlex.join(["fidpipe", "report", str(self.folder), "--open"]), "", "")]
+
+    def markdown(self) -> str:
+        """The same as Markdown."""
+        parts = [f"**{run_line(self.record)}**"]
+        for heading, items in self.sections():
+            lines = ["; ".join(filter(None, item)) for item in items]
+            name = heading.strip()
+            parts.append(
+                f"{name}: {lines[0]}"
+                if len(lines) == 1
+                else "\n".join([f"{name}:\n", *(f"- {line}" for line in lines)])
+            )
+        return "\n\n".join(parts) + "\n"
+
+
+def run_line(record: RunRecord, took: str = "") -> str:
+    """Dataset, pairs, time and preset of a run."""
+    pairs = record.pairs
+    n, n_all = pairs.scored, pairs.scored + pairs.failed + pairs.to_do
+    of_all = f" of {n_all}" if n < n_all else ""
+    differing = f", but {' '.join(record.departures)}" if record.departures else ""
+    name = Path(record.dataset).name
+    return f"{name}: {n}{of_all} pair{'s' * (n_all != 1)}{took}, preset {record.preset}{differing}"
+
+
+def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
+    """Share of each side's surface that the other side has, with the floor's."""
+    real, sim = (percent(record.summary[column].mean) for column in _COVERED)
+    floor = excess and ", ".join(percent(excess.scores[column].floor) for column in _COVERED)
+    return (
+        f"{real} of the real surface is simulated within 0.3 m, {sim} of the simulated surface is real"
+        f"{f' (floor {floor})' if floor else ''}"
+    )
+
+
+def pieces_words(record: RunRecord) -> str:
+    """Missing and invented pieces per pair."""
+    missing, invented = (record.summary[f"n_{kind}_pieces"].mean for kind in ("missing", "invented"))
+    return f"{number(missing, 1)} missing and {number(invented, 1)} invented per pair"
+
+
+def headline_scores(record: RunRecord) -> tuple[str, ...]:
+    """Columns of `pairs`: the object scores that a run is described by; *found* if the real side fixes the objects."""
+    return ("match_rate" if record.preset == "paper" else "found", *_SCORES)
+
+
+def scores_words(record: RunRecord) -> str:
+    """The object scores; those of the paper next to them under its preset."""
+    words = []
+    for column in headline_scores(record):
+        paper = metric_of(column).paper if record.preset == "paper" else None
+        value = number(record.summary[column].mean, 2)
+        words.append(f"{metric_of(column).label} {value}{f' (paper {paper.mean:.2f})' if paper else ''}")
+    return "   ".join(words)
+
+
+def change_words(record: RunRecord) -> str:
+    """Changes since the results that this run replaced in its folder; "" if it replaced none."""
+    last = record.previous
+    if last is None:
+        return ""
+    moved = [
+        f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}"
+        for column in (*_COVERED, *headline_scores(record))
+        if (now := record.summary[column].mean) is not None
+        and (before := last.means.get(column)) is not None
+        and abs(now - before) >= 5e-3
+    ]
+    more = len(last.changes) - 1
+    why = "".join(last.changes[:1]) + (f" and {more} more changes" if more > 0 else "")
+    return f"{', '.join(moved) or 'no score moved'}{f' ({why})' if why else ''}; chance: fidpipe compare"
+
+
+def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:
+    """An item in lines: words, detail, and at the end of the first line the setting; what does not fit comes below."""
+    words, detail, setting = item
+    hang = " " * 3 * (words[1:3] == "  ")
+    if detail and len(words) + len(detail) + len(setting) + 5 <= width:
+        words, detail = f"{words}   {detail}", ""
+    if setting and len(words) + len(setting) + 2 <= width:
+        words, setting = words.ljust(width - len(setting)) + setting, ""
+    for text, indent in ((words, ""), ("   ".join(filter(None, (detail, setting))), hang)):
+        yield from _WRAPPER(width=width, initial_indent=indent, subsequent_indent=hang).wrap(text)

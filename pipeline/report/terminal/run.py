@@ -42,14 +42,15 @@ from ....stages.coverage import ABSENT, THERE
 from ....stages.statistics.claim_rules import FAILS, HOLDS, UNDECIDED
 from ...datasets.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
+from ...results.floor import RunExcess
 from ...results.overview import independence
 from ...run import RunOutcome
 from ...storage.record import unmatched_worst
+from .floor import excess_view
 from .layout import mean_and_spread, number, percent, plain_table
-from .overview import overview_view
+from .overview import FirstAnswer, run_line
 
 _MOST_PAIRS = 20
-_FEW_PAIRS = 5
 _MOST_CLASSES = 8
 #: The scores of the paper's box plots.
 _BOXES = ("cdc", "r_lambda")
@@ -59,61 +60,45 @@ _COLOURS = {HOLDS: "green", FAILS: "red", UNDECIDED: "yellow"}
 
 
 def outcome_view(outcome: RunOutcome) -> RenderableType:
-    """What a run ends with: what failed, the pairs, and last the overview and where the results are."""
-    record, folder = outcome.record, outcome.folder
-    return Group(
-        Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {record.wall_s['total']:.1f} s"),
-        Text(f"results: {folder}/pairs.parquet (one row per pair), {folder}/metrics/ (one row per object)"),
-        *_asked_for(record),
-        *_failures_parts(folder, outcome.rows, outcome.told_failures),
-        *_glance(folder, outcome.rows, record),
-        *([Text(f"by range, class and scan: fidpipe show {quote(str(folder))} --all")] if record.findings else ()),
-        *_report_parts(folder, record),
-        *_frames_parts(outcome.rows, record),
+    """The end of a run: failures, baselines and spread over seeds if computed, and the first answer."""
+    record = outcome.record
+    seconds = record.wall_s["total"]
+    took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
+    jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)
+    return summary_view(
+        outcome.folder, outcome.rows, record, record.overview, outcome.told_failures, took=f"{took}{jobs}"
     )
 
 
 def summary_view(
-    folder: Path, rows: Sequence[Row], record: RunRecord, overview: Overview | None, *, with_all: bool = False
+    folder: Path,
+    rows: Sequence[Row],
+    record: RunRecord,
+    overview: Overview | None,
+    told: Container[str] = frozenset(),
+    excess: RunExcess | None = None,
+    *,
+    with_all: bool = False,
+    took: str = "",
 ) -> RenderableType:
-    """What a run ended with; or all that is known of it, the overview last.
+    """Failures and warnings, then the first answer; with `with_all` all tables of the run before it.
 
     Parameters
     ----------
-    overview : as `run_overview` gives it
+    overview : of the record, or over a floor
+    told : pairs whose failure was reported before
+    excess : the run over a floor
+    took : time and reused jobs of a run that just ended
     """
+    answer = FirstAnswer(folder, record, overview, excess, with_all, took) if overview else Text(run_line(record, took))
     return Group(
         *(_all_tables(rows, record) if with_all else ()),
         *_asked_for(record),
-        *_failures_parts(folder, rows, frozenset()),
-        *_glance(folder, rows, record, overview, with_pairs=not with_all),
-        *_report_parts(folder, record),
+        *([excess_view(excess), Text()] if excess else ()),
+        *_failures_parts(folder, rows, told),
         *_frames_parts(rows, record),
+        answer,
     )
-
-
-def _glance(
-    folder: Path, rows: Sequence[Row], record: RunRecord, overview: Overview | None = None, *, with_pairs: bool = True
-) -> list[RenderableType]:
-    """The preset, the pairs with the lowest match rate, and the overview."""
-    overview = overview or record.overview
-    if overview is None:
-        return [Text(preset_line(record))]
-    scored = [row for row in rows if row["status"] == "scored"]
-    pairs = [_pairs_table(scored, _FEW_PAIRS)] if with_pairs else []
-    return [Text(preset_line(record)), *pairs, overview_view(folder, record, overview)]
-
-
-def _report_parts(folder: Path, record: RunRecord) -> list[RenderableType]:
-    """Where the report of these results is, or the command that makes it."""
-    page, pairs = folder / "report.html", folder / "pairs.parquet"
-    if not record.pairs.scored:
-        return []
-    if page.exists() and page.stat().st_mtime >= pairs.stat().st_mtime:
-        return [Text(f"report: {page}")]
-    return [
-        Text(f"{'the report there is older; ' * page.exists()}to look at them: fidpipe report {quote(str(folder))}")
-    ]
 
 
 def _asked_for(record: RunRecord) -> list[RenderableType]:
@@ -130,12 +115,24 @@ def _all_tables(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
     title = "Surface (mean and std over pairs; the rest is missing or invented)"
     scored = [row for row in rows if row["status"] == "scored"]
     return [
+        Text(preset_line(record)),
         _pairs_table(scored, _MOST_PAIRS),
         _dataset_table(record),
         plain_table(title, headings, sides),
         *map(Text, (surface_line(record), *unmatched_lines(record), "")),
+        *([_surface_groups(record.overview)] if record.overview else ()),
         *_findings_parts(record.findings),
     ]
+
+
+def _surface_groups(overview: Overview) -> Table:
+    """Missing and invented surface by range and by class."""
+    rows = [
+        (own.name, own.n_real, percent(own.missing_share), own.n_sim, percent(own.invented_share))
+        for own in overview.surface
+    ]
+    title = "Surface by range and class (object points without a counterpart within 0.3 m)"
+    return plain_table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
 def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> list[RenderableType]:
@@ -273,12 +270,12 @@ def coverage_rows(record: RunRecord) -> list[list[str]]:
 
 
 def surface_line(record: RunRecord) -> str:
-    """How far the simulated surface is displaced, and how rough both are: means over pairs."""
+    """The displacement vector of the simulated surface, and the median roughness of both: means over pairs."""
     scores = ("shift_m", "shift_x_m", "shift_y_m", "shift_z_m", "roughness_real_m", "roughness_sim_m")
     length, x, y, z, real, sim = (number(record.summary[score].mean) for score in scores)
     return (
-        f"the simulated surface is displaced by {length} m a pair (with its sign: x {x}, y {y}, z {z} m); "
-        f"its roughness is {sim} m, that of the real one {real} m"
+        f"the simulated surface is displaced by x {x}, y {y}, z {z} m (mean over pairs; mean length {length} m); "
+        f"its median roughness is {sim} m, that of the real one {real} m"
     )
 
 

@@ -17,10 +17,10 @@ from ....schemas.results import JsonObject
 from ....stages.coverage import surface_state
 from ...results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts, run_facts
 from ...results.floor import RunExcess
-from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad, run_overview
-from .floor import excess_view, pair_excess_view
+from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad, over_floor
+from .floor import pair_excess_view
 from .layout import csv_table, markdown_table, number, percent, plain_table
-from .overview import overview_markdown
+from .overview import FirstAnswer
 from .run import claims_view, summary_view
 
 #: Columns of `metrics` in the order in which an object shows them: r_lambda stands beside what it is made of.
@@ -66,14 +66,11 @@ def as_view(
     if pair is not None and name is not None:
         return object_view(pair, object_facts(run, pair, name))
     if pair is not None:
-        view = pair_view(pair_facts(run, pair))
+        notes = (Text(f"note: {note}", style="yellow") for note in (run.record.notes or {}).get(pair, ()))
+        view = Group(pair_view(pair_facts(run, pair)), *notes)
         return view if excess is None else Group(view, pair_excess_view(excess, pair))
-    overview = run_overview(run)
-    if overview and excess:
-        trust = tuple(caution for caution in overview.trust if caution.kind != "floor")
-        overview = overview.model_copy(update={"trust": trust})
-    view = summary_view(run.folder, run.rows, run.record, overview, with_all=with_all)
-    return view if excess is None else Group(view, excess_view(excess))
+    overview = over_floor(run, excess.floor) if excess else run.record.overview
+    return summary_view(run.folder, run.rows, run.record, overview, excess=excess, with_all=with_all)
 
 
 def as_json(
@@ -91,9 +88,8 @@ def as_json(
 def as_text(run: FinishedRun, pair: str | None, name: str | None, *, as_csv: bool) -> str:
     """The same as CSV, one row per pair, object or value; or as Markdown."""
     if pair is None:
-        overview = run_overview(run)
-        if not as_csv and overview:
-            return overview_markdown(run.record, overview)
+        if not as_csv and run.record.overview:
+            return FirstAnswer(run.folder, run.record, run.record.overview).markdown()
         columns = list(run.rows[0]) if as_csv else ["pair_id", "status", "reason"]
         headings, *rows = [columns, *([row[column] for column in columns] for row in run.rows)]
     elif name is None:

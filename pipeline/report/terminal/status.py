@@ -95,12 +95,15 @@ def status_view(status: RunStatus, *, with_timings: bool = False) -> RenderableT
 
 
 def _sensor_lines(sensors: SensorCheck) -> list[Text]:
-    """What sensors the sides are from, and in what they differ."""
+    """Sensors of both sides, their differences, and scans of other sensors."""
     names = {"real": "real sensor", "sim": "simulated sensor"}
-    lines = [Text(f"Sensors, as pairs {', '.join(sensors.pair_ids)} tell", style="bold")] if sensors.sides else []
+    n_pairs = len(sensors.pair_ids)
+    pairs = f"pair{'s' * (n_pairs > 1)} {', '.join(sensors.pair_ids)}" if n_pairs < 4 else f"{n_pairs} pairs"
+    lines = [Text(f"Sensors (estimated from {pairs})", style="bold")] if sensors.sides else []
     for side, facts in sensors.sides.items():
         lines += [Text(names[side]), *(Text(f"  {line}") for line in sensor_lines(facts))]
-    return [*lines, *(Text(f"differs: {text}", style="yellow") for text in sensors.differences)]
+    lines += [Text(f"differs: {text}", style="yellow") for text in sensors.differences]
+    return [*lines, *(Text(f"warning: {text}", style="yellow") for text in sensors.unlike)]
 
 
 def _scan_json(facts: ScanFacts | None) -> JsonObject | None:

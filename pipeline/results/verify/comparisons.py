@@ -29,12 +29,14 @@ WORDS = {
     "rows": "names of pair and side, order by keys, none twice",
     "scan": "points kept of the scan, and where they lie",
     "ground": "cut, heights, flags of all points",
+    "sensor": "the scan, described again by the same code",
     "graph": "all edge lengths; all edges of drawn nodes",
     "communities": "Louvain again; numbering; reference: nearest real points",
     "objects": "sizes; place and shape of drawn objects",
     "matching": "which objects match, and how far apart",
     "coverage": "drawn objects, from all distances",
     "surface": "displacement of drawn objects",
+    "pieces": "counts, shares and moves of all pieces",
     "selection": "influence, nodes kept, optimal alignment",
     "metrics": "scores from dense matrices",
     "baselines": "distances of others",
@@ -49,7 +51,7 @@ NOT_COMPARED = {
     "timings": "seconds of a clock",
 }
 #: Tables of which the rows of the drawn objects alone are compared as a whole.
-_OF_OBJECTS = ("objects", "coverage", "surface", "selection", "metrics", "baselines")
+_OF_OBJECTS = ("objects", "coverage", "surface", "pieces", "selection", "metrics", "baselines")
 #: The table that a number stands in, where what is compared of it has a name of its own.
 _TABLE_OF = {"scan": "ground"}
 

@@ -295,6 +295,7 @@ def check_pairs(pair: StoredPair, comparisons: Comparisons) -> None:
     made |= {f"n_{kind}": kinds.count(kind) for kind in ("scored", "identical", "too_small")}
     made |= {f"n_communities_{side}": n["matched"] + n[alone] for side, alone in _ALONE.items()}
     made["match_rate"] = n["matched"] / (n["matched"] + max(n["missing"], n["hallucinated"]))
+    made["found"] = n["matched"] / (n["matched"] + n["missing"])
     ranges = {side: pair.columns("objects", side)["range_m"] for side in SIDES}
     matched, alone = [], []
     for own in pair.matching:

@@ -12,7 +12,9 @@ from ....schemas.columns import SIDES, Row
 from ....schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS
 from ....schemas.tables import TABLES
 from ....stages.arrays import FloatArray, IndexArray
-from ....stages.literal import method, surfaces
+from ....stages.clean import as_ros
+from ....stages.literal import method, pieces, surfaces
+from ....stages.sensing.sensor import PAIR_COLUMNS, describe_sensor, sensor_row
 from ...datasets.readers import read_scan
 from .comparisons import LENGTH_M, MODULARITY, Comparisons, point_names
 from .stored import StoredPair, StoredSide
@@ -22,6 +24,7 @@ _DESCRIBED = ("cx", "cy", "cz", "range_m", "extent_x", "extent_y", "extent_z", "
 _SAMPLE_POINTS = 2000
 _ROUGHNESS = ("real_m", "sim_m", "bias_m", "area_m")
 _FEWEST_FOR_PLANES = 20
+_SENSOR_WORDS = ("model", "reason")
 #: What the scans tell, and nothing else.
 _OF_SCANS = (
     *(f"ground.{name}" for name in ("point_id", "x", "y", "z", "intensity", "label", "instance")),
@@ -47,6 +50,24 @@ def check_rows(pair: StoredPair, comparisons: Comparisons) -> None:
             is_after |= is_same & (before < after)
             is_same &= before == after
         comparisons.compare(place, f"rows of {table} not in order, or twice", (~is_after).sum(), 0)
+
+
+def check_sensor(pair: StoredPair, comparisons: Comparisons) -> None:
+    """The description of both sensors, by the same code; the columns of `pairs` against the table."""
+    for side in SIDES:
+        stored, place = pair.columns("sensor", side), pair.place("sensor", side)
+        for name in PAIR_COLUMNS:
+            column = f"sensor_{side}_{name.removeprefix('n_')}"
+            comparisons.compare(pair.place("pairs"), column, pair.row[column], stored[name])
+        path = None if pair.scans is None else pair.scans.path(side)
+        if path is None:
+            comparisons.excuse(["sensor"])
+            continue
+        settings = pair.settings.input
+        scan = read_scan(path, settings.columns_of(side))
+        sensor = describe_sensor(as_ros(scan.points, settings.frame_of(side)), scan.rings, scan.times_s is not None)
+        for name, value in sensor_row(sensor).items():
+            comparisons.compare(place, name, stored[name], value, tolerance=0.0 if name in _SENSOR_WORDS else LENGTH_M)
 
 
 def check_scan(pair: StoredPair, comparisons: Comparisons) -> None:
@@ -95,9 +116,17 @@ def check_ground(pair: StoredPair, comparisons: Comparisons) -> None:
         loss: float | None = cut.loss
         iterations: int | None = cut.iterations
         height_m = cut.height_m
-        if settings.shared and side == "sim":
-            axis, tilt_deg, peak_m = np.array(real_facts["axis"]), real_facts["tilt_deg"], real_facts["peak_m"]
+        offset_m = None
+        if side == "sim" and (settings.shared or settings.peak == "real"):
+            axis = np.array(real_facts["axis"])
+            real_points = pair.sides["real"].all_points
+            offset_m = 0.0 if settings.shared else method.road_offset(real_points, own.all_points, axis)
+        if offset_m is None:
+            axis = cut.axis
+        else:
+            tilt_deg, peak_m = real_facts["tilt_deg"], real_facts["peak_m"] + offset_m
             threshold_m, iterations = real_facts["threshold_m"], real_facts["iterations"]
+            threshold_m = None if threshold_m is None else threshold_m + offset_m
             height_m = np.array([float(p @ axis) for p in own.all_points])
             loss = method.variance_loss(own.all_points, height_m, threshold_m or 0.0, peak_m, settings.loss)
         if settings.method != "pca":
@@ -191,7 +220,9 @@ def check_communities(pair: StoredPair, comparisons: Comparisons) -> None:
             _compare_reference(pair, own, comparisons)
             continue
         order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(len(own.points)))
-        made = _canonical(own.labels, order)
+        in_object = order[own.labels[order] >= 0]
+        made = np.full(len(own.points), -1, dtype=np.intp)
+        made[in_object] = method.canonical(own.labels[in_object].tolist())
         comparisons.compare(place, "community_id", own.labels, made, rows=point_names(own.point_ids))
         if is_reference and settings.reference != "louvain":
             comparisons.leave_out(f"which points are one object by their {settings.reference}")
@@ -210,7 +241,7 @@ def _compare_reference(pair: StoredPair, own: StoredSide, comparisons: Compariso
     """Whether simulated points have the object of the nearest real point, or, out of reach, one of their own."""
     settings, real, labels = pair.settings.communities, pair.sides["real"], own.labels
     n_real, place, ids = int(real.labels.max()) + 1, pair.place("communities", own.side), own.point_ids
-    sizes = np.bincount(labels)
+    sizes = np.bincount(labels[labels >= 0])
     for community in pair.drawn_ids(own.side):
         for i in own.members(community).tolist():
             apart = method.distances(real.points, own.points[i])
@@ -226,15 +257,8 @@ def _compare_reference(pair: StoredPair, own: StoredSide, comparisons: Compariso
     if not pair.drawn.whole_sides:
         return
     outside = np.flatnonzero(method.nearest_distances(own.points, real.points) > settings.reach_m)
-    index_of = np.full(len(labels), -1)
-    index_of[outside] = np.arange(len(outside))
-    src, dst, length_m = own.edges
-    among = (index_of[src] >= 0) & (index_of[dst] >= 0)
     order = np.array(surfaces.visiting_order(own.points[outside], settings.seed), dtype=np.intp)
-    groups = _louvain(pair, (index_of[src[among]], index_of[dst[among]], length_m[among]), order, comparisons)
-    if groups is None:
-        return
-    groups = _canonical(groups, order)
+    groups = _canonical(np.array(pieces.components(own.points[outside], pair.settings.pieces.link_m)), order)
     is_object = np.bincount(groups)[groups] >= settings.min_points
     made, stored = (np.full(len(labels), "of a real object", dtype=object) for _ in range(2))
     made[outside[is_object]] = [f"{n_real + group}" for group in groups[is_object]]
@@ -266,7 +290,7 @@ def check_objects(pair: StoredPair, comparisons: Comparisons) -> None:
     """How many points every object has; where the drawn ones are, how large, of what shape."""
     for side, own in pair.sides.items():
         stored = pair.rows("objects", side)
-        sizes = np.bincount(own.labels, minlength=len(stored))
+        sizes = np.bincount(own.labels[own.labels >= 0], minlength=len(stored))
         place = pair.place("objects", side)
         comparisons.compare(place, "community_id", [row["community_id"] for row in stored], list(range(len(sizes))))
         comparisons.compare(
@@ -295,8 +319,13 @@ def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
     """What the other side has of each drawn object; of whole sides the mean of their objects."""
     rows = pair.rows("coverage")
     stored = {(row["side"], row["community_id"]): row for row in rows}
-    sizes = {side: np.bincount(own.labels, minlength=pair.n_objects(side)).tolist() for side, own in pair.sides.items()}
-    wanted = [(side, i, n) for side in SIDES for i, n in [*enumerate(sizes[side]), (None, sum(sizes[side]))]]
+    sizes = {
+        side: np.bincount(own.labels[own.labels >= 0], minlength=pair.n_objects(side)).tolist()
+        for side, own in pair.sides.items()
+    }
+    wanted = [
+        (side, i, n) for side in SIDES for i, n in [*enumerate(sizes[side]), (None, len(pair.sides[side].points))]
+    ]
     for name, column in zip(("side", "community_id", "n_points"), zip(*wanted, strict=True), strict=True):
         comparisons.compare(pair.place("coverage"), name, [row[name] for row in rows], column)
     for side, other in (SIDES, SIDES[::-1]):
@@ -324,6 +353,9 @@ def check_coverage(pair: StoredPair, comparisons: Comparisons) -> None:
         whole = stored[side, None]
         if pair.drawn.whole_sides:
             compare(whole, np.arange(len(own.points)), "")
+        if (own.labels < 0).any():
+            comparisons.leave_out("coverage of a whole side as the mean of its objects, where points belong to none")
+            continue
         objects = [
             row for (own_side, i), row in stored.items() if own_side == side and i is not None and row["n_points"]
         ]
@@ -384,6 +416,50 @@ def check_surface(pair: StoredPair, comparisons: Comparisons) -> None:
     for name, value in made.items():
         column = f"roughness_{name}"
         comparisons.compare(pair.place("pairs"), column, pair.row[column], value, tolerance=LENGTH_M)
+
+
+def check_pieces(pair: StoredPair, comparisons: Comparisons) -> None:
+    """Numbers, shares and moves of the stored pieces; of whole sides the pieces themselves."""
+    own = pair.settings.pieces
+    stored = {side: [row for row in pair.rows("pieces") if row["side"] == side] for side in SIDES}
+    for side, other, word in (("real", "sim", "missing"), ("sim", "real", "invented")):
+        n_points = sum(row["n_points"] for row in stored[side])
+        made = {f"n_{word}_pieces": len(stored[side]), f"{word}_pieces_share": n_points / len(pair.sides[side].points)}
+        for name, value in made.items():
+            comparisons.compare(pair.place("pairs"), name, pair.row[name], value, tolerance=LENGTH_M)
+        if not pair.drawn.whole_sides:
+            comparisons.excuse(["pieces"])
+            continue
+        ground, place = pair.columns("ground", side), pair.place("pieces", side)
+        points, others = pair.sides[side].all_points, pair.sides[other].all_points
+        limits = (own.reach_m, own.link_m, own.min_points)
+        found = pieces.pieces(points, ~pair.sides[side].is_object, ground["height_m"], others, *limits)
+        rows: list[Row] = []
+        for i, piece in enumerate(found):
+            labels = [label for label in ground["label"][piece.members] if label is not None]
+            label = min(set(labels), key=lambda word: (-labels.count(word), word)) if labels else None
+            measures = (*piece.about.centroid, piece.about.range_m, *piece.about.extent)
+            row = dict(zip(_DESCRIBED, measures, strict=False))
+            about = {"bearing_deg": piece.bearing_deg, "height_m": piece.height_m, "label": label or ""}
+            rows.append(row | about | {"side": side, "piece_id": i, "n_points": piece.about.n_points})
+        for name in rows[0] if rows else ("piece_id",):
+            values = [row[name] or "" if name == "label" else row[name] for row in stored[side]]
+            comparisons.compare(place, name, values, [row[name] for row in rows], tolerance=LENGTH_M)
+    places = {
+        side: [([row[f"c{a}"] for a in "xyz"], [row[f"extent_{a}"] for a in "xyz"]) for row in rows]
+        for side, rows in stored.items()
+    }
+    moved = pieces.moved(places["real"], places["sim"])
+    for side, other, partners in (("real", "sim", moved), ("sim", "real", {j: i for i, j in moved.items()})):
+        for i, row in enumerate(stored[side]):
+            at, partner = pair.place("pieces", side, f"piece {i}"), partners.get(i)
+            comparisons.compare(at, "fate", row["fate"], "gone" if partner is None else "moved")
+            comparisons.compare(at, "partner_id", row["partner_id"], partner)
+            for axis in range(3):
+                ends = None if partner is None else [places[side][i][0][axis], places[other][partner][0][axis]]
+                vector = ends and (ends[1] - ends[0]) * (1 if side == "real" else -1)
+                name = f"moved_{'xyz'[axis]}_m"
+                comparisons.compare(at, name, row[name], vector, tolerance=LENGTH_M)
 
 
 def _sample(points: FloatArray) -> list[int]:

@@ -37,12 +37,14 @@ _CHECKS: dict[str, Callable[[StoredPair, Comparisons], None]] = {
     "rows": sides.check_rows,
     "scan": sides.check_scan,
     "ground": sides.check_ground,
+    "sensor": sides.check_sensor,
     "graph": sides.check_graph,
     "communities": sides.check_communities,
     "objects": sides.check_objects,
     "matching": objects.check_matching,
     "coverage": sides.check_coverage,
     "surface": sides.check_surface,
+    "pieces": sides.check_pieces,
     "selection": objects.check_selection,
     "metrics": objects.check_metrics,
     "baselines": objects.check_baselines,
@@ -56,7 +58,9 @@ _IN_PAIRS = {
     "scan": ("n_real_raw", "n_sim_raw"),
     "ground": ("ground_", "n_real_", "n_sim_"),
     "coverage": ("covered_",),
+    "sensor": ("sensor_",),
     "surface": ("shift_", "roughness_"),
+    "pieces": ("n_missing_pieces", "n_invented_pieces", "missing_pieces_", "invented_pieces_"),
 }
 _VERSIONS = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
 
@@ -156,8 +160,8 @@ def verify_run(
     tables = [*of_pairs, "pairs", "timings"] if drawn else []
     if n_objects is not None and n_whole < len(drawn):
         not_compared.append(
-            f"coverage medians, displacement and roughness of whole sides: only of {n_whole} of {len(drawn)} pairs "
-            "(all distances between two scans); --all compares all"
+            f"coverage medians, displacement, roughness and pieces of whole sides: only of {n_whole} of {len(drawn)} "
+            "pairs (all distances between two scans); --all compares all"
         )
     return Verification(
         run=folder,

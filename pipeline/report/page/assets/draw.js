@@ -29,7 +29,9 @@ const resizes = new ResizeObserver((changes) => {
 
 // Draws a chart, or draws it anew. It follows the size of its place, also when that was hidden meanwhile.
 export function draw(id, { data, layout }, config = {}) {
-  const shared = { displaylogo: false, displayModeBar: false };
+  // Buttons are listed one by one: plotly's own choice includes one that uploads the chart.
+  const modeBarButtons = [["toImage"]];
+  const shared = { displaylogo: false, displayModeBar: false, modeBarButtons, plotlyServerURL: "" };
   const { offsetWidth: width, offsetHeight: height } = byId(id);
   const size = isPrinting() ? { width, height } : {};
   Plotly.react(id, data, { ...layout, ...size, template: themed(report.template) }, { ...shared, ...config });

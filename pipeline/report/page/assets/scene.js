@@ -146,7 +146,8 @@ function drawScene(camera = byId("scene").layout.scene.camera) {
     });
   });
   traces.push(strokes("chosen", paint("var(--ink)"), chosenBox(), 4), ...contextTraces(pair));
-  const config = { displayModeBar: true, modeBarButtonsToRemove: ["resetCameraLastSave3d", "tableRotation"] };
+  const modeBarButtons = [["toImage", "zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]];
+  const config = { displayModeBar: true, modeBarButtons };
   drawInSpace("scene", traces, camera, pair.ranges, config);
   drawLegend(by);
 }

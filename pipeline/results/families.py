@@ -1,0 +1,419 @@
+"""Families of scores that `compare` decides together: each is one question that a user asks about a simulator.
+
+The two coverages are read together. A simulator that loses points also invents less, one that scatters points
+everywhere also covers more, and both change the mean over the objects that are left. So an improvement that lost or
+invented surface explains is shown with its reason and does not count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ...schemas.columns import Row
+from ...schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS, metric_of, reach_words
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.statistics.comparison import (
+    CONFIDENCE,
+    Difference,
+    adjusted_p_values,
+    block_means,
+    holm,
+    paired_difference,
+)
+
+Reading = Callable[[Row], float]
+PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
+#: Changes that chance makes in under this share of the comparisons are decided.
+ERROR_RATE = 1 - CONFIDENCE
+#: Roughness says nothing if the number of simulated points changed by more than this share.
+SAME_DENSITY = 0.05
+Best = Literal["high", "low", "zero", "one"]
+SURFACE_MISSING, SURFACE_INVENTED, POSITION, OBJECTS = "surface missing", "surface invented", "position", "objects"
+#: Distance from a perfect simulator, by the value that is best.
+ERRORS: dict[str, Callable[[float], float]] = {
+    "high": lambda value: -value,
+    "low": lambda value: value,
+    "zero": abs,
+    "one": lambda ratio: abs(math.log(ratio)) if ratio > 0 else math.nan,
+}
+#: The same in headings.
+MARKS = {"high": "↑", "low": "↓", "zero": "→0", "one": "→1"}
+MARKS_NOTE = "↑ higher is better, ↓ lower is better, →0 and →1 nearer to it is better (simulated minus, or over, real)"
+
+
+@dataclass(frozen=True)
+class ComparedScore:
+    """One score of a pair, read from its row of `pairs`; NaN if null.
+
+    heading : with the unit
+    value : the number whose change is tested, with its sign
+    best : key of `ERRORS`
+    least : a change of the mean up to this size does not matter to a user
+    step : smallest step of the value, such as 1 for a count
+    is_direct : False if it also depends on how dense the points are, so that alone it cannot show an improvement
+    error_of : reading whose error says which way is better, if that is not `value`
+    column : of `pairs`, if the value is one
+    """
+
+    heading: str
+    value: Reading
+    best: Best
+    least: float
+    step: float = 0.0
+    is_direct: bool = True
+    error_of: Reading | None = None
+    column: str = ""
+
+    def error(self, row: Row) -> float:
+        """Distance from a perfect simulator; NaN if null."""
+        return ERRORS[self.best]((self.error_of or self.value)(row))
+
+
+@dataclass(frozen=True)
+class ScoreChange:
+    """A score before and after.
+
+    name, mark : heading and direction of good
+    verdict : better, worse, undecided, or same if it changes by no more than matters
+    p : adjusted for the scores of its family (maxT), not for the other families; None if it cannot be tested
+    towards : direction in which it moved, better or worse, decided or not; "" if it did not move
+    why : reason for which its verdict does not count; "" if it counts
+    is_direct : see `ComparedScore`
+    of_pairs : by pair, after minus before; None where a value is null
+    seed_noise : largest difference of the two means that Louvain seeds alone make in 95 % of the cases; None if unknown
+    floor : distance of the floor's mean from equal scans; None if unknown
+    """
+
+    name: str
+    mark: str
+    difference: Difference
+    verdict: str
+    p: float | None
+    towards: str
+    is_direct: bool
+    of_pairs: dict[str, float | None]
+    seed_noise: float | None = None
+    floor: float | None = None
+    why: str = ""
+
+    @property
+    def clarity(self) -> float:
+        """Change in standard deviations of the blocks' changes."""
+        own = self.difference
+        return abs(own.difference or 0.0) / (own.std or math.inf)
+
+    @property
+    def beyond_seeds(self) -> bool | None:
+        """True if the difference is larger than seeds alone make; None if unknown."""
+        return self._exceeds(self.seed_noise)
+
+    @property
+    def beyond_floor(self) -> bool | None:
+        """True if the difference is larger than the floor; None if unknown."""
+        return self._exceeds(self.floor)
+
+    def _exceeds(self, least: float | None) -> bool | None:
+        change = self.difference.difference
+        return None if least is None or change is None else abs(change) > least
+
+
+@dataclass(frozen=True)
+class FamilyChange:
+    """The decision of one family.
+
+    verdict : better, worse, mixed, same or undecided
+    p : smallest of its scores, adjusted for all families (Holm); None if no score can be tested
+    why : reason for which the verdict does not count in the overall decision; "" if it counts
+    tendency : worse or better if it is not decided and p before Holm is below 5 %, else ""
+    scores : those that have values, the one that changed most clearly first
+    """
+
+    name: str
+    verdict: str
+    p: float | None
+    why: str
+    tendency: str
+    scores: tuple[ScoreChange, ...]
+
+
+def judge_families(
+    preset: str,
+    rows: PairRows,
+    blocks: IntArray,
+    seed_noise: Mapping[str, float | None] | None = None,
+    floors: Mapping[str, float | None] | None = None,
+    sectors: tuple[PairRows, IntArray] | None = None,
+) -> tuple[FamilyChange, ...]:
+    """The families with their verdicts; of equal simulators any is better or worse in under 5 % of the comparisons.
+
+    A family is decided if the smallest adjusted p of its scores is below 5 % after Holm over the families; those in
+    which nothing changes take no share. Each score of a decided family with p below 5 % is better or worse by its mean
+    distance from a perfect simulator.
+
+    Parameters
+    ----------
+    preset : of both runs
+    rows : by pair, its rows of `pairs` before and after
+    blocks : (n,) block of each pair
+    seed_noise, floors : by column of `pairs`, see `ScoreChange`
+    sectors : rows of the sectors of all pairs (`sectors.sector_rows`) and the block of each, where neighbouring frames
+        leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
+    """
+    noise, floors = seed_noise or {}, floors or {}
+    found = [
+        FamilyChange(name, "undecided", None, "", "", _changes(compared, rows, blocks, noise, floors, sectors))
+        for name, compared in families(preset).items()
+    ]
+    found = [family for family in found if family.scores]
+    lowest = [min((score.p for score in family.scores if score.p is not None), default=None) for family in found]
+    for i, (p, before_holm) in enumerate(zip(holm(lowest), lowest, strict=True)):
+        scores = found[i].scores
+        if p is not None and p < ERROR_RATE:
+            scores = tuple(
+                replace(score, verdict=score.towards)
+                if score.p is not None and score.p < ERROR_RATE and score.beyond_seeds is not False
+                else score
+                for score in scores
+            )
+        tends = before_holm is not None and before_holm < ERROR_RATE
+        found[i] = replace(found[i], p=p, tendency=scores[0].towards if tends else "", scores=scores)
+    moved = {
+        word: {family.name for family in found[:2] if any(score.verdict == word for score in family.scores)}
+        for word in ("better", "worse")
+    }
+    points = _points_change(rows)
+    return tuple(_decided(family, moved, points) for family in found)
+
+
+def _changes(
+    compared: Sequence[ComparedScore],
+    rows: PairRows,
+    blocks: IntArray,
+    seed_noise: Mapping[str, float | None],
+    floors: Mapping[str, float | None],
+    sectors: tuple[PairRows, IntArray] | None,
+) -> tuple[ScoreChange, ...]:
+    """The scores of a family that have values, without verdicts, the most clearly changed first."""
+    values = _read([score.value for score in compared], rows)
+    change, worse_by = (np.diff(own)[..., 0] for own in (values, _read([score.error for score in compared], rows)))
+    least, step = (np.array([getattr(score, field) for score in compared]) for field in ("least", "step"))
+    p_values = adjusted_p_values(block_means(change, blocks), least, step)
+    if sectors is not None:
+        parts = np.diff(_read([score.value for score in compared], sectors[0]))[..., 0]
+        parts = block_means(parts, sectors[1])
+        with_parts = ~np.isnan(parts).all(axis=1)
+        by_sector = adjusted_p_values(parts[with_parts], least[with_parts], np.zeros(with_parts.sum()))
+        p_values[with_parts] = np.maximum(p_values[with_parts], by_sector)
+    scores = []
+    for i, score in enumerate(compared):
+        own = paired_difference(values[i, :, 0], values[i, :, 1], blocks)
+        if own.n_pairs:
+            towards = ("worse" if np.nanmean(worse_by[i]) > 0 else "better") if own.difference else ""
+            is_same = own.low == own.high == 0 or (own.n_blocks > 1 and bool(np.isnan(p_values[i])))
+            scores.append(
+                ScoreChange(
+                    name=score.heading,
+                    mark=MARKS[score.best],
+                    difference=own,
+                    verdict="same" if is_same else "undecided",
+                    p=None if is_same or np.isnan(p_values[i]) else float(p_values[i]),
+                    towards="" if is_same else towards,
+                    is_direct=score.is_direct,
+                    of_pairs={
+                        name: None if math.isnan(x) else x for name, x in zip(rows, change[i].tolist(), strict=True)
+                    },
+                    seed_noise=seed_noise.get(score.column),
+                    floor=floors.get(score.column),
+                )
+            )
+    return tuple(sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity)))
+
+
+def _read(reads: Sequence[Reading], rows: PairRows) -> FloatArray:
+    """(m, n, 2) by score and pair, before and after; NaN if null."""
+    return np.array([[[read(row) for row in pair] for pair in rows.values()] for read in reads]).reshape(
+        -1, len(rows), 2
+    )
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Mean changes of the numbers of right and of invented simulated points, and of all relative to before."""
+
+    right: float
+    invented: float
+    density: float
+
+
+def _points_change(rows: PairRows) -> _Points:
+    counts = []
+    for pair in rows.values():
+        for row in pair:
+            n = number(row, "n_sim_points")
+            right = n * np.mean([number(row, f"covered_sim_{reach}") for reach in COVERAGE_REACHES])
+            counts.append((right, n - right, n))
+    before, after = np.array(counts).reshape(-1, 2, 3).mean(axis=0)
+    right, invented, _ = (after - before).tolist()
+    return _Points(right, invented, after[2] / before[2] - 1)
+
+
+def _decided(family: FamilyChange, moved: Mapping[str, set[str]], points: _Points) -> FamilyChange:
+    """The family with its verdict, and with reasons for which verdicts do not count."""
+    scores = tuple(
+        replace(score, why=_consequence(family.name, score, moved, points))
+        if score.verdict in ("better", "worse")
+        else score
+        for score in family.scores
+    )
+    called = {score.verdict for score in scores if not score.why} & {"better", "worse"}
+    hidden = [score for score in scores if score.why]
+    if called:
+        verdict, why = ("mixed" if len(called) == 2 else called.pop()), ""
+    elif hidden:
+        verdict, why = hidden[0].verdict, hidden[0].why
+    else:
+        verdict, why = ("same" if {score.verdict for score in scores} == {"same"} else "undecided"), ""
+    tendency = family.tendency if verdict == "undecided" else ""
+    return replace(family, verdict=verdict, why=why, tendency=tendency, scores=scores)
+
+
+def _consequence(family: str, score: ScoreChange, moved: Mapping[str, set[str]], points: _Points) -> str:
+    """The reason for which the verdict of a score does not count; "" if it does.
+
+    An improvement of a surface next to a loss of the other one counts only if the number of right simulated points grew
+    by more than half of that of the invented ones, or fell by less.
+    """
+    if not score.is_direct:
+        if abs(points.density) > SAME_DENSITY:
+            return "follows from the number of points"
+        if score.verdict == "better" or moved["better"]:
+            return "roughness alone is not fidelity"
+    if score.verdict == "worse" or not moved["worse"]:
+        return ""
+    if family == POSITION and len(moved["worse"]) == 2:
+        return "both surfaces lie farther apart"
+    is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
+    if family == OBJECTS or (is_surface and points.right <= points.invented / 2):
+        return f"follows from {' and '.join(sorted(moved['worse'], reverse=True))}"
+    return ""
+
+
+def number(row: Row, column: str) -> float:
+    """A value of a row; NaN if it is null or the run has no such column."""
+    value = row.get(column)
+    return math.nan if value is None else float(value)
+
+
+def _column(
+    column: str, best: Best, least: float, heading: str = "", *, step: float = 0.0, is_direct: bool = True
+) -> ComparedScore:
+    words = heading or metric_of(column).label
+    return ComparedScore(words, lambda row: number(row, column), best, least, step, is_direct, column=column)
+
+
+def _covered(side: str) -> tuple[ComparedScore, ...]:
+    return tuple(
+        _column(f"covered_{side}_{reach}", "high", 0.001, f"{side} covered {reach_words(reach)}")
+        for reach in COVERAGE_REACHES
+    )
+
+
+def _pieces(kind: str) -> tuple[ComparedScore, ...]:
+    return (
+        _column(f"n_{kind}_pieces", "low", 0.1, f"{kind} pieces", step=1.0),
+        _column(f"{kind}_pieces_share", "low", 0.001, f"{kind} pieces, share"),
+    )
+
+
+def _shift_length(row: Row) -> float:
+    """Length of the displacement along the axes that are known."""
+    shift = [number(row, column) for column in SHIFT_COLUMNS[:3]]
+    return math.nan if all(map(math.isnan, shift)) else math.hypot(*(own for own in shift if not math.isnan(own)))
+
+
+def _of_shift(column: str) -> ComparedScore:
+    heading = metric_of(column).label
+    return ComparedScore(heading, lambda row: number(row, column), "zero", 0.01, error_of=_shift_length, column=column)
+
+
+def _sensor(what: str, heading: str) -> ComparedScore:
+    def ratio(row: Row) -> float:
+        sim, real = (number(row, f"sensor_{side}_{what}") for side in ("sim", "real"))
+        return sim / real if real > 0 else math.nan
+
+    return ComparedScore(f"{heading} ratio", ratio, "one", 0.05)
+
+
+def _excess_quantum(row: Row) -> float:
+    """Range steps of the simulated sensor minus the real one; a recognised sensor without any has 0."""
+    steps = [
+        0.0 if math.isnan(step) and number(row, f"sensor_{side}_beams") > 0 else step
+        for side in ("sim", "real")
+        for step in [number(row, f"sensor_{side}_range_quantum_m")]
+    ]
+    return steps[0] - steps[1]
+
+
+def _excess(sim: str, real: str, heading: str, least: float) -> ComparedScore:
+    """The simulated value minus the real one."""
+    return ComparedScore(heading, lambda row: number(row, sim) - number(row, real), "zero", least)
+
+
+_FOUND = {
+    "paper": _column("match_rate", "high", 0.005, step=0.04),
+    "reference": _column("found", "high", 0.005, "objects found", step=0.04),
+}
+
+
+def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
+    """The scores of each family, by its name; the first one stands for it over many runs.
+
+    Parameters
+    ----------
+    preset : of both runs; "paper" compares the match rate in place of the share of real objects that are found
+    """
+    return {
+        SURFACE_MISSING: (*_covered("real")[1:], _covered("real")[0], *_pieces("missing")),
+        SURFACE_INVENTED: (*_covered("sim")[1:], _covered("sim")[0], *_pieces("invented")),
+        POSITION: (
+            *(_of_shift(column) for column in SHIFT_COLUMNS[2::-1]),
+            _excess("ground_sim_peak_m", "ground_real_peak_m", "road height (m)", 0.02),
+        ),
+        "surface noise": (
+            _column("roughness_bias_m", "zero", 0.003, is_direct=False),
+            _column("roughness_area_m", "low", 0.003, is_direct=False),
+            _excess("sensor_sim_range_noise_m", "sensor_real_range_noise_m", "range noise (m)", 0.005),
+        ),
+        "sensor": (
+            _sensor("beams", "beams"),
+            _sensor("azimuth_step_deg", "azimuth step"),
+            ComparedScore("range steps (m)", _excess_quantum, "zero", 0.005),
+            _excess("sensor_sim_lost_share", "sensor_real_lost_share", "pulses lost", 0.02),
+        ),
+        OBJECTS: (
+            _column("cdc_mean", "low", 0.003),
+            _column("r_lambda_mean", "low", 0.005),
+            _column("r_gap_mean", "low", 0.003),
+            _FOUND.get(preset, _FOUND["reference"]),
+        ),
+    }
+
+
+def overall(decided: Sequence[FamilyChange]) -> str:
+    """The decision over all families: better, worse, mixed, same or undecided.
+
+    An improvement counts only if no other family is worse, or tends to be.
+    """
+    called = {family.verdict for family in decided if not family.why}
+    if "mixed" in called or {"better", "worse"} <= called:
+        return "mixed"
+    if "worse" in called:
+        return "worse"
+    if "better" in called:
+        return "mixed" if any(family.tendency == "worse" for family in decided) else "better"
+    return "same" if {family.verdict for family in decided} <= {"same"} else "undecided"

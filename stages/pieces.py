@@ -1,0 +1,141 @@
+"""Surface pieces: connected parts of one side's objects where the other side has nothing, and which of them moved.
+
+A lost car is one missing piece even where Louvain put it into one community with the hedge behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..schemas.results import Number
+from ..schemas.settings import PieceSettings
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .communities import canonical_ids
+from .linalg.subgraph import connected_points
+from .objects import Objects, describe_objects
+
+#: A missing and an invented piece can be one object that moved if their centroids are at most this far apart ...
+MOVED_WITHIN_M = 3.0
+#: ... and if their extents differ, along each axis, by at most this or by a third of the larger one.
+SIZE_SLACK_M = 0.5
+SIZE_SLACK = 1 / 3
+_ROUNDED_DIGITS, _ROUNDING_M = 9, 1e-6  #: two distances that differ by less are equal
+
+
+@dataclass(frozen=True)
+class CutScan:
+    """All clean points of one side.
+
+    points : (n, 3) float64, metres, in the real sensor's frame
+    is_ground : (n,) bool
+    height_m : (n,) float64, above the side's own road
+    """
+
+    points: FloatArray
+    is_ground: BoolArray
+    height_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The pieces of one side, by id: the largest first, of equally large ones the first by x, y, z.
+
+    labels : (n,) int32, piece of each clean point, -1 for none
+    share : of the side's object points, those in a piece
+    objects : number of points, centroid, extent and range of each
+    height_m : (c,) float64, of the lowest point above the road
+    partner : (c,) int32, piece of the other side that it moved to (or from); -1 for none
+    moved_m : (c, 3) float64, vector from the real to the simulated piece; NaN for none
+    """
+
+    labels: IntArray
+    share: float
+    objects: Objects
+    height_m: FloatArray
+    partner: IntArray
+    moved_m: FloatArray
+
+    @property
+    def bearing_deg(self) -> FloatArray:
+        """Direction of the centroid, (c,) float64: 0 ahead, positive to the left, -180 to 180."""
+        return np.degrees(np.arctan2(self.objects.centroid[:, 1], self.objects.centroid[:, 0]))
+
+
+def find_pieces(real: CutScan, sim: CutScan, settings: PieceSettings) -> tuple[Pieces, Pieces]:
+    """Missing pieces, of the real side, and invented pieces, of the simulated side.
+
+    A piece is a connected component, points at most link_m apart being linked, of the object points p of a side with
+    min_q |p - q| > reach_m over all points q of the other side, ground included; of at least min_points points. So a
+    strip of road that only one side's cut removed is not a piece.
+
+    A missing and an invented piece are one object that *moved* if their centroids are at most 3 m apart, their extents
+    differ along each axis by at most max(0.5 m, a third of the larger), and each is the other's nearest such piece (of
+    equally near ones that of smaller id). The definitions are fidpipe's.
+
+    Parameters
+    ----------
+    real, sim : all clean points of both sides, at least one object point each
+    settings : reach_m, link_m, min_points
+    """
+    labels = [_label_pieces(own, other, settings) for own, other in ((real, sim), (sim, real))]
+    objects = [_describe(own, ids) for own, ids in zip((real, sim), labels, strict=True)]
+    links = _match_moved(*objects)
+    vectors = objects[1].centroid[links[1]] - objects[0].centroid[links[0]]
+    found = []
+    for i, own in enumerate((real, sim)):
+        n = len(objects[i].n_points)
+        partner, moved_m, lowest = np.full(n, -1, np.int32), np.full((n, 3), np.nan), np.full(n, np.inf)
+        partner[links[i]], moved_m[links[i]] = links[1 - i], vectors
+        np.minimum.at(lowest, labels[i][labels[i] >= 0], own.height_m[labels[i] >= 0])
+        share = int(objects[i].n_points.sum()) / int(np.count_nonzero(~own.is_ground))
+        found.append(Pieces(labels[i], share, objects[i], lowest, partner, moved_m))
+    return found[0], found[1]
+
+
+def count_pieces(missing: Pieces, invented: Pieces) -> dict[str, Number]:
+    """Number of pieces of both sides and their share of the object points, by column of `pairs`."""
+    return {
+        "n_missing_pieces": len(missing.partner),
+        "n_invented_pieces": len(invented.partner),
+        "missing_pieces_share": missing.share,
+        "invented_pieces_share": invented.share,
+    }
+
+
+def _label_pieces(own: CutScan, other: CutScan, settings: PieceSettings) -> IntArray:
+    """Piece of each clean point of a side, (n,) int32, -1 for none."""
+    labels = np.full(len(own.points), -1, dtype=np.int32)
+    objects = np.flatnonzero(~own.is_ground)
+    distance_m, _ = cKDTree(other.points).query(own.points[objects])
+    alone = objects[distance_m > settings.reach_m]
+    alone = alone[np.lexsort(own.points[alone].T[::-1])]
+    ids = canonical_ids(connected_points(own.points[alone], settings.link_m))
+    is_large = np.bincount(ids)[ids] >= settings.min_points  # the largest have the first ids
+    labels[alone[is_large]] = ids[is_large]
+    return labels
+
+
+def _describe(own: CutScan, labels: IntArray) -> Objects:
+    """Size and place of the pieces of a side; to the last bit the same for every order of its rows."""
+    inside = np.flatnonzero(labels >= 0)
+    if not len(inside):
+        return Objects(np.empty(0, dtype=np.int32), *(np.empty((0, 3)) for _ in range(3)))
+    inside = inside[np.lexsort(own.points[inside].T[::-1])]
+    return describe_objects(own.points[inside], labels[inside])
+
+
+def _match_moved(missing: Objects, invented: Objects) -> tuple[IndexArray, IndexArray]:
+    """Ids, (m,) and (m,), of missing and invented pieces that are each other's nearest of similar size."""
+    trees = (cKDTree(own.centroid) for own in (missing, invented))
+    near = next(trees).sparse_distance_matrix(next(trees), MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray")
+    i, j, apart_m = near["i"], near["j"], np.round(near["v"], _ROUNDED_DIGITS)
+    a, b = missing.extent[i], invented.extent[j]
+    is_alike = (np.abs(a - b) <= np.maximum(SIZE_SLACK_M, SIZE_SLACK * np.maximum(a, b))).all(axis=1)
+    chosen = np.lexsort((j, i, apart_m))
+    chosen = chosen[(is_alike & (apart_m <= MOVED_WITHIN_M))[chosen]]
+    first_of_i, first_of_j = (np.unique(ids[chosen], return_index=True)[1] for ids in (i, j))
+    both = chosen[np.intersect1d(first_of_i, first_of_j)]
+    return i[both], j[both]

@@ -1,0 +1,168 @@
+"""Causes from rows of `pairs` written by hand: what is named, in which order, and what is not."""
+
+import numpy as np
+import pytest
+
+from fidpipe import evaluate_pair
+from fidpipe.pipeline.results.causes import CAUSE_KINDS, GroupCoverage, find_causes, surface_causes
+from fidpipe.schemas.settings import load
+from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.sensor_models import SENSORS
+from fidpipe.stages.statistics.findings import BAND_EDGES_M
+
+NO_CLASSES = GroupCoverage(("",), np.ones((4, 1)), np.ones((4, 1)))
+#: A healthy pair: the second measurement has a little more noise and loss.
+HEALTHY = {
+    "ground_real_peak_m": -1.77,
+    "ground_sim_peak_m": -1.77,
+    "shift_x_m": 0.004,
+    "shift_y_m": -0.003,
+    "shift_z_m": 0.001,
+    "sensor_real_beams": 32,
+    "sensor_sim_beams": 32,
+    "sensor_real_range_noise_m": 0.009,
+    "sensor_sim_range_noise_m": 0.0175,
+    "sensor_real_lost_share": 0.05,
+    "sensor_sim_lost_share": 0.08,
+    "sensor_real_azimuth_step_deg": 0.199,
+    "sensor_sim_azimuth_step_deg": 0.201,
+    "sensor_real_range_quantum_m": 0.004,
+    "sensor_sim_range_quantum_m": None,
+    "missing_pieces_share": 0.0005,
+    "invented_pieces_share": 0.0,
+    "n_missing_pieces": 0,
+    "n_invented_pieces": 0,
+}
+
+
+def rows_of(n=5, **changes):
+    """Pairs with small differences between them; a change is added to the healthy value."""
+    wobble = np.linspace(-0.003, 0.003, n)
+    return [
+        {"pair_id": str(i)}
+        | {
+            name: value if value is None or isinstance(value, int) else value * (1 + wobble[i])
+            for name, value in HEALTHY.items()
+        }
+        | {name: (HEALTHY[name] or 0) + change * (1 + wobble[i]) for name, change in changes.items()}
+        for i in range(n)
+    ]
+
+
+def names(causes):
+    return [cause.name for cause in causes]
+
+
+def test_a_healthy_re_measurement_has_no_cause():
+    assert find_causes(rows_of()) == []
+
+
+def test_a_low_and_noisy_simulator_is_named_with_direction_interval_and_setting():
+    low, noise = find_causes(rows_of(ground_sim_peak_m=-0.12, shift_z_m=-0.12, sensor_sim_range_noise_m=0.041 - 0.0175))
+    assert low.words == "simulated world 12 cm too low"
+    assert low.detail == "shift z -0.12 ± 0.00 m, road -1.89 against -1.77 m"
+    assert low.setting == "mount height, T_real_sim"
+    assert low.low < low.estimate < low.high < 0
+    assert low.estimate == pytest.approx(-0.12, abs=1e-3)
+    assert (noise.words, noise.setting) == ("range noise 41 mm, real 9 mm", "noise_stddev")
+    assert low.severity > noise.severity
+
+
+def test_a_road_that_moves_alone_is_not_called_the_world():
+    (road,) = find_causes(rows_of(ground_sim_peak_m=0.1))
+    assert road.words == "simulated road 10 cm too high"
+    assert road.setting == "road height of the map"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"shift_x_m": 0.2}, "simulated world 20 cm too far ahead"),
+        ({"shift_y_m": -0.2}, "simulated world 20 cm too far right"),
+        ({"sensor_sim_lost_share": 0.22}, "30 % of the pulses lost, real 5 %"),
+        ({"sensor_sim_beams": 32}, "64 beams, real 32"),
+        ({"sensor_sim_azimuth_step_deg": 0.199}, "azimuth step 0.4 deg, real 0.199 deg"),
+        ({"sensor_sim_range_quantum_m": 0.1}, "range steps 10 cm, real 4 mm"),
+        ({"missing_pieces_share": 0.03, "n_missing_pieces": 8}, "8.0 missing pieces per pair, 3 % of the points"),
+        ({"invented_pieces_share": 0.05, "n_invented_pieces": 4}, "4.0 invented pieces per pair, 5 % of the points"),
+    ],
+)
+def test_each_flaw_is_named(changes, words):
+    assert [cause.words for cause in find_causes(rows_of(**changes))] == [words]
+
+
+def test_a_simulator_that_is_too_clean_is_named():
+    changes = {"sensor_real_range_noise_m": 0.021, "sensor_sim_range_noise_m": -0.0175}
+    assert [cause.words for cause in find_causes(rows_of(**changes))] == ["range noise 0 mm, real 30 mm"]
+
+
+def test_pairs_that_disagree_name_nothing_and_two_pairs_have_no_interval():
+    rows = rows_of(4)
+    for row, shift in zip(rows, (0.5, -0.2, 0.6, 0.1), strict=True):
+        row["shift_x_m"] = shift
+    assert find_causes(rows) == []
+    (two,) = find_causes(rows_of(2, shift_x_m=0.2))
+    assert (two.low, two.high, two.n_pairs) == (None, None, 2)
+    split = rows_of(2)
+    split[1]["shift_x_m"] = 0.9
+    assert find_causes(split) == []
+
+
+def test_a_floor_is_subtracted():
+    rows = rows_of(sensor_sim_lost_share=0.07)
+    floor = {row["pair_id"]: row for row in rows_of(sensor_sim_lost_share=0.06)}
+    assert names(find_causes(rows)) == ["lost pulses"]
+    assert find_causes(rows, floor) == []
+
+
+def test_unknown_values_name_nothing():
+    rows = [{"pair_id": "a"} | dict.fromkeys(HEALTHY)] * 3
+    assert find_causes(rows) == []
+    assert all(kind.value(rows[0]) is None for kind in CAUSE_KINDS)
+
+
+def test_far_surface_is_named_at_the_distance_where_it_stands_out():
+    n_points = np.full((4, len(BAND_EDGES_M)), 1000.0)
+    missing = n_points * [0.1, 0.12, 0.1, 0.14, 0.78]
+    (far,) = surface_causes(GroupCoverage(("",) * 5, n_points, missing), NO_CLASSES)
+    assert far.words == "beyond 50 m 78 % of the surface missing"
+    assert far.setting == "range, dropoff"
+    assert far.severity == pytest.approx((0.78 - 0.115) / 5)
+    assert surface_causes(GroupCoverage(("",) * 5, n_points, n_points * 0.4), NO_CLASSES) == []
+
+
+def test_a_class_is_named_where_much_more_of_it_is_missing():
+    n_points = np.full((4, 3), 500.0)
+    classes = GroupCoverage(("car", "pole", "tree"), n_points, n_points * [0.1, 0.9, 0.2])
+    bands = GroupCoverage(("",) * 5, np.full((4, 5), 500.0), np.full((4, 5), 100.0))
+    (pole,) = surface_causes(bands, classes)
+    assert pole.words == "pole: 90 % of the surface missing"
+
+
+def re_measured(scan, rng, noise_m, lost_share, shift_z_m=0.0):
+    """The same scan with noise along the ray and lost points, moved in z."""
+    kept = scan[rng.random(len(scan)) >= lost_share]
+    range_m = np.linalg.norm(kept, axis=1, keepdims=True)
+    return kept * (1 + rng.normal(0, noise_m, (len(kept), 1)) / range_m) + [0, 0, shift_z_m]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"noise_m": 0.02, "lost_share": 0.03}, []),
+        ({"noise_m": 0.08, "lost_share": 0.03, "shift_z_m": -0.12}, ["height", "range noise"]),
+    ],
+)
+def test_scans_that_were_moved_and_made_noisy_name_both_and_healthy_ones_nothing(change, expected):
+    settings, rng, rows = load(None, [], preset="reference"), np.random.default_rng(1), []
+    for seed in range(3):
+        scan = make_pair(seed, 0, SENSORS["vlp16"], 12_000).real.rows[:, :3]
+        rows.append(evaluate_pair(scan, re_measured(scan, rng, **change), settings).summary | {"pair_id": str(seed)})
+    causes = find_causes(rows)
+    assert sorted(names(causes)) == expected
+    if causes:
+        height, noise = sorted(causes, key=lambda cause: cause.name)
+        assert height.estimate == pytest.approx(-0.12, abs=0.02)
+        assert (height.words, height.setting) == ("simulated world 12 cm too low", "mount height, T_real_sim")
+        assert noise.sim == pytest.approx(np.hypot(0.03, 0.08), rel=0.15)

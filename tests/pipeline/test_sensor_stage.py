@@ -1,0 +1,77 @@
+"""Stage sensor: what a run records of the sensor of each side."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fidpipe import evaluate_pair
+from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.schemas.settings import Settings
+from fidpipe.stages.sensing.scans import make_pair
+from fidpipe.stages.sensing.sensor_models import SENSORS
+from runs import run
+
+N_POINTS = 12_000
+
+
+@pytest.fixture(scope="module")
+def streets():
+    """One street as two sensors see it, (n, 3) by side."""
+    names = {"real": "vlp16", "sim": "hdl32"}
+    return {side: make_pair(0, 0, SENSORS[name], N_POINTS).real.rows[:, :3] for side, name in names.items()}
+
+
+@pytest.fixture(scope="module")
+def finished(streets, tmp_path_factory):
+    """A run over them; the simulated file has the axes of nuScenes, x right and y forward, and a T_real_sim."""
+    folder = tmp_path_factory.mktemp("two_sensors")
+    x, y, z = streets["sim"].T
+    for name, points in (("real", streets["real"]), ("sim", np.column_stack([-y, x, z]))):
+        np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(folder / f"{name}.bin")
+    (folder / "pairs.csv").write_text("pair_id,real,sim,T_real_sim\na,real.bin,sim.bin,1 0 0 0.5 0 1 0 0 0 0 1 0.2\n")
+    settings = Settings.model_validate({"input": {"sim_frame": "nuscenes"}})
+    assert not run(folder, folder / "run", settings).failures
+    return folder / "run"
+
+
+def test_the_table_has_the_sensor_of_each_side_in_the_frame_of_its_own_file(finished):
+    real, sim = pd.read_parquet(finished / "sensor").sort_values("side").to_dict("records")
+    assert (real["model"], real["n_beams"], sim["model"], sim["n_beams"]) == (
+        "Velodyne VLP-16",
+        16,
+        "Velodyne HDL-32E",
+        32,
+    )
+    assert (sim["lowest_deg"], sim["highest_deg"]) == pytest.approx((-30.67, 10.67), abs=0.02)
+    assert real["origin_height_m"] == sim["origin_height_m"] == 0
+    assert real["range_noise_m"] == pytest.approx(0.03, rel=0.15)
+
+
+def test_pairs_has_its_numbers_and_the_report_its_description(finished):
+    (row,) = pd.read_parquet(finished / "pairs.parquet").to_dict("records")
+    for side, own in pd.read_parquet(finished / "sensor").set_index("side").iterrows():
+        assert row[f"sensor_{side}_beams"] == own.n_beams
+        for name in ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share"):
+            assert row[f"sensor_{side}_{name}"] == pytest.approx(own[name], nan_ok=True)
+    sensors = PairTables(read_results(finished), "a").sensors
+    assert (sensors["real"].model, len(sensors["sim"].elevation_deg)) == ("Velodyne VLP-16", 32)
+
+
+def test_a_changed_number_is_found_by_verify(finished):
+    assert verify_run(finished).passed
+    (table,) = [one for one in verify_run(finished).tables if one.table == "sensor"]
+    assert set(table.columns) >= {"model", "n_beams", "range_noise_m", "lost_share", "reason"}
+
+
+def test_arrays_are_described_as_files_are(streets):
+    result = evaluate_pair(streets["real"], streets["sim"])
+    assert result.sensor["sim"].model.tolist() == ["Velodyne HDL-32E"]
+    assert result.summary["sensor_real_beams"] == 16
+
+
+def test_points_of_no_sensor_leave_nulls_with_a_reason_and_fail_no_pair(rng):
+    scan = rng.uniform((-20, -20, -2), (20, 20, 5), (600, 3))
+    result = evaluate_pair(scan, scan)
+    assert result.summary["sensor_real_beams"] is None
+    assert "rings" in result.sensor["real"].reason[0]
