@@ -30,6 +30,8 @@ import pandas as pd
 from flawed_scans import ALL, CONTROL, FLAWS, Scan, find_car, find_poles, ranges, ray_noise
 from measure import FIDPIPE
 
+from fidpipe.pipeline.results.compare import compare_runs
+
 EVERY = 4
 NONE = "none"
 BASES = ("poor", "good")
@@ -105,12 +107,16 @@ def run_all(args):
         list(pool.map(run, tasks))
 
 
-def decide(args, campaign, flaw, *options):
-    """The decision of `compare` between base and flaw, and its families that moved."""
-    runs = (run_of(args, campaign, NONE), run_of(args, campaign, flaw))
-    (found,) = json.loads(fidpipe("compare", *runs, "--json", *options))
+def decide(args, campaign, flaw, *, independent=False):
+    """The decision of `compare` between base and flaw, its families that moved, and the causes that changed."""
+    runs = [run_of(args, campaign, NONE), run_of(args, campaign, flaw)]
+    found = compare_runs(runs, independent=independent)[0].as_dict()
     moved = [one for one in found["families"] if one["verdict"] in ("better", "worse", "mixed")]
-    return found["decision"], ", ".join(f"{one['name']} {one['verdict']}" for one in moved)
+    families = [
+        f"({one['name']} {one['verdict']})" if one["why"] else f"{one['name']} {one['verdict']}" for one in moved
+    ]
+    causes = [f"{one['name']} {one['difference']['difference']:+.2g} {one['unit']}".strip() for one in found["causes"]]
+    return found["decision"], ", ".join(families) or "-", ", ".join(causes) or "-"
 
 
 def first_cause(args, campaign, flaw):
@@ -132,19 +138,23 @@ def pairs_with_car_missing(args, campaign, flaw, cars):
 def decision_table(args, campaign, cars):
     lines = [
         f"`{campaign}`, {len(cars)} pairs:",
-        "| flaw | decision | as independent | families that moved (as independent) | Fix first |",
-        "|---|---|---|---|---|",
+        "| flaw | decision | with `--independent` | families | first cause of the run | causes that changed |",
+        "|---|---|---|---|---|---|",
     ]
-    decisions = {}
+    decisions, independent = {}, {}
     for flaw in args.flaws:
-        as_default, _ = decide(args, campaign, flaw)
-        decisions[flaw], families = decide(args, campaign, flaw, "--independent")
-        cause = first_cause(args, campaign, flaw)
-        lines.append(f"| {flaw} | {as_default} | {decisions[flaw]} | {families or '-'} | {cause} |")
-    counted = [decisions[flaw] for flaw in FLAWS if flaw in decisions and flaw != CONTROL]
-    counts = ", ".join(f"{word} {counted.count(word)}" for word in ("worse", "mixed", "better", "undecided", "same"))
-    lines += ["", f"Of {len(counted)} flaws, pairs as independent: {counts}; control: {decisions.get(CONTROL)}."]
-    lines += [f"Base, first cause: {first_cause(args, campaign, NONE)}."]
+        decisions[flaw], families, causes = decide(args, campaign, flaw)
+        independent[flaw] = decide(args, campaign, flaw, independent=True)[0]
+        first = first_cause(args, campaign, flaw)
+        lines.append(f"| {flaw} | {decisions[flaw]} | {independent[flaw]} | {families} | {first} | {causes} |")
+    lines.append("")
+    for title, own in (("by default", decisions), ("with `--independent`", independent)):
+        counted = [own[flaw] for flaw in FLAWS if flaw in own and flaw != CONTROL]
+        counts = ", ".join(
+            f"{counted.count(word)} {word}" for word in ("worse", "mixed", "better", "undecided", "same")
+        )
+        lines.append(f"Of {len(counted)} flaws {title}: {counts}; control: {own.get(CONTROL)}.")
+    lines.append(f"First cause of the base: {first_cause(args, campaign, NONE)}.")
     for flaw in (NONE, *(flaw for flaw in args.flaws if "car" in flaw)):
         n = pairs_with_car_missing(args, campaign, flaw, cars)
         lines.append(f"The car is among the missing pieces ({flaw}): {n} of {len(cars)} pairs.")
