@@ -22,7 +22,7 @@ LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
 #: Columns of table `sensor` that `pairs` has for both sides.
 PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 _FEWEST_POINTS = 500
-_QUANTA_M = (0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
+_QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
@@ -365,10 +365,14 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
     used = n_returns >= 50
     if n_returns[used].sum() < _FEWEST_POINTS:
         return None, f"too few returns nearer than {_QUANTUM_RANGE_M:g} m"
-    for quantum in _QUANTA_M:
+
+    def is_multiple(quantum: float) -> bool:
         turn = 2 * np.pi * range_m / quantum
         length = np.hypot(np.bincount(beam, np.cos(turn)), np.bincount(beam, np.sin(turn)))
-        if length[used].sum() / n_returns[used].sum() >= 0.7:
+        return bool(length[used].sum() / n_returns[used].sum() >= 0.7)
+
+    for quantum in _QUANTA_M:  # equal ranges of a beam on a plane agree with a large quantum, but not with its tenth
+        if is_multiple(quantum) and (quantum < 0.05 or is_multiple(quantum / 10)):
             return quantum, ""
     return None, f"no quantum from {1e3 * _QUANTA_M[-1]:g} to {1e3 * _QUANTA_M[0]:g} mm"
 

@@ -206,7 +206,7 @@ def test_the_sides_differ_in_a_sentence():
         "simulated beams: highest -5.0 degrees, lowest -5.0 degrees from the real ones",
         "only simulated beams are evenly spaced",
     ]
-    assert "range quantum: 4 mm real, no quantum from 0.5 to 50 mm simulated" in found
+    assert "range quantum: 4 mm real, no quantum from 0.5 to 200 mm simulated" in found
     assert any(text.startswith("range noise on smooth surfaces:") for text in found)
     assert any(text.startswith("pulses lost in surfaces 0 to 10 m away:") for text in found)
     lost = describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3)))
