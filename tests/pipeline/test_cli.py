@@ -21,7 +21,7 @@ def one_line(text):
 def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
     result = command("run", dataset, "--workers", 1, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "runs/streets/pairs.parquet" in result.stdout
+    assert "fidpipe report runs/streets --open" in result.stdout
     assert "r_lambda" in result.stdout
     assert (tmp_path / "runs" / "streets" / "run.json").exists()
     again = command("run", dataset, "--workers", 1, cwd=tmp_path)
