@@ -20,7 +20,6 @@ from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.sensing.neighbours import neighbours
 from ...stages.statistics.comparison import (
-    ALIKE,
     BLOCK_S,
     KINDS,
     LEAST_FLIPPED,
@@ -41,6 +40,8 @@ from .sectors import N_SECTORS, sector_rows
 
 #: So many runs fit into one table, and into one look.
 MOST_RUNS = 8
+#: A cause changed if its estimate moved by more than this share of the tolerance within which it is not named.
+_LEAST_OF_TOLERANCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,8 @@ class Comparison:
     settings : settings that differ, in words
     notes : what else differs
     families : what is decided, see `families`
-    causes : those whose estimate changed: the interval excludes 0, or the change is larger than the tolerance if there
-        is one block only
+    causes : those whose estimate changed by more than a tenth of its tolerance: the interval excludes 0, or if there is
+        none, the change exceeds the tolerance
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
     by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
@@ -279,7 +280,9 @@ def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseCha
         own = paired_difference(values[:, 0], values[:, 1], blocks)
         size = abs(own.difference or 0.0)
         reach = kind.tolerance if own.low is None or own.high is None else (own.high - own.low) / 2
-        if size > max(reach, ALIKE):
+        real = [abs(value) for before, _ in rows if (value := kind.sides(before)[0]) is not None]
+        matters = _LEAST_OF_TOLERANCE * (kind.tolerance + kind.relative * float(np.mean(real or 0.0)))
+        if size > max(reach, matters):
             found.append((size / (kind.tolerance or 1.0), CauseChange(kind.name, kind.unit, kind.setting, own)))
     return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
 

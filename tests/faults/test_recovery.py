@@ -151,7 +151,7 @@ def test_a_folder_that_may_not_be_written_is_shown_and_judged_but_not_run(again,
     in_it = partial(command, preexec_fn=read_only(again))
     shown = in_it("show", again)
     assert shown.returncode == 0, shown.stderr
-    assert "Pairs" in shown.stdout
+    assert "surface" in shown.stdout
     status = in_it("status", again)
     assert status.returncode == 0, status.stderr
     assert re.search(r"done of all pairs: .*metrics", status.stdout)
