@@ -218,4 +218,5 @@ def test_each_real_scan_is_read(real_data):
     assert len(files) > 20
     for path in files:
         frames = frames_of(path) if holds_frames(path) else [path]
-        assert all(len(read_scan(frame).points) > 500 for frame in frames), path
+        columns = ("x", "y", "z") if "lumpi" in path.parts else None
+        assert all(len(read_scan(frame, columns).points) > 500 for frame in frames), path

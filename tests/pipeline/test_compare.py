@@ -87,7 +87,7 @@ def test_a_break_on_too_few_pairs_is_worse_all_the_same(versions, tmp_path):
         run(data, folders[-1])
     found = compare_runs(folders)[0]
     assert (found.n_blocks, found.decision) == (5, "worse")
-    assert "fewer than 6 decide only changes far beyond the noise" in chance(found)
+    assert "fewer than 6 pairs decide only changes far beyond the noise" in chance(found)
 
 
 def test_copies_of_one_pair_under_another_seed_are_not_better(tmp_path):

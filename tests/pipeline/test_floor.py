@@ -273,17 +273,16 @@ def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, 
     (found,) = compare_runs([folder / "run", tmp_path / "other"], floor=folder / "floor")
     scores = {score.name: score for score in found.scores}
     floor_mean = pd.read_parquet(folder / "floor" / "pairs.parquet").covered_real_0p3m.mean()
-    covered = scores["real covered, 0.3 m"]
+    covered = scores["real covered 0.3 m"]
     assert covered.floor == pytest.approx(1 - floor_mean)
-    below = [score.name for score in found.scores if score.beyond_floor is False and score.direction]
+    below = [score.name for score in found.scores if score.beyond_floor is False and score.towards]
     assert below
     (line,) = [line for line in remarks(found) if line.startswith("no more than the floor")]
     assert all(name in line for name in below)
-    assert scores["CDC (objects in both)"].floor is None
     assert replace(covered, floor=2.0).beyond_floor is False
     page = tmp_path / "page.html"
     words = ("compare", folder / "run", tmp_path / "other", "--floor", folder / "floor")
-    text = shown(*words, "--html", page)
+    text = shown(*words, "--html", page, "--all")
     assert "Over the floor" in text
     assert "Over the floor" in page.read_text()
     assert len(json.loads(shown(*words, "--json"))[0]["excess"]) == 2
