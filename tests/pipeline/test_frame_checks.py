@@ -60,12 +60,17 @@ def test_check_names_the_mirrored_pair_with_both_figures_and_the_setting(mirrore
     assert other.endswith("set input.sim_frame=ros")
 
 
+def warning_of(done):
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("warning")]
+    return line
+
+
 def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
     out, done = finished
     assert done.returncode == 0
-    last = done.stdout.rstrip().splitlines()[-1]
-    assert last.startswith("warning: in 1 of 2 pairs the simulated scan seems to lie in another frame")
-    assert f"set {MENDED} and run again" in last
+    assert warning_of(done).startswith("warning: in 1 of 2 pairs the simulated scan seems to lie in another frame")
+    assert f"set {MENDED} and run again" in warning_of(done)
+    assert done.stdout.rstrip().splitlines()[-1].startswith("Next          fidpipe check ")
     frames = json.loads((out / "run.json").read_text())["frames"]
     assert frames.keys() == {"0"}
     assert (frames["0"]["reading"], frames["0"]["setting"]) == ("mirrored in y", MENDED)
@@ -74,11 +79,10 @@ def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
 
 def test_show_and_report_repeat_the_warning_of_the_run(finished, tmp_path):
     out, done = finished
-    last = done.stdout.rstrip().splitlines()[-1]
-    assert command("show", out).stdout.rstrip().splitlines()[-1] == last
+    assert warning_of(command("show", out)) == warning_of(done)
     page = write_report(out, out=tmp_path).page.read_text()
     said = html.unescape(re.search('<p id="frames" class="note worse">(.*?)</p>', page)[1])
-    assert said == last.replace("warning", "Warning")
+    assert said == warning_of(done).replace("warning", "Warning")
 
 
 def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_setting():

@@ -79,7 +79,8 @@ class FirstAnswer:
             "Trust",
             [(words, "", "") for words in trust[:n_cautions]] + [(f"more: {show}", "", "")] * (not self.with_all),
         )
-        yield "Next", [(shlex.join(["fidpipe", "report", str(self.folder), "--open"]), "", "")]
+        report = ["fidpipe", "report", str(self.folder), "--open"]
+        yield "Next", [(shlex.join(["fidpipe", "check", record.dataset] if record.frames else report), "", "")]
 
     def markdown(self) -> str:
         """The same as Markdown."""
