@@ -17,7 +17,7 @@ from fidpipe.pipeline.stage import OBJECTS
 from fidpipe.pipeline.storage.tables import JobRecord
 from fidpipe.schemas.settings import Settings
 
-N_JOBS = dict.fromkeys(("ground", "graph", "communities"), (4, 0))
+N_JOBS = dict.fromkeys(("ground", "sensor", "graph", "communities"), (4, 0))
 SIZES = [[0, 500], [1, 100]]
 COSTS = CostModel()
 
@@ -125,7 +125,7 @@ def test_a_pair_that_fails_early_leaves_nothing_to_do():
     work.end("a")
     work.end("b")
     assert work.share() == pytest.approx(1)
-    assert work.counts() == "2 of 2 pairs, 0 failed (ground 0/4, graph 0/4, communities 0/4)"
+    assert work.counts() == "2 of 2 pairs, 0 failed (ground 0/4, sensor 0/4, graph 0/4)"
 
 
 def test_a_long_silence_is_broken():
