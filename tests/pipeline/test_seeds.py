@@ -17,7 +17,7 @@ from fidpipe.schemas.metrics import SEEDED_SCORES
 from fidpipe.schemas.record import SeedSummary
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import SEEDS
-from runs import assert_same_tables, changed_files, command, marks, run, run_twice
+from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, command, marks, run, run_twice
 
 THREE = load(None, ["stability.seeds=3"])
 
@@ -133,7 +133,7 @@ def test_the_terminal_shows_the_spread(repeated):
 def test_the_option_is_the_setting(again, dataset):
     done = command("run", dataset, "--out", again, "--workers", 1, "--seeds", 3)
     assert done.returncode == 0, done.stderr
-    assert "0 jobs done, 24 reused" in done.stdout
+    assert f"0 jobs done, {2 * (JOBS_PER_PAIR + 1)} reused" in done.stdout
     assert "How stable the scores are (3 seeds, 2 pairs)" in done.stdout
 
 
