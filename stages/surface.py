@@ -136,7 +136,7 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     >>> points = np.random.default_rng(0).uniform(0, 9, (600, 3))
     >>> points[np.arange(600), np.arange(600) % 3] = 0  # the corner of a room
     >>> real, sim = describe_surface(points), describe_surface(points + [0.2, 0, -0.1])
-    >>> np.round(measure_offsets(real, sim).shift_m, 2).tolist()
+    >>> (np.round(measure_offsets(real, sim).shift_m, 2) + 0.0).tolist()
     [[0.2, 0.0, -0.1]]
     """
     of_sample = np.zeros(len(real.normal), dtype=np.int32) if labels is None else labels[real.rows[: len(real.normal)]]
