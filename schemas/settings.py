@@ -251,7 +251,7 @@ class MatchingSettings(_Group):
 
 
 class PieceSettings(_Group):
-    """What counts as a missing or invented piece of surface."""
+    """Definition of a missing or invented piece of surface."""
 
     reach_m: Annotated[
         float, Field(gt=0, description="object points with nothing of the other side this near are in pieces")

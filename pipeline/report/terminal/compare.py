@@ -67,7 +67,7 @@ def decision(comparison: Comparison) -> str:
         is_same = overall(comparison.families) == "same"
         few = f"{comparison.n_blocks} independent pair{'s' * (comparison.n_blocks != 1)} cannot decide"
         is_few = comparison.n_blocks < LEAST_FOR_INTERVAL and not comparison.by_direction
-        unsure = few if is_few else f"no change{others} can be told from chance"
+        unsure = few if is_few else f"no change{others} stands out from chance"
         parts.append(f"no score{others} changed" if is_same else unsure)
     words = [part.removeprefix(f"{comparison.decision}: ") for part in parts]
     return f"{comparison.decision}: {'; '.join(words)}"
@@ -88,7 +88,7 @@ def chance(comparison: Comparison) -> str:
 
 
 def remarks(comparison: Comparison) -> list[str]:
-    """What a reader must know in addition to the numbers."""
+    """Notes that qualify the numbers."""
     lines = [f"settings differ: {text}" for text in comparison.settings]
     lines += [f"also differs: {text}" for text in comparison.notes]
     tending = [family.name for family in comparison.families if family.tendency == "worse"]

@@ -43,7 +43,7 @@ def history_decision(history: History) -> str:
     n, pairs = len(last), f"{history.n_blocks} independent pair{'s' * (history.n_blocks != 1)}"
     counts = [f"{last.count(word)} of {n} families {word}" for word in ("worse", "mixed", "better") if word in last]
     what = ", ".join(counts) or (
-        "no score changed" if set(last) == {"same"} else "no difference can be told from chance"
+        "no score changed" if set(last) == {"same"} else "no difference stands out from chance"
     )
     n_failed = f"{len(history.failed)} pair{'s' * (len(history.failed) != 1)}"
     failed = f"{n_failed} that run 1 has scored fail now; of the others " if history.failed else ""
