@@ -39,6 +39,7 @@ check: setup browser javascript
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
+	$(BIN)/python tools/size.py
 	$(SPHINX)
 	$(BIN)/pytest $(AT_ONCE) $(TESTED)
 

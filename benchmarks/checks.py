@@ -20,14 +20,14 @@ import numpy as np
 from fidpipe.pipeline.datasets.pairs import ScanPair
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.datasets.readers.scan import Scan
-from fidpipe.pipeline.datasets.side_checks import SideSamples
+from fidpipe.pipeline.inspect.side_checks import SideSamples
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros, clean_scan
-from fidpipe.stages.sensing.frames import check_frames
-from fidpipe.stages.sensing.plausibility import implausible
-from fidpipe.stages.sensing.scans import make_pair
-from fidpipe.stages.sensing.sensor_models import SENSORS
-from fidpipe.stages.sensing.stamps import describe_stamps
+from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.inspect.frames import check_frames
+from fidpipe.stages.inspect.plausibility import implausible
+from fidpipe.stages.inspect.sensor_models import SENSORS
+from fidpipe.stages.inspect.stamps import describe_stamps
 
 SETTINGS = InputSettings()
 SEEN = {  # which fault a warning is of

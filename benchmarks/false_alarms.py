@@ -37,8 +37,8 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.families import judge_families, overall
-from fidpipe.stages.statistics.claim_rules import HOLDS
-from fidpipe.stages.statistics.claims import check_claims
+from fidpipe.stages.paper.claim_rules import HOLDS
+from fidpipe.stages.paper.claims import check_claims
 from fidpipe.stages.statistics.comparison import adjusted_p_values, holm
 from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects
 

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import InputSettings
-from fidpipe.stages.sensing.frames import check_frames
-from fidpipe.stages.sensing.scans import make_pair
-from fidpipe.stages.sensing.sensor_models import SENSORS
+from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.inspect.frames import check_frames
+from fidpipe.stages.inspect.sensor_models import SENSORS
 
 
 def turned(degrees, axis="z", shift=(0, 0, 0)):

@@ -16,9 +16,9 @@ import numpy as np
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import load
 from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.generate.perturbations import measure_again
 from fidpipe.stages.ground import remove_ground
 from fidpipe.stages.method import evaluate
-from fidpipe.stages.sensing.perturbations import measure_again
 
 SCANS = (
     *("kitti_sequence/000000.bin", "kitti_twin/real/000000.bin", "rellis/vel000104.bin", "rellis/000104.bin"),

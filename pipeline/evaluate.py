@@ -14,14 +14,14 @@ from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError, StageError
 from ..schemas.settings import Settings, parse
 from ..stages.arrays import FloatArray
-from ..stages.sensing.frames import check_frames
-from .datasets.frame_checks import frame_warning
+from ..stages.inspect.frames import check_frames
 from .datasets.pairs import ScanPair
 from .datasets.readers.scan import Scan
-from .datasets.scan_checks import ScanContent
 from .engine.plan import Planner
 from .engine.pool import one_blas_thread
 from .engine.worker import PairTables, make_job
+from .inspect.frame_checks import frame_warning
+from .inspect.scan_checks import ScanContent
 from .jobs import stages_under
 from .stage import ROW
 
@@ -69,7 +69,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     Warns
     -----
     UserWarning
-        The simulated scan seems to lie in another frame: mirrored, turned, shifted (`stages.sensing.frames`). Where 12
+        The simulated scan seems to lie in another frame: mirrored, turned, shifted (`stages.inspect.frames`). Where 12
         numbers of `T_real_sim` = [R | t] are named, pass `sim @ R.T + t`.
 
     Raises

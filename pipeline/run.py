@@ -20,23 +20,17 @@ import pyarrow.compute as pc
 from ..schemas.columns import SIDES, Row, Table
 from ..schemas.errors import DatasetError, RunError
 from ..schemas.record import RunHeader, RunRecord
-from ..schemas.results import (
-    Findings,
-    JsonObject,
-    ObjectOverview,
-    Overview,
-    PreviousRun,
-)
+from ..schemas.results import Findings, JsonObject, ObjectOverview, Overview, PreviousRun
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from ..stages.ground import peaks_note
-from .datasets.frame_checks import shared_files, swapped_sides
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .datasets.scan_checks import input_hashes
 from .engine.engine import Machines, RunEngine, Survey, absolute_paths, current_records
 from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
+from .inspect.frame_checks import shared_files, swapped_sides
+from .inspect.scan_checks import input_hashes
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
 from .results.findings import run_findings

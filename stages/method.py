@@ -22,20 +22,14 @@ from .communities import find_communities
 from .coverage import cover, nearest_distances
 from .graph import build_graph
 from .ground import GroundResult, remove_ground
+from .inspect.sensor import describe_sensor, pair_columns
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
 from .pieces import CutScan, Pieces, count_pieces, find_pieces
-from .reference import (
-    Annotation,
-    ReferenceObjects,
-    assign_to_reference,
-    find_reference_objects,
-    visiting_order,
-)
+from .reference import Annotation, ReferenceObjects, assign_to_reference, find_reference_objects, visiting_order
 from .selection import Selection, select_nodes
-from .sensing.sensor import describe_sensor, pair_columns
 from .summary import summarise_pair
 from .surface import compare_roughness, describe_surface, measure_offsets
 

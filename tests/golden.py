@@ -11,9 +11,9 @@ from pathlib import Path
 import pandas as pd
 
 from fidpipe.pipeline.jobs import STAGES
-from fidpipe.stages.sensing.scans import make_pair
-from fidpipe.stages.sensing.sensor import describe_sensor, sensor_row
-from fidpipe.stages.sensing.sensor_models import SENSORS
+from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.inspect.sensor import describe_sensor, sensor_row
+from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import run
 from scenes import write_dataset
 

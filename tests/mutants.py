@@ -120,7 +120,7 @@ def verdict(mutant, data):
 
 
 def run_and_verify(data, out):
-    from fidpipe.pipeline.results.verify.verify import verify_run
+    from fidpipe.pipeline.verify.verify import verify_run
     from fidpipe.schemas.settings import load
     from runs import run
 

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 import pictures
-from fidpipe.pipeline.experiments import synth
+from fidpipe.pipeline.generate import synth
 from fidpipe.pipeline.jobs import STAGES
 from object_pictures import WANTED, numbers_table
 from runs import STAGE_NAMES, run

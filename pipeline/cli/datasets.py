@@ -48,9 +48,9 @@ def synth(
 
     fidpipe synth dense/ --pairs 1 --sensor hdl64 --points 120000
     """
-    from ...stages.sensing.sensor_models import SENSORS
+    from ...stages.inspect.sensor_models import SENSORS
     from ..engine.progress import Reporter
-    from ..experiments.synth import SynthRequest, make_dataset
+    from ..generate.synth import SynthRequest, make_dataset
 
     if sensor not in SENSORS:
         raise typer.BadParameter(
@@ -135,11 +135,11 @@ def twin(
     from dataclasses import replace as with_values
 
     from ...schemas.settings import load
-    from ...stages.sensing.flaws import parse_flaws
-    from ..datasets.sensors import read_sensor
+    from ...stages.generate.flaws import parse_flaws
     from ..datasets.sequences import read_recording
     from ..engine.progress import Reporter
-    from ..experiments.twin import TwinRequest, make_twins
+    from ..generate.sensor_files import read_sensor
+    from ..generate.twin import TwinRequest, make_twins
 
     model = read_sensor(sensor)
     request = TwinRequest(

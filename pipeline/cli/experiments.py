@@ -78,9 +78,9 @@ def perturb(
     from ...schemas.settings import load
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..experiments.perturb.perturb import LEVELS, NULL, PerturbRequest, parse_levels, perturb_source
-    from ..report.figures.experiments import draw_perturbations
-    from ..report.terminal.experiments import perturb_view
+    from ..paper.experiment_figures import draw_perturbations
+    from ..paper.experiment_views import perturb_view
+    from ..paper.perturb import LEVELS, NULL, PerturbRequest, parse_levels, perturb_source
 
     check_machines(workers, scheduler)
     baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
@@ -146,9 +146,9 @@ def ablate(
     from ...schemas.settings import load
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..experiments.ablate.ablate import AblateRequest, ablate_dataset
-    from ..report.figures.experiments import draw_ablation
-    from ..report.terminal.experiments import ablate_view
+    from ..paper.ablate import AblateRequest, ablate_dataset
+    from ..paper.experiment_figures import draw_ablation
+    from ..paper.experiment_views import ablate_view
 
     check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}

@@ -235,8 +235,8 @@ def verify(
     if all_ and objects is not None:
         raise typer.BadParameter("--all is every object, --objects some; give one of the two")
     from ..engine.progress import SECONDS_BETWEEN_LINES, Reporter
-    from ..report.terminal.verify import verify_view
-    from ..results.verify.verify import verify_run
+    from ..verify.verify import verify_run
+    from ..verify.verify_view import verify_view
 
     reporter, last_line = Reporter(), monotonic()
 

@@ -79,7 +79,7 @@ def check(
     fidpipe check dataset/ --json | jq -r '.faults[]'
     """
     from ...schemas.settings import load
-    from ..datasets.scan_checks import check_dataset
+    from ..inspect.scan_checks import check_dataset
     from ..report.terminal.status import check_json, check_view
 
     found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
@@ -252,7 +252,7 @@ def floor(
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..experiments.floor import FloorRequest, run_floor
+    from ..generate.floor_run import FloorRequest, run_floor
     from ..report.terminal.run import outcome_view
 
     request = FloorRequest(

@@ -18,16 +18,9 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError
 from ...schemas.record import FrameSuspect
 from ...schemas.settings import Settings
-from ..datasets.frame_checks import frames_name
 from ..datasets.pairs import ScanPair
-from ..datasets.scan_checks import (
-    PairFacts,
-    ScanContent,
-    input_name,
-    pair_warnings,
-    recall_pair_frames,
-    recall_scan,
-)
+from ..inspect.frame_checks import frames_name
+from ..inspect.scan_checks import PairFacts, ScanContent, input_name, pair_warnings, recall_pair_frames, recall_scan
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder

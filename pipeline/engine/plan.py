@@ -11,7 +11,7 @@ from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ..datasets.pairs import ScanPair
-from ..datasets.scan_checks import ScanContent
+from ..inspect.scan_checks import ScanContent
 from ..stage import OBJECTS, SCAN, Grain, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder

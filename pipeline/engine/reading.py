@@ -9,7 +9,7 @@ from typing import Any
 from ...schemas.settings import InputSettings
 from ..datasets.pairs import ScanPair
 from ..datasets.readers import is_foreign
-from ..datasets.scan_checks import PairFacts, inspect_pairs
+from ..inspect.scan_checks import PairFacts, inspect_pairs
 from .pool import Handle, Pool, WorkerDied
 from .time_limit import Clock, OutOfTimeError, TimeLimit
 

@@ -21,15 +21,7 @@ from .costs import CostModel, largest_object
 from .memory import MemoryBudget
 from .plan import Job, JobId, PairPlan
 from .pool import Handle, Pool, WorkerDied
-from .worker import (
-    BatchResult,
-    JobFailure,
-    PairBatch,
-    gather_objects,
-    is_required,
-    run_batch,
-    score_objects,
-)
+from .worker import BatchResult, JobFailure, PairBatch, gather_objects, is_required, run_batch, score_objects
 
 _FIRST = 1e6  # priority of what others wait for
 

@@ -16,7 +16,7 @@ from ...schemas.errors import DiskFullError, FidpipeError, StageError
 from ...schemas.tables import TABLES
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
-from ..datasets.scan_checks import hash_scan
+from ..inspect.scan_checks import hash_scan
 from ..stage import SCAN, Column, Context, Facts, Grain, Made, Step, Tables, total_steps
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object

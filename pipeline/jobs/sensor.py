@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from ...schemas.tables import SENSOR
 from ...stages.clean import as_ros
-from ...stages.sensing.sensor import describe_sensor, pair_columns, sensor_row
+from ...stages.inspect.sensor import describe_sensor, pair_columns, sensor_row
 from ..stage import SCAN, Context, Grain, Made, Stage
 
 

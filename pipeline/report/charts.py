@@ -19,7 +19,7 @@ from ..results.compare import recorded_times_s
 from ..results.families import ScoreChange
 from ..results.history import FamilyHistory
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
-from .aggregates import (
+from .aggregates import (  # fmt: skip
     SCORES,
     Bins,
     PairsInOrder,
@@ -35,7 +35,7 @@ from .aggregates import (
     range_bands,
     range_bins,
     stage_times,
-)  # fmt: skip
+)
 from .look import FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
 from .results import RunResults
 

@@ -18,10 +18,10 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.coverage import nearest_distances
+from ...stages.inspect.sensor import SensorFacts
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
-from ...stages.sensing.sensor import SensorFacts
 from ..engine.pool import one_blas_thread
 from ..results.findings import SHAPE_COLUMNS, shape_of
 from ..results.finished import FinishedRun

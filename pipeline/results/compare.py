@@ -18,7 +18,6 @@ from ...schemas.errors import DatasetError, RunError
 from ...schemas.metrics import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
-from ...stages.sensing.neighbours import neighbours
 from ...stages.statistics.comparison import (
     BLOCK_S,
     KINDS,
@@ -28,6 +27,7 @@ from ...stages.statistics.comparison import (
     blocks_of,
     paired_difference,
 )
+from ...stages.statistics.neighbours import neighbours
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.tables import table_name

@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.results import Findings
 from ...stages.arrays import BoolArray, FloatArray, IndexArray, IntArray
-from ...stages.statistics.claims import check_claims
+from ...stages.paper.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
 from ..datasets.readers.scan import cause_of
 from ..storage.files import key_of

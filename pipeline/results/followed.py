@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...stages.sensing.typical_objects import SHAPES
 from ...stages.statistics.comparison import KINDS, kinds_of_change
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
+from ...stages.statistics.typical_objects import SHAPES
 from .finished import PairObjects
 
 #: Scores that are followed, columns of `metrics`.

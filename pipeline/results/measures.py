@@ -17,7 +17,7 @@ from ...schemas.metrics import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
-from ..datasets.scan_checks import input_hashes
+from ..inspect.scan_checks import input_hashes
 from ..storage.record import command_again
 from .findings import read_objects
 from .finished import FinishedRun

@@ -22,7 +22,7 @@ from ...schemas.settings import MatchingSettings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
-from ..datasets.frame_checks import frames_summary
+from ..inspect.frame_checks import frames_summary
 from ..storage.files import path_exists
 from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
 from .findings import ObjectRows, SideRows

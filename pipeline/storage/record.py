@@ -21,14 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
-from ...schemas.record import (
-    FrameSuspect,
-    Machine,
-    PairCounts,
-    RunHeader,
-    RunRecord,
-    Seconds,
-)
+from ...schemas.record import FrameSuspect, Machine, PairCounts, RunHeader, RunRecord, Seconds
 from ...schemas.results import Findings, PreviousRun, ScoreSummary
 from ...schemas.settings import Settings, departures, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst

@@ -9,8 +9,8 @@ import subprocess
 import pytest
 
 from fidpipe.pipeline.cli.output import print_view
-from fidpipe.pipeline.datasets.scan_checks import check_dataset
 from fidpipe.pipeline.engine.costs import CostModel
+from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.pipeline.report.terminal import status
 from fidpipe.pipeline.storage.ledger import Ledger
 from fidpipe.schemas.errors import DiskFullError

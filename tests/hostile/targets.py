@@ -126,7 +126,7 @@ def _sensors():
 
 
 def _read_sensor(folder):
-    from fidpipe.pipeline.datasets.sensors import read_sensor
+    from fidpipe.pipeline.generate.sensor_files import read_sensor
 
     (path,) = folder.glob("a.*")
     return read_sensor(str(path))
@@ -134,7 +134,7 @@ def _read_sensor(folder):
 
 def _recipes():
     """What `synth`, `twin` and `floor` wrote of how they made a folder; the other file says which of them."""
-    from fidpipe.pipeline.experiments.synth import SynthRequest
+    from fidpipe.pipeline.generate.synth import SynthRequest
     from fidpipe.pipeline.results.floor import FloorRecipe
 
     twin = 'version = 1\nseed = 0\ninputs_sha256 = "00"\nfiles = ["0.bin", "0.label"]\n[sensor]\nname = "x"\n'
@@ -146,7 +146,7 @@ def _recipes():
 def _go_on(folder):
     """Prepares to go on in a folder of this recipe: with what another recipe left there, and then in its place."""
     from fidpipe.pipeline.datasets.sequences import Recording
-    from fidpipe.pipeline.experiments import floor, synth, twin
+    from fidpipe.pipeline.generate import floor_run, synth, twin
     from fidpipe.pipeline.results.floor import FLOOR_DATASET, FloorRecipe, read_recipe
     from fidpipe.schemas.errors import FidpipeError
 
@@ -160,7 +160,7 @@ def _go_on(folder):
         if (recipe := read_recipe(out)) is None:
             raise FidpipeError("no recipe")
         wanted = FloorRecipe(1, "again", 0.02, 0.05, 0, "streets")
-        return floor._refuse_other_recipe(
+        return floor_run._refuse_other_recipe(
             SimpleNamespace(out=out, recipe=wanted, dataset="x", replace=False)
         ), recipe.words
     recording = Recording(folder / "posed", folder / "poses.txt", (), {4: "tree"})

@@ -11,10 +11,10 @@ import pytest
 
 from campaign import campaign
 from fidpipe.pipeline.cli import completion
-from fidpipe.pipeline.datasets.sensors import read_sensor
 from fidpipe.pipeline.datasets.sequences import Recording
 from fidpipe.pipeline.datasets.writers import convert
-from fidpipe.pipeline.experiments import synth, twin
+from fidpipe.pipeline.generate import synth, twin
+from fidpipe.pipeline.generate.sensor_files import read_sensor
 from fidpipe.pipeline.results.findings import read_columns
 from fidpipe.pipeline.results.floor import FLOOR_DATASET, FLOOR_RECIPE, read_recipe
 from fidpipe.schemas.errors import DatasetError, FidpipeError, OversizeError, RunError

@@ -13,7 +13,7 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.experiments.ablate.ablate import (
+from fidpipe.pipeline.paper.ablate import (
     AblateOutcome,
     AblateRequest,
     ablate_dataset,
@@ -21,13 +21,13 @@ from fidpipe.pipeline.experiments.ablate.ablate import (
     influences,
     parameter_sets,
 )
-from fidpipe.pipeline.report.figures.experiments import draw_ablation
+from fidpipe.pipeline.paper.experiment_figures import draw_ablation
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from fidpipe.stages import method
-from fidpipe.stages.statistics.parameter_choice import ParameterSet
+from fidpipe.stages.paper.parameter_choice import ParameterSet
 from runs import command, contents
 
 N_POINTS = 100

@@ -21,14 +21,14 @@ from fidpipe.pipeline.engine.cluster import DaskPool, code_hash, worker_fault
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.experiments.ablate.ablate import AblateRequest, ablate_dataset
-from fidpipe.pipeline.experiments.floor import FloorRequest, run_floor
-from fidpipe.pipeline.experiments.perturb.perturb import PerturbRequest, perturb_source
+from fidpipe.pipeline.generate.floor_run import FloorRequest, run_floor
 from fidpipe.pipeline.jobs import STAGES, metrics, selection
+from fidpipe.pipeline.paper.ablate import AblateRequest, ablate_dataset
+from fidpipe.pipeline.paper.perturb import PerturbRequest, perturb_source
 from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.sensing.perturbations import Perturbation
+from fidpipe.stages.generate.perturbations import Perturbation
 from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, no_temporary_files, own_process, run
 
 pytestmark = pytest.mark.slow

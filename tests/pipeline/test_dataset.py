@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.datasets.scan_checks import check_dataset
+from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.errors import DatasetError
 from fidpipe.schemas.settings import Settings, load
 from scenes import street, write_bin

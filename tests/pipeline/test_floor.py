@@ -17,7 +17,7 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.experiments.floor import FloorRequest, run_floor
+from fidpipe.pipeline.generate.floor_run import FloorRequest, run_floor
 from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.report.terminal.compare import remarks
 from fidpipe.pipeline.results.compare import compare_runs
@@ -27,9 +27,9 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.metrics import COVERAGE_SCORES, OBJECT_METRICS
 from fidpipe.schemas.settings import load
-from fidpipe.stages.sensing.scans import make_pair
-from fidpipe.stages.sensing.sensor import describe_sensor
-from fidpipe.stages.sensing.sensor_models import SENSORS
+from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.inspect.sensor import describe_sensor
+from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import assert_same_tables, command, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from sknetwork.clustering import Louvain
 
-from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from runs import rewrite, run, some_of

@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 import fidpipe
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.pipeline.datasets.scan_checks import check_dataset
 from fidpipe.pipeline.engine import reading
+from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.settings import InputSettings, Settings, load
-from fidpipe.stages.sensing.frames import check_frames
+from fidpipe.stages.inspect.frames import check_frames
 from runs import command, run
 from scenes import box, drifted, road, street, write_bin
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.settings import load
 from fidpipe.stages.literal import method
 from runs import run, some_of

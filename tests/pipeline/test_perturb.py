@@ -15,26 +15,26 @@ from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.plan import Part
 from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.experiments.experiment import experimenting, read_source
-from fidpipe.pipeline.experiments.perturb.jobs import GLOBAL
-from fidpipe.pipeline.experiments.perturb.objects import choose_objects
-from fidpipe.pipeline.experiments.perturb.perturb import LEVELS as DEFAULT_LEVELS
-from fidpipe.pipeline.experiments.perturb.perturb import (
+from fidpipe.pipeline.paper.experiment import experimenting, read_source
+from fidpipe.pipeline.paper.experiment_figures import draw_perturbations
+from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
+from fidpipe.pipeline.paper.perturb import (
     NULL,
     PerturbRequest,
     object_points,
     parse_levels,
     perturb_source,
 )
-from fidpipe.pipeline.report.figures.experiments import draw_perturbations
+from fidpipe.pipeline.paper.perturb_jobs import GLOBAL
+from fidpipe.pipeline.paper.perturb_objects import choose_objects
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.settings import load
+from fidpipe.stages.generate.perturbations import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.method import partition
-from fidpipe.stages.sensing.perturbations import Perturbation, perturb
-from fidpipe.stages.sensing.typical_objects import ScanObjects
-from fidpipe.stages.statistics.sweeps import react
+from fidpipe.stages.paper.sweeps import react
+from fidpipe.stages.statistics.typical_objects import ScanObjects
 from runs import command, contents
 from scenes import street, write_bin, write_dataset
 
@@ -108,7 +108,7 @@ def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(s
         seeds.append(settings.communities.seed)
         return partition(points, settings, **options)
 
-    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.jobs.partition", watched)
+    monkeypatch.setattr("fidpipe.pipeline.paper.perturb_jobs.partition", watched)
     assert DEFAULT_LEVELS[0] == NULL
     outcome = perturbed(scan, tmp_path / "run", levels=(NULL, *LEVELS[:1]), repeats=2, global_repeats=2)
     assert not outcome.failures
@@ -216,7 +216,7 @@ def test_a_job_that_fails_is_listed_and_the_others_are_there(scan, tmp_path, mon
             raise MemoryError("much")
         return GLOBAL.make(context)
 
-    monkeypatch.setattr("fidpipe.pipeline.experiments.perturb.perturb.GLOBAL", replace(GLOBAL, make=make))
+    monkeypatch.setattr("fidpipe.pipeline.paper.perturb.GLOBAL", replace(GLOBAL, make=make))
     outcome = perturbed(scan, tmp_path / "run", repeats=1, global_repeats=1)
     assert outcome.failures == {"street, noise-0.01": "out of memory (much)"}
     assert json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures

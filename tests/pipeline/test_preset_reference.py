@@ -11,7 +11,7 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
-from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import Settings, departures, load, parse, preset_of
 from fidpipe.schemas.settings_text import to_toml

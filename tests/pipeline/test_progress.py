@@ -8,10 +8,10 @@ import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.datasets.pairs import ScanPair
-from fidpipe.pipeline.datasets.scan_checks import ScanContent
 from fidpipe.pipeline.engine.costs import CostModel
 from fidpipe.pipeline.engine.plan import Part, Planner
 from fidpipe.pipeline.engine.progress import Reporter, Work, seconds_of
+from fidpipe.pipeline.inspect.scan_checks import ScanContent
 from fidpipe.pipeline.jobs import STAGES, matching
 from fidpipe.pipeline.stage import OBJECTS
 from fidpipe.pipeline.storage.tables import JobRecord

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from fidpipe.pipeline.datasets.readers import read_scan, stem_of, suffix_of
-from fidpipe.pipeline.datasets.scan_checks import ScanContent, check_dataset, hash_scan
+from fidpipe.pipeline.inspect.scan_checks import ScanContent, check_dataset, hash_scan
 from fidpipe.schemas.errors import ScanError
 from fidpipe.schemas.settings import GraphSettings, Settings
 from fidpipe.stages.graph import build_graph

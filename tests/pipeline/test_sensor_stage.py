@@ -6,10 +6,10 @@ import pytest
 
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.report.results import PairTables, read_results
-from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.sensing.scans import make_pair
-from fidpipe.stages.sensing.sensor_models import SENSORS
+from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import run
 
 N_POINTS = 12_000

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.datasets.scan_checks import check_dataset
+from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.settings import load
 from runs import command
 from scenes import box, road

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.experiments import synth
-from fidpipe.pipeline.experiments.synth import (
+from fidpipe.pipeline.generate import synth
+from fidpipe.pipeline.generate.synth import (
     SynthRequest,
     finish,
     make_files,
@@ -24,10 +24,10 @@ from fidpipe.pipeline.experiments.synth import (
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
+from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.generate.things import KINDS
 from fidpipe.stages.ground import remove_ground
-from fidpipe.stages.sensing.scans import make_pair
-from fidpipe.stages.sensing.sensor_models import SENSORS
-from fidpipe.stages.sensing.things import KINDS
+from fidpipe.stages.inspect.sensor_models import SENSORS
 
 N_POINTS = 400  # of a small scan
 CLASSES = ("wall", "car", "tree", "vegetation")

@@ -13,13 +13,13 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.datasets.sequences import read_recording
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.experiments import twin
+from fidpipe.pipeline.generate import twin
 from fidpipe.schemas.errors import DatasetError, FidpipeError
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.clean import clean_scan
-from fidpipe.stages.sensing.flaws import FLAWS, parse_flaws
-from fidpipe.stages.sensing.rescan import RECORDED
-from fidpipe.stages.sensing.sensor_models import SENSORS, SensorModel
+from fidpipe.stages.generate.flaws import FLAWS, parse_flaws
+from fidpipe.stages.generate.rescan import RECORDED
+from fidpipe.stages.inspect.sensor_models import SENSORS, SensorModel
 from runs import command, run, tables
 from scenes import box, moved, rigid, write_bin
 

@@ -13,10 +13,10 @@ import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
-from fidpipe.pipeline.report.terminal.verify import verify_view
-from fidpipe.pipeline.results.verify import comparisons, verify
-from fidpipe.pipeline.results.verify.comparisons import NOT_COMPARED, Comparisons, Place
-from fidpipe.pipeline.results.verify.verify import verify_run
+from fidpipe.pipeline.verify import comparisons, verify
+from fidpipe.pipeline.verify.comparisons import NOT_COMPARED, Comparisons, Place
+from fidpipe.pipeline.verify.verify import verify_run
+from fidpipe.pipeline.verify.verify_view import verify_view
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
 from fidpipe.schemas.settings import load

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fidpipe.stages.statistics.claim_rules import (
+from fidpipe.stages.paper.claim_rules import (
     FAILS,
     HOLDS,
     UNDECIDED,
@@ -18,7 +18,7 @@ from fidpipe.stages.statistics.claim_rules import (
     over_pairs,
     share_order,
 )
-from fidpipe.stages.statistics.claims import check_claims
+from fidpipe.stages.paper.claims import check_claims
 from fidpipe.stages.statistics.comparison import mean_test
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from fidpipe.schemas.errors import FidpipeError
-from fidpipe.stages.sensing.flaws import FLAWS, is_foliage, lose_foliage
-from fidpipe.stages.sensing.surfels import fit_planes, voxel_means
+from fidpipe.stages.generate.flaws import FLAWS, is_foliage, lose_foliage
+from fidpipe.stages.inspect.surfels import fit_planes, voxel_means
 from scenes import box, road
 
 NOTHING = {name: 1.0 if name == "density" else 0.0 for name in FLAWS}

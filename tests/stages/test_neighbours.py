@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.stages.sensing.neighbours import SAME_PLACE, map_place, neighbours, overlap
+from fidpipe.stages.statistics.neighbours import SAME_PLACE, map_place, neighbours, overlap
 from scenes import box, moved, rigid
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from fidpipe.stages.statistics.parameter_choice import ParameterSet, Trial, judge_parameters
+from fidpipe.stages.paper.parameter_choice import ParameterSet, Trial, judge_parameters
 
 BASE = ParameterSet(90, 0.2, 5.0, 1.0)
 VALUES = {"k": (30, 60, 90, 120, 150), "tau_m": (0.1, 0.2, 0.3, 0.5), "t": (0.1, 0.5, 1.0, 2.0, 5.0)}

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from fidpipe.stages.sensing.perturbations import KINDS, Perturbation, measure_again, perturb
+from fidpipe.stages.generate.perturbations import KINDS, Perturbation, measure_again, perturb
 
 
 def seeded(seed=3):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.stages.sensing.plausibility import implausible, widest_azimuth_gap_deg
+from fidpipe.stages.inspect.plausibility import implausible, widest_azimuth_gap_deg
 from scenes import road, street
 
 

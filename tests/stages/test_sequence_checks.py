@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.stages.sensing.sequence_checks import (
+from fidpipe.stages.inspect.sequence_checks import (
     Places,
     find_ego_hits,
     find_empty_side,

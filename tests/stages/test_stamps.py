@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.stages.sensing.stamps import describe_stamps, stamp_differences
+from fidpipe.stages.inspect.stamps import describe_stamps, stamp_differences
 
 TURN_S = 0.1
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from fidpipe.stages.sensing.perturbations import Perturbation
-from fidpipe.stages.statistics.sweep_claims import judge_claims
-from fidpipe.stages.statistics.sweeps import Means, react
+from fidpipe.stages.generate.perturbations import Perturbation
+from fidpipe.stages.paper.sweep_claims import judge_claims
+from fidpipe.stages.paper.sweeps import Means, react
 
 
 def rigid(slope):

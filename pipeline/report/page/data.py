@@ -10,7 +10,7 @@ import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC, metric_of
-from ....stages.sensing.sensor import differences, sensor_lines
+from ....stages.inspect.sensor import differences, sensor_lines
 from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
 from ...terminal import STEERING

@@ -23,24 +23,12 @@ from ....schemas.metrics import (
     reach_words,
     unit_words,
 )
-from ....schemas.record import (
-    SURFACE_STATES,
-    BaselineSummary,
-    RunRecord,
-    SeedSummary,
-    SurfaceStates,
-)
-from ....schemas.results import (
-    Claim,
-    ClassFindings,
-    Findings,
-    Overview,
-    Unmatched,
-)
+from ....schemas.record import SURFACE_STATES, BaselineSummary, RunRecord, SeedSummary, SurfaceStates
+from ....schemas.results import Claim, ClassFindings, Findings, Overview, Unmatched
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
-from ....stages.statistics.claim_rules import FAILS, HOLDS, UNDECIDED
-from ...datasets.frame_checks import frames_summary
+from ....stages.paper.claim_rules import FAILS, HOLDS, UNDECIDED
+from ...inspect.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...results.floor import RunExcess
 from ...results.overview import independence

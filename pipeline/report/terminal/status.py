@@ -13,10 +13,10 @@ from rich.text import Text
 from ....schemas.columns import SIDES
 from ....schemas.paper import TIMINGS
 from ....schemas.results import JsonObject
-from ....stages.sensing.sensor import sensor_lines
-from ...datasets.scan_checks import DatasetCheck, ScanFacts
-from ...datasets.sensor_checks import SensorCheck
+from ....stages.inspect.sensor import sensor_lines
 from ...engine.costs import CostModel
+from ...inspect.scan_checks import DatasetCheck, ScanFacts
+from ...inspect.sensor_checks import SensorCheck
 from ...results.status import STATES, RunStatus
 from ...storage.files import free_bytes, megabytes
 from ...storage.record import command_again

@@ -1,1 +1,0 @@
-"""Drive the same stages on made or altered scans."""

@@ -1,1 +1,0 @@
-"""How the scores depend on the settings."""

@@ -1,1 +1,0 @@
-"""How the scores answer to known alterations."""

@@ -1,0 +1,1 @@
+"""Generating datasets: synthetic streets, twins of recorded scans, noise floors."""

@@ -1,0 +1,1 @@
+"""Inspecting datasets: scans, frames, sides and sensors, as `fidpipe check` shows them."""

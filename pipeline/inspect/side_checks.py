@@ -1,0 +1,161 @@
+"""What is wrong with a side as a whole: late, standing still, nearly empty, hits on its own vehicle, times of points.
+
+Told from a few scans: two stretches of five neighbouring pairs, a quarter into the dataset and before its last quarter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...schemas.columns import SIDES
+from ...schemas.settings import InputSettings
+from ...stages.arrays import FloatArray
+from ...stages.clean import as_ros, clean_scan
+from ...stages.inspect.sequence_checks import (
+    MOST_FRAMES_LATE,
+    EgoHits,
+    Places,
+    find_ego_hits,
+    find_empty_side,
+    find_static_side,
+    find_time_offset,
+    is_moving,
+    moved_m,
+)
+from ...stages.inspect.stamps import StampFacts, describe_stamps, stamp_differences
+from ..datasets.pairs import ScanPair
+from ..datasets.readers.scan import Scan
+
+_STRETCH = 5
+_WITH_STAMPS = 2  # pairs
+_NAMES = {"real": "real", "sim": "simulated"}
+
+
+class SideSamples:
+    """Collects what is needed of the scans of a few pairs, while all are read, and judges both sides by it.
+
+    pairs : all of the dataset
+    """
+
+    def __init__(self, pairs: Sequence[ScanPair], settings: InputSettings) -> None:
+        self._settings = settings
+        self._stretches = _stretches(pairs)
+        self._sampled = {pair.pair_id for stretch in self._stretches for pair in stretch}
+        self._with_stamps = {pair.pair_id for pair in pairs[:_WITH_STAMPS]}
+        self.pair_ids = self._sampled | self._with_stamps  # pairs that are looked at closely
+        self._points: dict[str, dict[str, FloatArray]] = {side: {} for side in SIDES}  # clean, own frame, z up
+        self._places: dict[str, dict[str, Places]] = {side: {} for side in SIDES}
+        self._stamps: dict[str, StampFacts] = {}
+
+    def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
+        """Takes what it needs of a pair; scans that could not be read are left out."""
+        for side, scan in scans.items():
+            frame = self._settings.frame_of(side)
+            if pair.pair_id in self._with_stamps and scan.times_s is not None and side not in self._stamps:
+                self._stamps[side] = describe_stamps(scan.times_s, as_ros(scan.points, frame), scan.stamp_s)
+            if pair.pair_id in self._sampled:
+                own = self._settings.model_copy(update={"include_box": None})
+                points = clean_scan(scan.points, own, frame=frame).points
+                self._points[side][pair.pair_id] = points
+                if side == "sim" and pair.T_real_sim:
+                    T = np.array(pair.T_real_sim).reshape(3, 4)
+                    points = points @ T[:, :3].T + T[:, 3]
+                self._places[side][pair.pair_id] = Places(points)
+
+    def notes(self) -> list[str]:
+        """What the times of the points say of each side that has them, one line each."""
+        lines = []
+        for side, stamps in self._stamps.items():
+            if stamps.span_s and not stamps.faults:
+                own = f"; a scan's own time is that of its {stamps.place} point" if stamps.place else ""
+                lines.append(f"{_NAMES[side]} scans: {stamps.span_s:.3g} s from first to last point{own}")
+        return lines
+
+    def warnings(self, n_clean: Mapping[str, Sequence[int]]) -> list[str]:
+        """What is wrong with a side as a whole, one line each.
+
+        Parameters
+        ----------
+        n_clean : by side, points of each scan after cleaning, 0 of one that cannot be used
+        """
+        lines = [f"{_NAMES[side]} scans: {text}" for side, own in self._stamps.items() for text in own.faults]
+        lines += stamp_differences(self._stamps.get("real"), self._stamps.get("sim"))
+        counts = {side: np.array(n_clean[side], dtype=np.intp) for side in SIDES}
+        if empty := find_empty_side(counts["real"], counts["sim"]):
+            medians = {side: f"{np.median(own):.0f}" for side, own in counts.items()}
+            lines.append(
+                f"the {_NAMES[empty]} side is nearly empty: median of {medians['real']} points real and "
+                f"{medians['sim']} simulated, after cleaning; was the sensor on, are its columns right?"
+            )
+            return lines
+        moved = {side: moved_m(self._in_stretches(side)) for side in SIDES}
+        if static := find_static_side(moved["real"], moved["sim"]):
+            other = "sim" if static == "real" else "real"
+            lines.append(
+                f"all {_NAMES[static]} scans are alike: neighbouring ones are {moved[static]:.2f} m apart, "
+                f"{_NAMES[other]} ones {moved[other]:.2f} m; is one scan written again and again?"
+            )
+        else:
+            lines += self._time_offset()
+        for side in SIDES:
+            lines += self._ego_hits(side, moved[side])
+        return lines
+
+    def _in_stretches(self, side: str) -> list[list[Places]]:
+        known = self._places[side]
+        return [[known[pair.pair_id] for pair in stretch if pair.pair_id in known] for stretch in self._stretches]
+
+    def _time_offset(self) -> list[str]:
+        stretches = [[pair for pair in own if self._has_both(pair)] for own in self._stretches]
+        found = find_time_offset(
+            [tuple([self._places[side][pair.pair_id] for pair in own] for side in SIDES) for own in stretches]  # type: ignore[misc]
+        )
+        if found is None:
+            return []
+        word = "late" if found.frames > 0 else "early"
+        times = [pair.timestamp_s for pair in stretches[0] if pair.timestamp_s is not None]
+        seconds = f" ({abs(found.frames) * float(np.median(np.diff(times))):.2g} s)" if len(times) > 1 else ""
+        n = abs(found.frames)
+        frames = "a frame" if n == 1 else f"{n} frames{' or more' * (n == MOST_FRAMES_LATE)}"
+        return [
+            f"simulated scans seem {frames} {word}{seconds}: real ones are {found.misfit_m:.2f} m from those of pair "
+            f"{found.frames:+d}, {found.as_paired_m:.2f} m from their own (better in {found.n_better} of {found.n}); "
+            "is fidpipe pair's --offset right, or is the simulated sensor mounted farther ahead or back?"
+        ]
+
+    def _has_both(self, pair: ScanPair) -> bool:
+        return all(pair.pair_id in self._places[side] for side in SIDES)
+
+    def _ego_hits(self, side: str, side_moved_m: float) -> list[str]:
+        scans = self._points[side]
+        if not is_moving(side_moved_m) or not scans:
+            return []
+        ground_m = float(np.median([Places(points).ground_m for points in scans.values()]))
+        hits = find_ego_hits(list(scans.values()), ground_m)
+        return [] if hits is None else [f"{_NAMES[side]} scans: {_ego_text(hits, side, self._settings)}"]
+
+
+def _stretches(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
+    """Neighbouring pairs, in order of time where it is known, else of their names."""
+    ordered = list(pairs)
+    if all(pair.timestamp_s is not None for pair in ordered):
+        ordered.sort(key=lambda pair: (pair.timestamp_s or 0.0, pair.pair_id))
+    if len(ordered) <= 2 * _STRETCH:
+        return [ordered]
+    first = len(ordered) // 4
+    second = max(first + _STRETCH, 3 * len(ordered) // 4 - _STRETCH)
+    return [ordered[start : start + _STRETCH] for start in (first, second)]
+
+
+def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:
+    """The hits, and the settings that drop them, with what else these drop."""
+    axes = as_ros(np.eye(3), settings.frame_of(side))  # a row for each axis of the side's own frame
+    corners = np.array([hits.low, hits.high]) @ axes.T
+    box = ",".join(f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0)))
+    return (
+        f"{hits.share:.1%} of the points lie within {hits.farthest_m:.1f} m and move with the sensor: hits on its own "
+        f"vehicle? input.exclude_box={box} drops them and {hits.others_in_box:.1%} others, "
+        f"input.min_range_m={hits.farthest_m:.1f} them and {hits.others_in_range:.1%} others"
+    )

@@ -1,0 +1,1 @@
+"""Reproducing the paper: perturbation and ablation experiments, its claims and its tables."""

@@ -1,0 +1,172 @@
+"""The figures of the paper's experiments, `fidpipe perturb` (Fig. 3) and `fidpipe ablate` (Fig. "ablation")."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ...schemas.metrics import metric_of
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.generate.perturbations import Perturbation
+from ...stages.paper.sweeps import Means
+from ..report.figures.style import (
+    VIEW,
+    box_of,
+    dots,
+    draw_band,
+    frame_of,
+    from_above,
+    mark_amounts,
+    metres,
+    new_figure,
+    shown_name,
+)
+from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from .ablate import PARAMETERS, AblateOutcome
+from .perturb import PerturbOutcome, object_points
+
+_TOP_IN, _ROW_IN = 3.0, 2.3
+_MOST_DRAWN = 4
+_ALTERATIONS = {
+    "noise": "noise, standard deviation (m)",
+    "dropout": "dropout, share of points lost",
+    "hallucination": "hallucination, share of points added",
+    "density": "local density, factor",
+}
+_LOGARITHMIC = ("noise", "density")
+_OBJECT_COLOURS = {"vegetation": GREEN, "car": VERMILLION, "tree": ORANGE, "wall": BLUE}
+_OTHER_COLOURS = (BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY)
+_MARKERS = "os^Dvp"
+_SETTINGS = {"k": "k, neighbours", "tau_m": "tau (m)", "delta_m": "delta (m)", "t": "t, diffusion time"}
+_SCORES = {"r_lambda_mean": (BLUE, "o"), "match_rate": (GREEN, "s")}
+
+
+def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
+    """Writes `perturb.png` into the folder; None where nothing was done that can be drawn."""
+    if not outcome.objects:
+        return None
+    curves = [kind for kind in _ALTERATIONS if any(level.kind == kind for level in outcome.levels)]
+    scan = outcome.objects[0].pair_id
+    drawn = [chosen for chosen in outcome.objects if chosen.pair_id == scan][:_MOST_DRAWN]
+    points, community = object_points(outcome.folder, scan)
+    names = list(dict.fromkeys(chosen.name for chosen in outcome.objects))
+    colours = {name: _OBJECT_COLOURS.get(name, _OTHER_COLOURS[i % len(_OTHER_COLOURS)]) for i, name in enumerate(names)}
+    n_rows = (len(curves) + 1) // 2
+    with new_figure(11, _TOP_IN + _ROW_IN * n_rows) as figure:
+        top, bottom = figure.subfigures(2, 1, height_ratios=(_TOP_IN, max(_ROW_IN * n_rows, 0.1)))
+        top.suptitle(f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats")
+        grid = top.add_gridspec(1, 1 + len(drawn), width_ratios=(1.3, *[1] * len(drawn)))
+        chosen_colours = {chosen.community_id: colours[chosen.name] for chosen in drawn}
+        _draw_scene(top.add_subplot(grid[0]), points, community, chosen_colours)
+        for place, chosen in enumerate(drawn, start=1):
+            axis = top.add_subplot(grid[place], projection="3d", **VIEW)
+            own = points[community == chosen.community_id]
+            corner, size = box_of(own)
+            dots(axis, own - corner, 1.5, colours[chosen.name])
+            metres(axis, size, zoom=0.75)
+            title = f"{shown_name(chosen.name)}: {chosen.n_points:,} points,\n{chosen.range_m:.0f} m away"
+            axis.set_title(title, fontsize=8.5)
+        if curves:
+            _draw_panels(bottom, outcome, curves, colours)
+        path = outcome.folder / "perturb.png"
+        figure.savefig(path, dpi=115)
+    return path
+
+
+def draw_ablation(outcome: AblateOutcome) -> Path | None:
+    """Writes `ablate.png` into the folder; None where there is nothing to draw."""
+    names = [name for name in PARAMETERS if len(outcome.values[name]) > 1]
+    if not names or not outcome.rows.num_rows:
+        return None
+    rows = outcome.rows.to_pandas()
+    n_pairs = rows.pair_id.nunique()
+    spreads = rows.groupby(list(PARAMETERS))[list(_SCORES)].agg(["mean", "std"])
+    has_maps = outcome.grid and len(outcome.values["k"]) > 1 and len(outcome.values["tau_m"]) > 1
+    title = f"mean over {n_pairs} pair{'s' * (n_pairs > 1)}, bands: one standard deviation; dashed: in force"
+    with new_figure(2.75 * max(len(names), 2), 2.7 + 2.8 * has_maps, title) as figure:
+        top, *below = figure.subfigures(2, 1) if has_maps else [figure]
+        for axis, name in zip(top.subplots(1, len(names), sharey=True, squeeze=False)[0], names, strict=True):
+            _draw_scores(axis, spreads, outcome, name)
+        top.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        for maps in below:
+            _draw_maps(maps, spreads, outcome)
+        path = outcome.folder / "ablate.png"
+        figure.savefig(path, dpi=120)
+    return path
+
+
+def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], colours: dict[str, str]) -> None:
+    """Two panels for each kind of alteration; those of one metric have the same scale."""
+    means = outcome.means
+    panels = [(kind, metric) for kind in curves for metric in ("r_lambda", "r_gap")]
+    axes = figure.subplots((len(panels) + 3) // 4, 4, squeeze=False).ravel()
+    for i, (axis, (kind, metric)) in enumerate(zip(axes, panels, strict=False)):
+        if i > 1:
+            axis.sharey(axes[i % 2])
+        _draw_answers(axis, means, [level for level in outcome.levels if level.kind == kind], metric, colours)
+        axis.set_title(f"({'bcdefghi'[i]})", loc="left")
+    for axis in axes[:2]:
+        axis.set_ylim(bottom=0)
+    for axis in axes[len(panels) :]:
+        axis.set_axis_off()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(colours))
+
+
+def _draw_scene(axis: Any, points: FloatArray, community: IntArray, colour_of: dict[int, str]) -> None:
+    """All objects from above, the chosen ones in their colours."""
+    greys = 0.62 + 0.25 * (np.arange(int(community.max()) + 1) * 0.618 % 1)  # neighbours in number differ
+    dots(axis, points, 0.8, np.repeat(greys[community, None], 3, axis=1))
+    for chosen, colour in colour_of.items():
+        dots(axis, points[community == chosen], 1.6, colour)
+    from_above(axis, frame_of(points))
+    axis.set_title(f"(a) {int(community.max()) + 1} objects from above,\n{len(colour_of)} of them chosen", fontsize=8.5)
+
+
+def _draw_answers(
+    axis: Any, means: Means, levels: Sequence[Perturbation], metric: str, colours: dict[str, str]
+) -> None:
+    levels = sorted(levels, key=lambda level: level.amount)
+    for marker, (name, colour) in zip(_MARKERS * len(colours), colours.items(), strict=False):
+        answers = [(level.amount, means.get(name, level, metric)) for level in levels]
+        known = [(amount, answer.mean, answer.std or 0.0) for amount, answer in answers if answer.mean is not None]
+        if known:
+            draw_band(axis, *np.array(known).T, marker=marker, color=colour, label=shown_name(name))
+    kind = levels[0].kind
+    if kind in _LOGARITHMIC and levels[0].amount > 0:
+        axis.set_xscale("log", base=2 if kind == "density" else 10)
+    mark_amounts(axis, [level.amount for level in levels])
+    axis.set(xlabel=_ALTERATIONS[kind], ylabel=metric)
+
+
+def _draw_scores(axis: Any, spreads: pd.DataFrame, outcome: AblateOutcome, name: str) -> None:
+    """Mean and deviation over pairs of both scores while one setting moves."""
+    values = np.array(outcome.values[name], dtype=float)
+    own = spreads.reindex(pd.MultiIndex.from_tuples([tuple(vars(point).values()) for point in outcome.along(name)]))
+    for score, (colour, marker) in _SCORES.items():
+        mean, std = own[score, "mean"].to_numpy(), own[score, "std"].fillna(0).to_numpy()
+        draw_band(axis, values, mean, std, marker=marker, color=colour, label=metric_of(score).label)
+    axis.axvline(getattr(outcome.base, name), color="black", linewidth=0.8, linestyle="--", zorder=0)
+    if values.max() > 10 * values.min() > 0:
+        axis.set_xscale("log")
+    mark_amounts(axis, values)
+    axis.set(ylim=(0, 1), xlabel=_SETTINGS[name])
+
+
+def _draw_maps(figure: Any, spreads: pd.DataFrame, outcome: AblateOutcome) -> None:
+    """Both scores over k and tau, delta and t as in force."""
+    own = spreads.xs((outcome.base.delta_m, outcome.base.t), level=("delta_m", "t"))
+    for axis, score in zip(figure.subplots(1, 2), _SCORES, strict=True):
+        table = own[score, "mean"].unstack("k")
+        picture = axis.imshow(table, origin="lower", aspect="auto", cmap="viridis")
+        middle = np.mean(picture.get_clim())
+        for (row, column), value in np.ndenumerate(table.to_numpy()):
+            look = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white" if value < middle else "black"}
+            axis.text(column, row, f"{value:.3f}", **look)
+        axis.set_xticks(range(table.shape[1]), [f"{k:g}" for k in table.columns])
+        axis.set_yticks(range(table.shape[0]), [f"{tau_m:g}" for tau_m in table.index])
+        axis.set(xlabel=_SETTINGS["k"], ylabel=_SETTINGS["tau_m"], title=metric_of(score).label)
+        figure.colorbar(picture, ax=axis)

@@ -1,0 +1,222 @@
+"""`fidpipe perturb`: how the scores answer to known alterations of a real scan (paper, Table I and Fig. 3).
+
+What is altered are object points, after cleaning and ground removal. *Global*: all of them, everything from the graph
+on is run again. *Object level*: those of one community, its graph rebuilt from them alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ...schemas.columns import Row
+from ...schemas.errors import DatasetError, SettingsError
+from ...schemas.experiment_tables import PERTURB_SUMMARY
+from ...schemas.metrics import DATASET_SCORES, OBJECT_METRICS
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.generate.perturbations import KINDS, Perturbation
+from ...stages.paper.sweeps import Means
+from ...stages.statistics.typical_objects import ChosenObject
+from ..engine.costs import CostModel
+from ..engine.engine import absolute_paths
+from ..engine.plan import Part
+from ..engine.progress import Reporter
+from ..jobs.points import column
+from ..storage.files import key_of
+from ..storage.folder import RunFolder
+from .experiment import Experiment, ExperimentOutcome, ExperimentRequest, experimenting, mean_rows, read_source
+from .perturb_jobs import BASELINE, GLOBAL, OBJECT
+from .perturb_objects import choose_objects, read_objects
+
+#: What a scan differs from itself by where nothing has changed: the first row of every table. One point less, rows in
+#: another order, another Louvain seed; noise and rigid motion keep the order, dropout and the others do not.
+NULL = Perturbation("null", 1.0)
+#: Noise, dropout and rigid motion as in the paper; the null row, hallucination and density are ours.
+LEVELS = (
+    NULL,
+    *(Perturbation("noise", std_m) for std_m in (1e-3, 1e-2, 1e-1)),
+    *(Perturbation("dropout", share) for share in (0.05, 0.2, 0.4)),
+    *(Perturbation("rigid", angle_deg, shift_m) for shift_m, angle_deg in ((0.0, 0.5), (0.0, 1.0), (0.05, 2.0))),
+    *(Perturbation("hallucination", share) for share in (0.05, 0.2, 0.4)),
+    *(Perturbation("density", factor) for factor in (0.25, 0.5, 2.0, 4.0)),
+)
+
+#: Least and largest amount of each kind.
+_BOUNDS = {
+    "null": (0, 100),
+    "noise": (0, 10),
+    "dropout": (0, 0.99),
+    "rigid": (-180, 180),
+    "hallucination": (0, 10),
+    "density": (0, 20),
+}
+
+
+@dataclass(frozen=True)
+class PerturbRequest(ExperimentRequest):
+    """What the user asked for; of a dataset without a pattern the real side of the first pair is taken.
+
+    levels : ways and amounts of altering
+    repeats, global_repeats : of each level at object level and of the whole scan
+    seed : another one gives other random numbers
+    objects : community ids and labels; None for the classes of the paper, or shapes
+    """
+
+    levels: tuple[Perturbation, ...] = LEVELS
+    repeats: int = 20
+    global_repeats: int = 5
+    seed: int = 0
+    objects: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerturbOutcome(ExperimentOutcome):
+    """What has become of the experiment.
+
+    scans : names of those that were altered
+    objects : the chosen ones of all scans
+    summary : rows of `perturb_summary`
+    """
+
+    scans: tuple[str, ...]
+    objects: tuple[ChosenObject, ...]
+    levels: tuple[Perturbation, ...]
+    summary: pa.Table
+
+    @property
+    def means(self) -> Means:
+        """The summary, to be looked up."""
+        return Means(self.summary.to_pylist())
+
+
+def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcome:
+    """Alters scans and objects, scores what came of it, and writes the tables.
+
+    Raises
+    ------
+    FidpipeError
+        The scan, the dataset, a setting or the folder is wrong; before any work.
+    """
+    request = absolute_paths(request)
+    source = read_source(request.source, request.pattern, first_only=True)
+    if request.objects and any(word.isdigit() for word in request.objects) and len(source.pairs) > 1:
+        raise DatasetError(
+            f"--objects {','.join(request.objects)}: an object's number belongs to one scan, {len(source.pairs)} are "
+            "chosen; name one with --pairs, or give labels"
+        )
+    stages = (GLOBAL, OBJECT, BASELINE)
+    with experimenting("perturb", source, request, reporter, stages=stages, sides=("real",)) as experiment:
+        chosen = {}
+        for plan in experiment.prepare():
+            scan = read_objects(experiment.folder, plan.pair_id)
+            chosen[plan.pair_id] = choose_objects(scan, request.objects, request.settings.graph.k, reporter.say)
+        objects = tuple(each for own in chosen.values() for each in own)
+        facts = {
+            "seed": request.seed,
+            "repeats": {"global": request.global_repeats, "object": request.repeats},
+            "levels": [vars(level) for level in request.levels],
+            "objects": [vars(each) for each in objects],
+        }
+        experiment.make({scan: _parts(request, experiment, scan, own) for scan, own in chosen.items()}, facts)
+        summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
+        return PerturbOutcome(
+            **experiment.finish(), scans=tuple(chosen), objects=objects, levels=request.levels, summary=summary
+        )
+
+
+def object_points(folder: Path, scan: str) -> tuple[FloatArray, IntArray]:
+    """Object points of an unaltered scan, (n, 3) metres, and the community of each, from the experiment's folder."""
+    run_folder = RunFolder(folder)
+    ground = run_folder.read_table("ground", scan, "real", ["x", "y", "z", "is_ground"])
+    ground = ground.filter(pc.invert(ground.column("is_ground")))
+    points = np.column_stack([column(ground, axis) for axis in "xyz"])
+    return points, column(run_folder.read_table("communities", scan, "real"), "community_id")
+
+
+def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
+    """Levels from words: `dropout` (those of the paper), `dropout=0.1,0.3`, `rigid=0:0.5,0.05:2` (metres:degrees).
+
+    Raises
+    ------
+    SettingsError
+        The kind is unknown, or an amount is no number or out of bounds.
+
+    Examples
+    --------
+    >>> parse_levels(["dropout=0.1", "rigid=0.05:2"])[1]
+    Perturbation(kind='rigid', amount=2.0, shift_m=0.05)
+    """
+    levels: dict[Perturbation, None] = {}
+    for word in words:
+        kind, equals, amounts = word.partition("=")
+        if kind not in KINDS:
+            raise SettingsError(f"--sweep {word!r}: {kind!r} is no perturbation; known are {', '.join(KINDS)}")
+        if equals:
+            levels |= dict.fromkeys(_level(word, kind, text) for text in amounts.split(","))
+        else:
+            levels |= dict.fromkeys(level for level in LEVELS if level.kind == kind)
+    return tuple(levels)
+
+
+def _level(word: str, kind: str, text: str) -> Perturbation:
+    shift, colon, amount = text.rpartition(":")
+    low, high = _BOUNDS[kind]
+    try:
+        level = Perturbation(kind, float(amount), float(shift) if colon else 0.0)
+    except ValueError:
+        raise SettingsError(f"--sweep {word!r}: {text!r} found, a number is wanted (rigid: metres:degrees)") from None
+    if colon and kind != "rigid":
+        raise SettingsError(f"--sweep {word!r}: metres:degrees is for rigid; {kind} takes one number")
+    if not low <= level.amount <= high or not 0 <= level.shift_m <= 100:
+        raise SettingsError(f"--sweep {word!r}: {text} is out of bounds, {low:g} to {high:g} are allowed for {kind}")
+    return level
+
+
+def _parts(request: PerturbRequest, experiment: Experiment, scan: str, objects: Sequence[ChosenObject]) -> list[Part]:
+    """The wanted parts of one scan: each level of the whole scan, and of each chosen object."""
+    costs = CostModel()
+    sizes = experiment.folder.read_table("objects", scan, "real", ["n_points"]).column("n_points").to_pylist()
+    scan_seconds = sum(costs.object_seconds(n) for n in sizes)
+    parts = []
+
+    def seeds_of(what: int | str, level: Perturbation, n: int) -> list[int]:
+        """Seeds of n repeats: 60 bits of the hash of what each is about."""
+        name = ("perturb", request.seed, scan, what, level.kind, level.amount, level.shift_m)
+        return [int(key_of(*name, i)[:15], 16) for i in range(n)]
+
+    for level in request.levels:
+        seeds = seeds_of("all", level, request.global_repeats)
+        if seeds:
+            parts.append(Part(GLOBAL, _name(level), (level, seeds), len(seeds) * scan_seconds))
+        for chosen in objects:
+            number = chosen.community_id
+            seeds = seeds_of(number, level, request.repeats)
+            name, arguments = f"{number}-{_name(level)}", (number, chosen.name, level, seeds)
+            seconds = len(seeds) * costs.object_seconds(chosen.n_points)
+            parts.append(Part(OBJECT, name, arguments, seconds))
+            if request.settings.metrics.baselines:
+                parts.append(Part(BASELINE, name, arguments, 2 * seconds))
+    return parts
+
+
+def _name(level: Perturbation) -> str:
+    """A level as a part's name holds it: amounts in full, since levels may agree to many digits."""
+    return f"{level.kind}-{level.amount!r}" + (f"-{level.shift_m!r}" if level.kind == "rigid" else "")
+
+
+def _summary_rows(experiment: Experiment) -> list[Row]:
+    """The rows of `perturb_summary`: mean and standard deviation over the repeats of all scans."""
+    level = ["kind", "amount", "shift_m"]
+    whole, single = (experiment.rows(stage.name).to_pandas() for stage in (GLOBAL, OBJECT))
+    baselines = experiment.rows(BASELINE.name).to_pandas().rename(columns={"baseline": "metric"})
+    rows = [
+        {"scope": "global"} | row for row in mean_rows(whole.melt(level, DATASET_SCORES, "metric"), [*level, "metric"])
+    ]
+    for scores in (single.melt(["object", *level], OBJECT_METRICS, "metric"), baselines):
+        rows += [{"scope": "object"} | row for row in mean_rows(scores, ["object", *level, "metric"])]
+    return rows

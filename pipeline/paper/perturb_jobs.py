@@ -1,0 +1,147 @@
+"""The tasks of `fidpipe perturb`: one way and amount of altering, all its repeats, on a whole scan or on one object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from ...schemas.columns import Row
+from ...schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
+from ...schemas.metrics import OBJECT_METRICS
+from ...schemas.settings import Settings
+from ...stages.arrays import FloatArray
+from ...stages.baselines import compare_objects
+from ...stages.generate.perturbations import Perturbation, perturb
+from ...stages.ground import MIN_OBJECT_POINTS
+from ...stages.method import PartitionedScan, compare, describe, graph_of, n_communities, partition, score
+from ...stages.metrics import MIN_NODES
+from ...stages.selection import select_nodes
+from ..jobs import seeds
+from ..jobs.baselines import baseline_libraries
+from ..jobs.points import EDGE_COLUMNS, POINT_COLUMNS, column, graph_edges, object_points
+from ..stage import Context, Grain, Made, Stage
+
+_SUMMARY = ("n_matched", "n_identical", "n_too_small", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
+
+
+def make_global(context: Context) -> Made:
+    """One row of `perturb_global` per repeat: all object points altered, everything from the graph on run again.
+
+    Arguments: the perturbation, and the seeds of the repeats.
+    """
+    scan, settings = _unaltered_scan(context), context.settings
+    rows = []
+    for row, altered in _repeats(context, scan.points, *context.arguments):
+        row |= {
+            "n_points": len(scan.points),
+            "n_points_altered": len(altered),
+            "n_communities": len(scan.objects.n_points),
+        }
+        if len(altered) < MIN_OBJECT_POINTS:
+            row["reason"] = f"{len(altered)} points are left, at least {MIN_OBJECT_POINTS} are needed"
+        else:
+            own = _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings
+            altered_scan = partition(altered, own, reference=scan.reference)
+            summary = compare(scan, altered_scan, settings).summary  # the unaltered scan taken as the real side
+            row |= {name: summary[name] for name in _SUMMARY}
+            row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
+        rows.append(row)
+    return Made({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
+
+
+def make_objects(context: Context) -> Made:
+    """One row of `perturb_objects` per repeat: one object altered, both graphs built from its points alone.
+
+    Arguments: the object's community id and name, the perturbation, and the seeds of the repeats.
+    """
+    points, repeats = _object_repeats(context)
+    before = graph_of(points, context.settings)
+    rows = []
+    for row, altered in repeats:
+        if len(altered):
+            distance_m = float(np.linalg.norm(altered.mean(axis=0) - points.mean(axis=0)))
+            scores = vars(score(before, graph_of(altered, context.settings), context.settings.selection).scores)
+        else:
+            reason = f"no point is left, at least {MIN_NODES} are needed for a spectrum"
+            scores, distance_m = {"status": "too_small", "reason": reason}, None
+        counts = {"n_points": len(points), "n_points_altered": len(altered), "centroid_distance_m": distance_m}
+        rows.append(row | counts | scores)
+    return Made({"perturb_objects": PERTURB_OBJECTS.from_rows(rows)})
+
+
+def make_baselines(context: Context) -> Made:
+    """One row of `perturb_baselines` per repeat and baseline; arguments and altered objects as in `make_objects`."""
+    points, repeats = _object_repeats(context)
+    settings = context.settings
+    before = graph_of(points, settings)
+    rows = []
+    for row, altered in repeats:
+        if not len(altered):
+            continue  # perturb_objects says why
+        after = graph_of(altered, settings)
+        nodes = select_nodes(before, after, settings.selection)
+        for baseline in compare_objects(before, after, nodes, settings.selection.t, settings.metrics):
+            number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
+            rows.append(row | {"baseline": baseline.name} | number)
+    return Made({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
+
+
+def _with_seed(settings: Settings, seed: int) -> Settings:
+    """The settings with another Louvain seed, drawn from the seed of a repeat."""
+    communities = settings.communities.model_copy(update={"seed": seed % 2**31})
+    return Settings(graph=settings.graph, communities=communities, pieces=settings.pieces)
+
+
+def _unaltered_scan(context: Context) -> PartitionedScan:
+    """The unaltered scan with its partition."""
+    settings = context.settings
+
+    def read() -> PartitionedScan:
+        _, points = object_points(context, "real")
+        labels = column(context.table("communities", "real"), "community_id")
+        return PartitionedScan(points, graph_edges(context, "real"), labels, describe(points, labels, settings))
+
+    return context.once(f"unaltered scan, {settings.communities.objects}", read)
+
+
+def _object_repeats(context: Context) -> tuple[FloatArray, Iterator[tuple[Row, FloatArray]]]:
+    """The points of the object that the arguments name, and its repeats."""
+    community_id, name, perturbation, random_seeds = context.arguments
+    scan = _unaltered_scan(context)
+    points = scan.points[scan.labels == community_id]
+    named = {"community_id": community_id, "object": name}
+    return points, ((row | named, altered) for row, altered in _repeats(context, points, perturbation, random_seeds))
+
+
+def _repeats(
+    context: Context, points: FloatArray, perturbation: Perturbation, random_seeds: list[int]
+) -> Iterator[tuple[Row, FloatArray]]:
+    """Of each repeat what its row begins with, and the altered points."""
+    for repeat, seed in enumerate(random_seeds):
+        row = vars(perturbation) | {"pair_id": context.pair_id, "repeat": repeat, "seed": seed}
+        yield row, perturb(points, perturbation, np.random.default_rng(seed))
+
+
+#: Versions are to be raised when the same request gives other numbers.
+GLOBAL = Stage(
+    name="perturb_global",
+    takes={"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)},
+    gives=("perturb_global",),
+    settings=("graph", "communities", "matching", "pieces", "selection"),
+    grain=Grain.PAIR,
+    version=2,
+    make=make_global,
+    libraries=seeds.STAGE.libraries,
+)
+OBJECT = replace(GLOBAL, name="perturb_objects", gives=("perturb_objects",), version=1, make=make_objects)
+BASELINE = replace(
+    GLOBAL,
+    name="perturb_baselines",
+    gives=("perturb_baselines",),
+    settings=(*GLOBAL.settings, "metrics"),
+    version=2,
+    make=make_baselines,
+    libraries=baseline_libraries,
+)

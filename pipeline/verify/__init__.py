@@ -1,0 +1,1 @@
+"""Verifying a finished run: every number computed again by the literal twin of the method."""

@@ -1,0 +1,168 @@
+"""Ray casting: where a sensor's beams go, what they meet first, and what is measured of it.
+
+A static scene, a sensor that does not move during its revolution, one return per pulse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...schemas.errors import FidpipeError
+from ..arrays import FloatArray, IndexArray
+from ..inspect.sensor_models import SensorModel
+
+
+@dataclass(frozen=True)
+class Beams:
+    """The rays of one revolution, firing by firing, in each firing laser by laser.
+
+    azimuth_rad : (n,) float64, from x (forward) towards y (left)
+    elevation_rad : (n,) float64
+    """
+
+    azimuth_rad: FloatArray
+    elevation_rad: FloatArray
+
+    def directions(self) -> FloatArray:
+        """(n, 3) float64, unit vectors."""
+        level = np.cos(self.elevation_rad)
+        return np.column_stack(
+            [level * np.cos(self.azimuth_rad), level * np.sin(self.azimuth_rad), np.sin(self.elevation_rad)]
+        )
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet first; rays that meet nothing have no row.
+
+    ray_ids, face_ids : (m,) intp, the ray and the triangle; ray_ids ascend
+    range_m : (m,) float64, from the sensor
+    cos_incidence : (m,) float64, 1 where the surface faces the sensor, 0 where the ray grazes it
+    """
+
+    ray_ids: IndexArray
+    face_ids: IndexArray
+    range_m: FloatArray
+    cos_incidence: FloatArray
+
+
+def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> Beams:
+    """The beams of one revolution, which turns clockwise seen from above.
+
+    Firing c has the azimuth start - c step; laser i looks at that plus its azimuth offset, at its elevation. There
+    are as many firings as fit into 360 degrees.
+
+    Parameters
+    ----------
+    sensor : elevations and offsets, by laser
+    start_deg : azimuth of the first firing
+    step_deg : by default the sensor's own
+
+    Examples
+    --------
+    >>> from .sensor_models import SENSORS
+    >>> beams = fire(SENSORS["vlp32c"])
+    >>> len(beams.azimuth_rad) // 32, round(float(np.degrees(beams.elevation_rad[3])), 3)
+    (1808, -15.639)
+    """
+    step_deg = sensor.azimuth_step_deg if step_deg is None else step_deg
+    firing_deg = start_deg - step_deg * np.arange(max(1, int(360.0 / step_deg)))
+    azimuth_deg = firing_deg[:, None] + np.array(sensor.azimuth_offset_deg)
+    elevation_deg = np.broadcast_to(sensor.elevation_deg, azimuth_deg.shape)
+    return Beams(np.radians(azimuth_deg.ravel()), np.radians(elevation_deg.ravel()))
+
+
+def need_ray_caster() -> None:
+    """Nothing, if rays can be cast here.
+
+    Raises
+    ------
+    FidpipeError
+        The library that casts them (embree) is not installed.
+    """
+    try:
+        import embreex  # noqa: F401
+    except ImportError as error:
+        raise FidpipeError(
+            'casting rays needs embreex, which is not installed; install it with: pip install "fidpipe[synth]"'
+        ) from error
+
+
+class RayTarget:
+    """A surface that rays from the origin can be cast at, as often as is wanted.
+
+    Parameters
+    ----------
+    vertices : (v, 3) float64, metres, sensor frame
+    faces : (f, 3) intp, rows of `vertices`
+
+    Raises
+    ------
+    FidpipeError
+        embreex is not installed.
+
+    Examples
+    --------
+    >>> wall = RayTarget(np.array([[10.0, -5, -5], [10, 5, -5], [10, 0, 5]]), np.array([[0, 1, 2]]))
+    >>> wall.first_hits(np.array([[1.0, 0, 0], [-1, 0, 0]])).range_m.round(6).tolist()
+    [10.0]
+    """
+
+    def __init__(self, vertices: FloatArray, faces: IndexArray) -> None:
+        need_ray_caster()
+        from trimesh import Trimesh
+
+        self._mesh = Trimesh(vertices, faces, process=False)
+
+    def first_hits(self, directions: FloatArray) -> Hits:
+        """What each ray meets first, front or back of a triangle alike.
+
+        Parameters
+        ----------
+        directions : (n, 3) float64, unit vectors
+        """
+        if not len(directions) or not len(self._mesh.faces):
+            return Hits(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0), np.empty(0))
+        places, ray_ids, face_ids = self._mesh.ray.intersects_location(
+            np.zeros_like(directions), directions, multiple_hits=False
+        )
+        range_m = np.sqrt((places**2).sum(axis=1))
+        cos_incidence = np.abs((self._mesh.face_normals[face_ids] * directions[ray_ids]).sum(axis=1))
+        return Hits(ray_ids.astype(np.intp), face_ids.astype(np.intp), range_m, cos_incidence)
+
+
+def return_probability(
+    sensor: SensorModel, range_m: FloatArray, cos_incidence: FloatArray, reflectivity: FloatArray
+) -> FloatArray:
+    """The probability that a pulse that meets a surface is answered: it falls with the range, never rises.
+
+    P = (1 - lost_share) (1 - exp(-s)), s = reflectivity sqrt(cos_incidence) (signal_range_m / range_m)^2: the signal of
+    a surface that fills the beam (LiDAR equation) against a threshold that fluctuates exponentially. The root stands
+    for roughness: a road answers a grazing beam more than Lambert's law has it.
+
+    Parameters
+    ----------
+    range_m, cos_incidence, reflectivity : (n,) float64
+    """
+    signal = (
+        reflectivity * np.sqrt(cos_incidence) * (sensor.signal_range_m / np.maximum(range_m, sensor.min_range_m)) ** 2
+    )
+    probability: FloatArray = (1.0 - sensor.lost_share) * -np.expm1(-signal)
+    return probability
+
+
+def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Ranges as the sensor reports them: with Gaussian noise along the ray, then rounded to the quantum, if it has one.
+
+    Parameters
+    ----------
+    range_m : (n,) float64, true
+    rng : source of the noise
+    """
+    noisy: FloatArray = range_m + rng.normal(0.0, sensor.range_noise_m, len(range_m))
+    if not sensor.range_quantum_m:
+        return noisy
+    reported: FloatArray = np.round(noisy / sensor.range_quantum_m) * sensor.range_quantum_m
+    return reported

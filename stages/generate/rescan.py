@@ -1,0 +1,215 @@
+"""A recording scanned again: posed scans become a map of surfels, small discs, and rays are cast at it.
+
+What moved while it was recorded leaves a trail in the map: nothing is taken away because later rays passed through it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from ..inspect.sensor_models import SensorModel
+from ..inspect.surfels import fit_planes, voxel_ids
+from .flaws import SCATTERED
+from .ray_casting import RayTarget, measure_ranges
+
+VOXEL_M = 0.1
+_FULL_DETAIL_M = 15.0
+_BANDS = 4
+_PLANE_NEIGHBOURS = 20
+_RADIUS_NEIGHBOUR = 4
+_WIDEST = 2.0  # radius of a surfel, in voxels
+_LEAF = 0.5
+_AZIMUTH_CELL_DEG, _ELEVATION_CELL_DEG = 0.2, 0.4
+_DIRECTION_CELLS = (1800, 451)  # the last row is straight up
+
+#: A sensor of which no more is known than its recording; see `recorded_directions`.
+RECORDED = SensorModel(
+    name="recorded",
+    elevation_deg=(),
+    azimuth_offset_deg=(),
+    azimuth_step_deg=_AZIMUTH_CELL_DEG,
+    min_range_m=0.9,
+    max_range_m=120.0,
+    range_noise_m=0.02,
+    range_quantum_m=0.0,
+    lost_share=0.03,
+    signal_range_m=60.0,
+)
+
+
+@dataclass(frozen=True)
+class VoxelMap:
+    """Scans of one frame of reference, thinned: one point per voxel.
+
+    points : (n, 3) float64, metres, the mean of what lies in each voxel
+    n_points : (n,) float64, how many points that is
+    foliage : (n,) float64, share of them that is labelled as foliage
+    """
+
+    points: FloatArray
+    n_points: FloatArray
+    foliage: FloatArray
+
+
+EMPTY_MAP = VoxelMap(np.empty((0, 3)), np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True)
+class Rescan:
+    """What the sensor reports.
+
+    points : (n, 3) float64, metres, sensor frame, in the order of the rays
+    is_foliage : (n,) bool, as the labels of the map have it
+    """
+
+    points: FloatArray
+    is_foliage: BoolArray
+
+
+def extend_map(voxels: VoxelMap, points: FloatArray, is_foliage: BoolArray | None = None) -> VoxelMap:
+    """The map with the points of a further scan; its size is bounded by the surface, not by the number of scans.
+
+    Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the distance of
+    neighbouring beams, so that rings far away become as even as those near by.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, in the frame of the sensor that is to scan again
+    is_foliage : (n,) bool, as labels have it; by default nothing is
+    """
+    everything = np.concatenate([voxels.points, points])
+    weight = np.concatenate([voxels.n_points, np.ones(len(points))])
+    foliage = np.concatenate([voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage])
+    band = _bands(everything)
+    parts = []
+    for number in range(_BANDS):
+        rows = np.flatnonzero(band == number)
+        _, ids = np.unique(voxel_ids(everything[rows], VOXEL_M * 2.0**number), return_inverse=True)
+        own = weight[rows]
+        total = np.bincount(ids, own)
+        columns = (*everything[rows].T, foliage[rows])
+        parts.append(np.column_stack([*(np.bincount(ids, own * column) / total for column in columns), total]))
+    merged = np.concatenate(parts)
+    return VoxelMap(merged[:, :3], merged[:, 4], merged[:, 3])
+
+
+class SurfelModel:
+    """A map as a surface that rays from the origin can be cast at.
+
+    Each point of the map becomes a square disc in the plane of its 20 nearest points, out to its fourth nearest one,
+    but not beyond two voxels; in foliage (l3 / l1 of 0.1 or more) half as wide, since leaves leave gaps.
+
+    Parameters
+    ----------
+    voxels : in the frame of the sensor that is to scan again
+    """
+
+    def __init__(self, voxels: VoxelMap) -> None:
+        self._voxels = voxels
+        points = voxels.points
+        self._voxel_m = VOXEL_M * 2.0 ** _bands(points)
+        if len(points):
+            planes = fit_planes(points, points, _PLANE_NEIGHBOURS)
+            apart, _ = cKDTree(points).query(points, k=[min(_RADIUS_NEIGHBOUR + 1, len(points))])
+            radius_m = np.minimum(apart[:, 0], _WIDEST * self._voxel_m)
+            radius_m *= np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
+            off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
+            vertices, faces = _discs(points + off_m * planes.normal, planes.normal, radius_m)
+            self._target = RayTarget(vertices, faces)
+
+    def scan(self, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator) -> Rescan:
+        """What a sensor at the origin reports of the surface.
+
+        The first disc that a ray meets says which surface it meets; where on it, the plane through the 20 nearest
+        points of the map about that place says, unless that is farther off than two voxels: discs overlap, and the
+        first of them is too near. A pulse is then lost with the probability `lost_share`, ranges get noise and quantum,
+        and what is outside the sensor's range is not reported.
+
+        Parameters
+        ----------
+        directions : (n, 3) float64, unit vectors
+        rng : noise and losses
+        """
+        if not len(self._voxels.points):
+            return Rescan(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
+        hits = self._target.first_hits(directions)
+        rays = directions[hits.ray_ids]
+        surfels = hits.face_ids // 2
+        range_m = self._settle(rays, hits.range_m, surfels)
+        is_answered = rng.random(len(range_m)) >= sensor.lost_share
+        range_m = measure_ranges(sensor, range_m, rng)
+        is_answered &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
+        points: FloatArray = (rays * range_m[:, None])[is_answered]
+        return Rescan(points, self._voxels.foliage[surfels[is_answered]] > 0.5)
+
+    def _settle(self, rays: FloatArray, range_m: FloatArray, surfels: IndexArray) -> FloatArray:
+        """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""
+        planes = fit_planes(self._voxels.points, rays * range_m[:, None], _PLANE_NEIGHBOURS)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            settled_m = (planes.normal * planes.mean).sum(axis=1) / (planes.normal * rays).sum(axis=1)
+        is_near = np.abs(settled_m - range_m) <= _WIDEST * self._voxel_m[surfels]
+        return np.where(is_near, settled_m, range_m)
+
+
+def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
+    """The beams of a sensor as its recording shows them, (n, 3) unit vectors.
+
+    Those of all returns of the scan, and of other scans of the same sensor those in directions about which this scan
+    has none: its beams that met nothing. Directions are cells of 0.2 degrees of azimuth and 0.4 degrees of elevation; a
+    cell is added if neither it nor one of its eight neighbours holds a return of the scan, with the first return that
+    the other scans have in it.
+
+    Parameters
+    ----------
+    own, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
+
+    Examples
+    --------
+    >>> ahead, left = np.array([[5.0, 0, 0], [9, 0, 0]]), np.array([[7.0, 0, 0], [0, 3, 0], [0, 4, 0]])
+    >>> recorded_directions(ahead, left).tolist()
+    [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    """
+    is_seen = np.zeros(_DIRECTION_CELLS, dtype=np.bool_)
+    is_seen[_direction_cells(own)] = True
+    is_near = binary_dilation(np.pad(is_seen, ((1, 1), (0, 0)), mode="wrap"), np.ones((3, 3)))[1:-1]
+    columns, rows = _direction_cells(others)
+    _, first = np.unique(columns * _DIRECTION_CELLS[1] + rows, return_index=True)
+    added = np.sort(first[~is_near[columns[first], rows[first]]])
+    returns = np.concatenate([own, others[added]])
+    directions: FloatArray = returns / np.sqrt((returns**2).sum(axis=1))[:, None]
+    return directions
+
+
+def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Column and row of the cell of each direction."""
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
+    elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))) + 90.0
+    columns = np.floor(azimuth / _AZIMUTH_CELL_DEG).astype(np.intp) % _DIRECTION_CELLS[0]
+    return columns, np.floor(elevation / _ELEVATION_CELL_DEG).astype(np.intp)
+
+
+def _bands(points: FloatArray) -> IndexArray:
+    """The band of range of each point, (n,) intp: 0 within 15 m, 1 to 30 m, 2 to 60 m, 3 beyond."""
+    range_m = np.sqrt((points**2).sum(axis=1))
+    limits = _FULL_DETAIL_M * 2.0 ** np.arange(_BANDS - 1)
+    bands: IndexArray = np.searchsorted(limits, range_m, side="left")
+    return bands
+
+
+def _discs(centre: FloatArray, normal: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Vertices and faces of squares, two triangles each, of the area of a disc."""
+    upright = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    u = np.cross(normal, upright)
+    u /= np.sqrt((u**2).sum(axis=1))[:, None]
+    v = np.cross(normal, u)
+    half_m = (np.sqrt(np.pi) / 2 * radius_m)[:, None]
+    corners = [centre + half_m * (a * u + b * v) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    first = 4 * np.arange(len(centre), dtype=np.intp)
+    faces = (first[:, None] + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
+    vertices: FloatArray = np.stack(corners, axis=1).reshape(-1, 3)
+    return vertices, faces

@@ -1,0 +1,1 @@
+"""Inspecting scans: sensors, beam patterns, frames, sequences and time stamps."""

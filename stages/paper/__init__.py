@@ -1,0 +1,1 @@
+"""The statistics of the paper: its claims, sweeps and choice of parameters."""

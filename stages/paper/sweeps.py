@@ -1,0 +1,107 @@
+"""The means of perturbation sweeps over their repeats, and which metric reacts to which alteration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ...schemas.metrics import METRIC, OBJECT_METRICS
+from ..generate.perturbations import Perturbation
+
+OWN_METRICS = (
+    "r_lambda",
+    "r_gap",
+    "max_eigenvalue_shift",
+    "laplacian_change",
+    "eigenspectrum_distance",
+    "cdc",
+)
+SPECTRA = "eigenspectrum_distance_mean"
+
+
+@dataclass(frozen=True)
+class Mean:
+    """Mean and standard deviation of a metric at a level over `n` repeats; None where it could not be computed."""
+
+    mean: float | None = None
+    std: float | None = None
+    n: int = 0
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """A metric at the strongest level of each kind.
+
+    values : means over the objects, in the order of the levels; None where nothing could be computed
+    most : the level at which it is farthest from its value for equal objects; None where it never moves
+    """
+
+    metric: str
+    values: tuple[float | None, ...]
+    most: Perturbation | None
+
+
+class Means:
+    """The means of the sweeps, to be looked up.
+
+    Parameters
+    ----------
+    rows : of `perturb_summary`: object (None for the whole scan), kind, amount, shift_m, metric, mean, std, n
+    """
+
+    def __init__(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        self._by_key: dict[tuple[str | None, Perturbation, str], Mean] = {}
+        for row in rows:
+            level = Perturbation(row["kind"], row["amount"], row["shift_m"])
+            self._by_key[row["object"], level, row["metric"]] = Mean(row["mean"], row["std"], row["n"])
+        self.objects = tuple(dict.fromkeys(name for name, _, _ in self._by_key if name is not None))
+        self.object_metrics = {metric for name, _, metric in self._by_key if name is not None}
+
+    def get(self, object_name: str | None, level: Perturbation, metric: str) -> Mean:
+        """One value; of the whole scan where `object_name` is None."""
+        return self._by_key.get((object_name, level, metric), Mean())
+
+    def series(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[float]:
+        """The means at some levels; those that could not be computed are left out."""
+        means = (self.get(object_name, level, metric).mean for level in levels)
+        return [mean for mean in means if mean is not None]
+
+    def missing(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[Perturbation]:
+        """The levels at which a metric could not be computed; none where it was not asked for at any."""
+        if not any((object_name, level, metric) in self._by_key for level in levels):
+            return []
+        return [level for level in levels if self.get(object_name, level, metric).mean is None]
+
+
+def react(means: Means, levels: Sequence[Perturbation]) -> list[Reaction]:
+    """How each metric answers: our own, then the baselines that were swept, by name.
+
+    Parameters
+    ----------
+    means : of the sweeps
+    levels : that were swept
+    """
+    strongest = strongest_levels(levels)
+    reactions = []
+    for metric in (*OWN_METRICS, *sorted(means.object_metrics - set(OBJECT_METRICS))):
+        values = []
+        for level in strongest:
+            by_object = [value for name in means.objects for value in means.series(name, [level], metric)]
+            values.append(sum(by_object) / len(by_object) if by_object else None)
+        equal = METRIC[metric].equal or 0.0
+        moved = {level: abs(v - equal) for level, v in zip(strongest, values, strict=True) if v is not None}
+        most = max(moved, key=lambda level: moved[level]) if any(moved.values()) else None
+        reactions.append(Reaction(metric, tuple(values), most))
+    return reactions
+
+
+def strongest_levels(levels: Sequence[Perturbation]) -> list[Perturbation]:
+    """Of each kind the level with the largest amount; of density also the one with the smallest."""
+    strongest = []
+    for kind in dict.fromkeys(level.kind for level in levels):
+        own = sorted((level for level in levels if level.kind == kind), key=lambda level: (level.amount, level.shift_m))
+        if kind == "density" and own[0].amount < 1 < own[-1].amount:
+            strongest.append(own[0])
+        strongest.append(own[-1])
+    return strongest
