@@ -26,7 +26,7 @@ NOT_ATTACKED = {
     "pipeline.cli.main": "/dev/null",
     "pipeline.cli.results": "a browser, for a page that it has made",
     "pipeline.report.page.render": "its own scripts and styles",
-    "pipeline.experiments.floor": "copies labels.toml, which the dataset's reader has read",
+    "pipeline.generate.floor_run": "copies labels.toml, which the dataset's reader has read",
     "stages.ground": "/dev/null",
 }
 
