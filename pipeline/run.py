@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
@@ -26,7 +26,7 @@ from ..schemas.settings_text import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from ..stages.ground import peaks_note
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.engine import Machines, RunEngine, Survey, absolute_paths, current_records
+from .engine.engine import Machines, RunEngine, Survey, current_records
 from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .inspect.frame_checks import shared_files, swapped_sides
@@ -58,29 +58,6 @@ from .storage.record import (
 from .storage.tables import JobRecord
 
 _PAIRS_AT_ONCE = 500
-
-
-@dataclass(frozen=True)
-class RunRequest:
-    """What the user asked for.
-
-    dataset, out : folders
-    settings : of all stages
-    from_stage : this stage and those after it are made again
-    pattern : only pairs whose name matches are worked on (shell style)
-    machines : where work is done
-    stages : by default those of the pipeline under these settings
-    replace : whether results of a finished run may be replaced because settings differ
-    """
-
-    dataset: Path
-    out: Path
-    settings: Settings
-    from_stage: str | None = None
-    pattern: str | None = None
-    machines: Machines = field(default_factory=Machines)
-    stages: tuple[Stage, ...] | None = None
-    replace: bool = False
 
 
 @dataclass(frozen=True)
@@ -125,27 +102,47 @@ class RunOutcome:
         }
 
 
-def run_dataset(request: RunRequest, reporter: Reporter) -> RunOutcome:
-    """Evaluates a dataset: makes every table that is not there yet under its wanted key.
+def run_dataset(
+    dataset: Path,
+    out: Path,
+    settings: Settings,
+    reporter: Reporter,
+    *,
+    from_stage: str | None = None,
+    pattern: str | None = None,
+    machines: Machines | None = None,
+    stages: tuple[Stage, ...] | None = None,
+    replace: bool = False,
+) -> RunOutcome:
+    """Evaluate a dataset: compute every table that does not exist yet under its key.
+
+    Parameters
+    ----------
+    dataset, out : folders of the dataset and of the run
+    settings : of all stages
+    from_stage : recompute this stage and those after it
+    pattern : only pairs whose name matches are worked on (shell style)
+    machines : where work is done
+    stages : by default those of the pipeline under these settings
+    replace : whether results of a finished run may be replaced because settings differ
 
     Raises
     ------
     FidpipeError
-        The dataset as a whole, a setting or the run's folder is wrong; before any work.
+        The dataset as a whole, a setting or the run's folder is invalid; before any work.
     KeyboardInterrupt
-        As it came; the run can be gone on with.
+        As it came; the same command resumes the run.
     """
-    request = absolute_paths(request)
-    dataset = read_dataset(request.dataset)
-    selected = select_pairs(dataset, request.pattern)
-    check_folder(request.out, request.dataset)
-    folder = RunFolder(request.out)
-    stages = stages_under(request.settings) if request.stages is None else request.stages
-    with (
-        folder.locked(),
-        RunEngine(folder, request.settings, request.machines, reporter, stages) as engine,
-    ):
-        run = _Run(request, dataset, stages, engine)
+    machines = machines or Machines()
+    if machines.scheduler:  # its workers may run in other folders
+        dataset, out = dataset.absolute(), out.absolute()
+    content = read_dataset(dataset)
+    selected = select_pairs(content, pattern)
+    check_folder(out, dataset)
+    folder = RunFolder(out)
+    stages = stages_under(settings) if stages is None else stages
+    with folder.locked(), RunEngine(folder, settings, machines, reporter, stages) as engine:
+        run = _Run(content, stages, engine, from_stage, may_replace=replace)
         run.inspect(selected)
         survey = run.survey(selected)
         run.refuse_other_settings(survey)
@@ -195,16 +192,26 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
 class _Run:
     """One run while it works."""
 
-    def __init__(self, request: RunRequest, dataset: Dataset, stages: tuple[Stage, ...], engine: RunEngine) -> None:
-        self._request, self._dataset, self._stages, self._engine = request, dataset, stages, engine
-        self._folder, self._reporter = engine.folder, engine.reporter
-        self._planner = Planner(stages, request.settings, dataset.label_names)
+    def __init__(
+        self,
+        dataset: Dataset,
+        stages: tuple[Stage, ...],
+        engine: RunEngine,
+        from_stage: str | None,
+        *,
+        may_replace: bool,
+    ) -> None:
+        self._dataset, self._stages, self._engine = dataset, stages, engine
+        self._from_stage, self._may_replace = from_stage, may_replace
+        self._folder, self._reporter, self._settings = engine.folder, engine.reporter, engine.settings
+        self._out = engine.folder.folder
+        self._planner = Planner(stages, self._settings, dataset.label_names)
         self._versions = {stage.name: stage.version for stage in stages}
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
-        before = read_run(request.out)
-        self._changes = what_changed(before, request.settings, self._versions)
-        self._other_settings = changed_settings(before, request.settings) if has_ended(before) else {}
+        before = read_run(self._out)
+        self._changes = what_changed(before, self._settings, self._versions)
+        self._other_settings = changed_settings(before, self._settings) if has_ended(before) else {}
         self._before = before
 
     def inspect(self, selected: Iterable[ScanPair]) -> None:
@@ -219,7 +226,7 @@ class _Run:
             pair_id: {side: scan.sha256 for side, scan in sides.items()}
             for pair_id, sides in self._engine.contents.items()
         }
-        for text in [*swapped_sides(pairs, self._request.dataset), *shared_files(hashes)]:
+        for text in [*swapped_sides(pairs, self._dataset.folder), *shared_files(hashes)]:
             self._reporter.warn(text)
         self._hashes = {
             pair.pair_id: input_hashes(pair, self._dataset.label_names, self._engine.contents[pair.pair_id])
@@ -232,7 +239,7 @@ class _Run:
 
     def survey(self, selected: Iterable[ScanPair]) -> Survey:
         """Finds which pairs have jobs to be made, and which results are not those that are wanted."""
-        names, first = list(self._versions), self._request.from_stage
+        names, first = list(self._versions), self._from_stage
         redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
         chosen = {pair.pair_id for pair in selected}
         return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo)
@@ -245,7 +252,7 @@ class _Run:
         RunError
             They would be replaced; says which, and by which setting.
         """
-        if self._request.replace or self._request.from_stage:
+        if self._may_replace or self._from_stage:
             return
         touched = {stage.name for stage in self._stages if self._other_settings.keys() & set(stage.settings)}
         outdated = [name for name, reason in survey.unwanted.items() if reason == OUT_OF_DATE]
@@ -256,7 +263,7 @@ class _Run:
         n_pairs = len({pair_id for _, pair_id, _ in outdated})
         why = "; ".join(text for texts in self._other_settings.values() for text in texts)
         raise RunError(
-            f"run {self._request.out}: is finished, and {listed} of {n_pairs} pair{'s' * (n_pairs > 1)} would be "
+            f"run {self._out}: is finished, and {listed} of {n_pairs} pair{'s' * (n_pairs > 1)} would be "
             f"replaced ({why}); add --replace, or give another --out"
         )
 
@@ -278,7 +285,7 @@ class _Run:
                 notes[job.pair_id].append(f"{job.part} side: {note}")
             if ROW in job.facts:
                 real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
-                if note := peaks_note(real_m, sim_m, self._request.settings.ground):
+                if note := peaks_note(real_m, sim_m, self._settings.ground):
                     notes[job.pair_id].append(note)
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
@@ -296,7 +303,7 @@ class _Run:
         scored_ids = [row["pair_id"] for row in scored]
         findings, objects = self._say_together(scored, key)
         extras = {
-            stage.name: stage.summarise(list(self._records(scored_ids, [stage.name])), self._request.settings)
+            stage.name: stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
             for stage in self._stages
             if stage.summarise
         }
@@ -321,13 +328,13 @@ class _Run:
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
         n_made, told = self._engine.n_made, frozenset(self._engine.failures)
-        return RunOutcome(self._request.out, pairs, record, n_made, n_current - n_made, failed_extras, told)
+        return RunOutcome(self._out, pairs, record, n_made, n_current - n_made, failed_extras, told)
 
     def _write_record(self, record: RunHeader) -> None:
         """Writes the settings and the record, or the head of one."""
-        settings = to_toml(self._request.settings).encode()
-        write_whole(self._request.out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
-        write_record(self._request.out, record.as_dict(), self._folder.check_token)
+        settings = to_toml(self._settings).encode()
+        write_whole(self._out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
+        write_record(self._out, record.as_dict(), self._folder.check_token)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair that are wanted."""
@@ -344,21 +351,21 @@ class _Run:
             self._hashes,
             key,
             Findings.recorded(self._before.get("findings")) if before else None,
-            by_reference=preset_of(self._request.settings) == "reference",
+            by_reference=preset_of(self._settings) == "reference",
             watch=tally.add,
         )
         is_same = findings is not None and before is not None and before.key == findings.key
         return findings, before if is_same else tally.objects(scored) if scored else None
 
     def _header(self, previous: PreviousRun | None) -> RunHeader:
-        return run_header(self._request.dataset, self._request.settings, self._versions, previous)
+        return run_header(self._dataset.folder, self._settings, self._versions, previous)
 
     def _records(self, pair_ids: Iterable[str], stages: Iterable[str] | None = None) -> Iterator[JobRecord]:
         return current_records(self._folder, pair_ids, stages or self._versions)
 
     def _write_table(self, table: Table, key: str, parts: Iterator[pa.Table]) -> pa.Table:
         """Writes a table of the whole run, unless it is there under its key; gives it."""
-        path = self._request.out / f"{table.name}.parquet"
+        path = self._out / f"{table.name}.parquet"
         before = self._folder.ledger.jobs("").get((table.name, ""))
         if before is None or before.key != key or not self._folder.is_whole(before, by_content=True):
             stored = self._folder.write_at(path, table.name, parts, key)

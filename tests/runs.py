@@ -23,7 +23,7 @@ from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
-from fidpipe.pipeline.run import RunRequest, run_dataset
+from fidpipe.pipeline.run import run_dataset
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.tables import StoredFile
 from fidpipe.schemas.settings import Settings
@@ -52,8 +52,8 @@ def run(
 ):
     """A run in this process, or on workers or a pool; it may replace what was made with other settings."""
     machines = Machines(workers, scheduler, pool, policy or Policy(), pair_timeout_s)
-    request = RunRequest(dataset, out, settings or Settings(), machines=machines, replace=replace, **options)
-    return run_dataset(request, Reporter(Console(quiet=True)))
+    reporter = Reporter(Console(quiet=True))
+    return run_dataset(dataset, out, settings or Settings(), reporter, machines=machines, replace=replace, **options)
 
 
 def own_process(*words, timeout=300, **options):

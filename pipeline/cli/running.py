@@ -148,36 +148,35 @@ def run(
     """
     from ...schemas.settings import load
     from ..engine import prefork
-    from ..engine.cluster import cpu_count
 
     check_machines(workers, scheduler)
     repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
     in_force = load(settings, [*(assignments or []), *repeats], preset=preset)
     out = out or Path("runs") / (dataset.resolve().name or "dataset")
-    if scheduler is None and (workers or cpu_count()) > 1 and dataset.is_dir() and not out.exists():
+    if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
         prefork.start(["fidpipe.pipeline.jobs"])  # a new run: workers will be wanted when all else is imported
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..jobs import stages_under
     from ..report.terminal.run import outcome_view
-    from ..run import RunRequest, run_dataset
+    from ..run import run_dataset
 
     stage_names = [stage.name for stage in stages_under(in_force)]
     if from_stage is not None and from_stage not in stage_names:
         raise typer.BadParameter(
             f"{from_stage!r} is no stage; one of {', '.join(stage_names)} is wanted", param_hint="--from"
         )
-    request = RunRequest(
-        dataset=dataset,
-        out=out,
-        settings=in_force,
+    outcome = run_dataset(
+        dataset,
+        out,
+        in_force,
+        Reporter(),
         from_stage=from_stage,
         pattern=pairs,
         machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
         replace=replace,
     )
-    outcome = run_dataset(request, Reporter())
     print_outcome(outcome.as_dict() if as_json else outcome_view(outcome), outcome.failures)
 
 

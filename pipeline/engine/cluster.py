@@ -10,7 +10,6 @@ import asyncio
 import atexit
 import hashlib
 import logging
-import os
 import queue
 import socket
 from collections.abc import Callable, Iterable, Mapping
@@ -356,8 +355,10 @@ def start_pool(
 
     There are no more workers than the memory holds. One that may be ended is never this process.
     """
+    from dask.system import CPU_COUNT
+
     memory = None if memory_gib is None else int(memory_gib * 2**30)
-    n_workers = n_workers or cpu_count()
+    n_workers = n_workers or CPU_COUNT
     if address is None and n_workers > 1:
         n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
     if address is None and n_workers == 1 and not may_end_workers:
@@ -440,8 +441,3 @@ def code_hash() -> str:
         for path in sorted((root / folder).rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:8]
-
-
-def cpu_count() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -30,7 +30,7 @@ from ..engine.plan import Job, PairPlan
 from ..engine.progress import Reporter, Work
 from ..inspect.scan_checks import file_marks, hash_scan, input_name
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
-from ..run import RunOutcome, RunRequest, check_folder, run_dataset, select_pairs
+from ..run import RunOutcome, check_folder, run_dataset, select_pairs
 from ..stage import Context, Grain, Made, Stage
 from ..storage.files import key_of, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder
@@ -120,15 +120,13 @@ def run_floor(request: FloorRequest, reporter: Reporter) -> RunOutcome:
         update={"sim_flip_y": False, "sim_frame": request.settings.input.real_frame, "sim_columns": None}
     )
     return run_dataset(
-        RunRequest(
-            dataset=request.out / FLOOR_DATASET,
-            out=request.out,
-            settings=request.settings.model_copy(update={"input": own}),
-            pattern=request.pattern,
-            machines=request.machines,
-            replace=request.replace,
-        ),
+        request.out / FLOOR_DATASET,
+        request.out,
+        request.settings.model_copy(update={"input": own}),
         reporter,
+        pattern=request.pattern,
+        machines=request.machines,
+        replace=request.replace,
     )
 
 

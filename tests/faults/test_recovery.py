@@ -21,7 +21,7 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.run import RunRequest, _Run, run_dataset
+from fidpipe.pipeline.run import _Run, run_dataset
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError, StageError
 from fidpipe.schemas.settings import Settings, load
@@ -67,8 +67,7 @@ LEDGERS = [lose_ledger, fill_with_garbage, tear_ledger, garble_middle]
 def run_told(dataset, out):
     """A run, and what it said."""
     told = io.StringIO()
-    request = RunRequest(dataset, out, Settings(), machines=Machines(1))
-    outcome = run_dataset(request, Reporter(Console(file=told, width=500)))
+    outcome = run_dataset(dataset, out, Settings(), Reporter(Console(file=told, width=500)), machines=Machines(1))
     return outcome, told.getvalue()
 
 
