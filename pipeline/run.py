@@ -5,7 +5,6 @@ Which stages there are stands in `jobs`, what one of them is in `stage`, what ea
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..schemas.columns import SIDES, Row, Table
-from ..schemas.errors import DatasetError, RunError
+from ..schemas.errors import DatasetError
 from ..schemas.record import RunHeader, RunRecord
 from ..schemas.results import Findings, JsonObject, ObjectOverview, Overview, PreviousRun
 from ..schemas.settings import Settings, preset_of
@@ -37,8 +36,7 @@ from .results.findings import run_findings
 from .results.overview import Tally, overview_of
 from .stage import ROW, Stage
 from .storage.files import key_of, write_whole
-from .storage.folder import RunFolder
-from .storage.ledger import LEDGER
+from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.record import (
     SETTINGS_TOML,
     SUMMARISED,
@@ -172,23 +170,6 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     return selected
 
 
-def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
-    """Refuses a folder that is not a run, or is the run of another dataset or of another command, with `RunError`."""
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise RunError(f"run {out}: is a file, a folder is wanted; give another --out")
-    record = read_run(out)
-    is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
-    if not is_run and any(not path.name.startswith(".") for path in out.iterdir()):
-        raise RunError(f"run {out}: the folder holds other things than a run; give another --out")
-    before, made_by = record.get("dataset"), record.get("experiment", "run")
-    if before and made_by != experiment:
-        raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
-    if before and Path(before) != dataset.resolve() and os.path.lexists(before):
-        raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
-
-
 class _Run:
     """One run while it works."""
 
@@ -261,11 +242,9 @@ class _Run:
         names = {stage for stage, _, _ in outdated}
         listed = ", ".join(stage for stage in dict.fromkeys((*self._versions, *sorted(names))) if stage in names)
         n_pairs = len({pair_id for _, pair_id, _ in outdated})
-        why = "; ".join(text for texts in self._other_settings.values() for text in texts)
-        raise RunError(
-            f"run {self._out}: is finished, and {listed} of {n_pairs} pair{'s' * (n_pairs > 1)} would be "
-            f"replaced ({why}); add --replace, or give another --out"
-        )
+        why = [text for texts in self._other_settings.values() for text in texts]
+        lost = f"{listed} of {n_pairs} pair{'s' * (n_pairs > 1)}"
+        refuse_overwrite(f"run {self._out}", lost, why)
 
     def replace(self, survey: Survey) -> None:
         """Removes what is out of date; a finished record gives way to its head only if there is something to do."""

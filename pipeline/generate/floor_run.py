@@ -30,10 +30,10 @@ from ..engine.plan import Job, PairPlan
 from ..engine.progress import Reporter, Work
 from ..inspect.scan_checks import file_marks, hash_scan, input_name
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
-from ..run import RunOutcome, check_folder, run_dataset, select_pairs
+from ..run import RunOutcome, run_dataset, select_pairs
 from ..stage import Context, Grain, Made, Stage
 from ..storage.files import key_of, path_exists, refuse_link, write_whole
-from ..storage.folder import RunFolder
+from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import Ledger
 from ..storage.record import has_ended, read_run
 from ..storage.tables import file_stem
@@ -159,10 +159,8 @@ def _refuse_other_recipe(request: FloorRequest) -> None:
             f"run {request.out}: holds the floor of {before.dataset}, not of {request.dataset}; give another --out"
         )
     if before.words != request.recipe.words and has_ended(record) and not request.replace:
-        raise RunError(
-            f"run {request.out}: is finished, and its scans would be replaced ({before.words}; asked for: "
-            f"{request.recipe.words}); add --replace, or give another --out"
-        )
+        recipes = f"{before.words}; asked for: {request.recipe.words}"
+        refuse_overwrite(f"run {request.out}", "its scans", [recipes])
 
 
 def _write_dataset(

@@ -18,7 +18,7 @@ import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import Row, Table
-from ...schemas.errors import DatasetError, RunError, ScanError
+from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings
 from ...schemas.settings_text import to_toml
 from ...schemas.tables import TABLES
@@ -30,10 +30,10 @@ from ..engine.engine import Machines, RunEngine, Survey
 from ..engine.plan import OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import STAGES
-from ..run import check_folder, select_pairs
+from ..run import select_pairs
 from ..stage import Stage
 from ..storage.files import key_of, write_whole
-from ..storage.folder import RunFolder
+from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.record import (
     SETTINGS_TOML,
     changed_settings,
@@ -282,10 +282,8 @@ class Experiment:
         if not lost or not why:
             return
         stages, pairs = dict.fromkeys(stage for stage, _, _ in lost), {pair_id for _, pair_id, _ in lost}
-        raise RunError(
-            f"{self._name} {self.folder.folder}: is finished, and {', '.join(stages)} of {len(pairs)} "
-            f"scan{'s' * (len(pairs) > 1)} would be replaced ({'; '.join(why)}); add --replace, or give another --out"
-        )
+        what = f"{', '.join(stages)} of {len(pairs)} scan{'s' * (len(pairs) > 1)}"
+        refuse_overwrite(f"{self._name} {self.folder.folder}", what, why)
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .ledger import LEDGER, Ledger
+from .record import read_run
 from .tables import JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
@@ -168,3 +169,46 @@ class RunFolder(TableFolder):
                     name = f"{table}/{entry.name}"
                     if not entry.is_dir(follow_symlinks=False) and not ledger.knows_file(name):
                         yield name
+
+
+def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
+    """Raise `RunError` unless a folder is new, empty, or holds the run of this dataset by this command."""
+    record = read_run(out) if out.is_dir() else {}
+    is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
+    refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
+    before, made_by = record.get("dataset"), record.get("experiment", "run")
+    if before and made_by != experiment:
+        raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
+    if before and Path(before) != dataset.resolve() and os.path.lexists(before):
+        raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
+
+
+def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out") -> None:
+    """Raise `RunError` if results would be written to a file, or to a folder that holds something else.
+
+    Parameters
+    ----------
+    name : of the results, which begins the message, such as `run OUT`
+    kind : of the results, in words
+    is_own : whether the folder already holds results of this kind
+    other : what the user can give instead
+    """
+    if out.exists() and not out.is_dir():
+        raise RunError(f"{name}: expected a folder, got a file; give another {other}")
+    if not is_own and out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
+        raise RunError(f"{name}: the folder holds other things than {kind}; give another {other}")
+
+
+def refuse_overwrite(name: str, lost: str, why: Iterable[str], other: str = "--out") -> None:
+    """Raise `RunError`: a finished result is replaced only if `--replace` asks for it.
+
+    Parameters
+    ----------
+    name, other : see `refuse_other_content`
+    lost : what would be replaced
+    why : what has changed, in words
+    """
+    changes = "; ".join(why)
+    raise RunError(
+        f"{name}: is finished, and {lost} would be replaced ({changes}); add --replace, or give another {other}"
+    )
