@@ -1,4 +1,4 @@
-"""The cost model of tasks, rough: seconds, to order them and to guess the time left; bytes, to admit them.
+"""The cost model of tasks, rough: seconds, to order and to bundle them; bytes, to admit them.
 
 Fitted to runs over 32- and 64-beam scans (`benchmarks/growth.py`). No result depends on these numbers, but that a pair
 whose object cannot fit into the memory fails.

@@ -29,7 +29,7 @@ from ..storage.tables import JobName, JobRecord
 from .cluster import start_pool
 from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import InProcess, Pool
-from .progress import Reporter, Work, seconds_of
+from .progress import Reporter
 from .reading import read_files, wants_workers
 from .schedule import Policy, Schedule
 from .time_limit import TimeLimit
@@ -73,16 +73,13 @@ class Survey:
     usable : pairs whose files can be read
     todo : those of them that are wanted and have jobs to be made
     unwanted : finished jobs whose results are not wanted, each with the reason
-    n_jobs, n_done : jobs by stage, of the pairs in `todo`
-    seconds : of their work that is known, roughly
+    n_jobs : to be made, of the pairs in `todo`
     """
 
     usable: list[ScanPair] = field(default_factory=list)
     todo: list[ScanPair] = field(default_factory=list)
     unwanted: dict[JobName, str] = field(default_factory=dict)
-    n_jobs: Counter[str] = field(default_factory=Counter)
-    n_done: Counter[str] = field(default_factory=Counter)
-    seconds: float = 0.0
+    n_jobs: int = 0
 
 
 class Engine:
@@ -158,18 +155,18 @@ class Engine:
         return 0 if self._pool is None else self._pool.n_workers
 
     @contextmanager
-    def scheduling(self, plans: Iterable[PairPlan], work: Work) -> Iterator[Schedule]:
-        """The schedule that makes the jobs of pairs that are not done; while it runs, progress is told.
+    def scheduling(self, plans: Iterable[PairPlan], n_pairs: int, n_jobs: int | None = None) -> Iterator[Schedule]:
+        """The schedule that makes the jobs of pairs that are not done; while it runs, progress is shown.
 
         Parameters
         ----------
         plans : taken one by one as the pairs are begun
-        work : how much that is, for the progress
+        n_pairs, n_jobs : how many there are; by default one job per pair
         """
         pool = self.pool
-        self.reporter.start(work)
+        self.reporter.start(n_pairs, n_pairs if n_jobs is None else n_jobs)
         try:
-            yield Schedule(pool, self._limited(plans), work.n_pairs, self, self._machines.policy)
+            yield Schedule(pool, self._limited(plans), n_pairs, self, self._machines.policy)
         finally:
             self.reporter.stop()
 
@@ -190,27 +187,19 @@ class Engine:
         self.failures[name] = reason
         self.reporter.fail(f"pair {name}", reason)
 
-    def pair_begun(self, plan: PairPlan) -> None:
-        """See `Watcher`."""
-        self.reporter.pair_begun(plan)
-
     def batch_done(self, result: BatchResult) -> None:
         """See `Watcher`."""
         self.n_made += len(result.records)
-        self.reporter.batch_done(result)
-
-    def objects_done(self, pair_id: str, n_keep: tuple[int, ...]) -> None:
-        """See `Watcher`."""
-        self.reporter.objects_done(pair_id, n_keep)
+        self.reporter.advance(len(result.records))
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
         """See `Watcher`: failures are told, those of parts of an experiment one by one."""
-        self.reporter.pair_done(plan, failures)
         of_parts, own = _split_failures(plan, failures)
         for failure in of_parts:
             self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
         if own:
             self.fail(plan.pair_id, failures_in_words(own))
+        self.reporter.advance(len(plan.todo), 1)
         if plan.limit is not None:
             rmtree(plan.limit.folder, ignore_errors=True)
         for trace in [failure.trace for failure in failures if failure.trace]:
@@ -325,11 +314,7 @@ class RunEngine(Engine):
             survey.unwanted |= unwanted
             if is_selected and plan.todo:
                 survey.todo.append(pair)
-                for job in plan.jobs:
-                    survey.n_jobs[job.stage.name] += 1
-                    survey.n_done[job.stage.name] += job.record is not None
-                sides_s, parts_s = seconds_of(plan, self._machines.policy.costs)
-                survey.seconds += sides_s + sum(parts_s.values())
+                survey.n_jobs += len(plan.todo)
         for pair_id in list(self.folder.ledger.pair_ids()):
             reason = "the input cannot be used" if pair_id in self._unusable else why_absent
             if pair_id not in names or pair_id in self._unusable:
@@ -364,11 +349,9 @@ class RunEngine(Engine):
     @contextmanager
     def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
         """The schedule that makes the jobs that are not there, of the pairs that are to be worked on."""
-        counts = {stage: (n, survey.n_done[stage]) for stage, n in survey.n_jobs.items()}
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
-        work = Work(len(survey.todo), survey.seconds, counts, self._machines.policy.costs)
         try:
-            with self.scheduling(plans, work) as schedule:
+            with self.scheduling(plans, len(survey.todo), survey.n_jobs) as schedule:
                 yield schedule
         except DiskFullError as error:
             n_raw = sum(scan.n_raw for pair in survey.todo for scan in self.contents[pair.pair_id].values())

@@ -31,14 +31,12 @@ class Part:
     stage : of grain PAIR
     name : "dropout-0.4" or the like; only characters that are safe in a file's name
     arguments : what makes it another than its neighbours, for the job; plain values, which its key covers
-    seconds : roughly what it costs; orders the work and guesses the time left, nothing else
     settings : if others than those of the run
     """
 
     stage: Stage
     name: str
     arguments: tuple[Any, ...] = ()
-    seconds: float = 1.0
     settings: Settings | None = None
 
 
@@ -57,7 +55,6 @@ class Job:
     needs: tuple[JobId, ...] = ()
     reads: tuple[str, ...] = ()
     arguments: tuple[Any, ...] = ()
-    seconds: float = 0.0
     record: JobRecord | None = None
 
     @property
@@ -181,7 +178,7 @@ class Planner:
             reads = tuple(dict.fromkeys(key for key, _ in sources))
             key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
             needs = tuple(dict.fromkeys(name for _, name in sources if name is not None))
-            job = Job(stage, part.name, key, settings, needs, reads, part.arguments, part.seconds)
+            job = Job(stage, part.name, key, settings, needs, reads, part.arguments)
             if job.name in jobs:
                 raise ValueError(
                     f"part {stage.name} {pair.pair_id} {part.name} is there twice; each needs its own name"

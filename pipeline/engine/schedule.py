@@ -55,14 +55,8 @@ class Policy:
 class Watcher(Protocol):
     """Who is told how the work goes on."""
 
-    def pair_begun(self, plan: PairPlan) -> None:
-        """A pair is begun."""
-
     def batch_done(self, result: BatchResult) -> None:
         """Some jobs of a pair are finished, or failed."""
-
-    def objects_done(self, pair_id: str, n_keep: tuple[int, ...]) -> None:
-        """Some objects of a pair are scored, of so many nodes."""
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
         """A pair has ended; its plan knows what is finished."""
@@ -113,7 +107,7 @@ class _Batch:
 
     pairs : whose it is; several only of `run_batch`
     need : bytes that it may occupy
-    objects : the nodes of the objects that it scores; their rows stay where they are made
+    keep : whether its result stays where it is made: the rows of objects
     """
 
     pairs: tuple[_Pair, ...]
@@ -121,7 +115,7 @@ class _Batch:
     arguments: tuple[Any, ...]
     priority: float = 0.0
     need: int = 0
-    objects: tuple[int, ...] = ()
+    keep: bool = False
 
 
 class Schedule:
@@ -161,7 +155,7 @@ class Schedule:
             outcomes = outcome if isinstance(outcome, list) else [outcome] * len(batch.pairs)
             for pair, result in zip(batch.pairs, outcomes, strict=True):
                 pair.n_waiting -= 1
-                self._take(pair, batch, result)
+                self._take(pair, result)
                 if not pair.n_waiting:
                     self._go_on(pair)
             self._fill()
@@ -176,7 +170,6 @@ class Schedule:
             while self._n_pending and sum(map(self._weight, self._active.values())) < window:
                 self._n_pending -= 1
                 pair = _Pair(next(self._pending))
-                self._watcher.pair_begun(pair.plan)
                 self._active[pair.plan.pair_id] = pair
                 self._go_on(pair)
             if not self._n_pending:
@@ -189,7 +182,7 @@ class Schedule:
             self._go_on(pair)
             self._admit()
 
-    def _take(self, pair: _Pair, batch: _Batch, result: Any) -> None:
+    def _take(self, pair: _Pair, result: Any) -> None:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
@@ -202,8 +195,6 @@ class Schedule:
             self._watcher.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
             pair.failures.extend(result.failures)
-        else:
-            self._watcher.objects_done(pair.plan.pair_id, batch.objects)
 
     def _go_on(self, pair: _Pair) -> None:
         """Submits what comes next for a pair of which nothing is running."""
@@ -265,7 +256,7 @@ class Schedule:
             waited_for = {name for job in pair.todo for name in job.needs}
             for job in ready:
                 if job.stage.grain is Grain.PAIR:
-                    self._submit_jobs(pair, [job], _FIRST if job.name in waited_for else job.seconds)
+                    self._submit_jobs(pair, [job], _FIRST if job.name in waited_for else 0.0)
 
     @staticmethod
     def _chain(pair: _Pair, side: str) -> list[Job]:
@@ -339,9 +330,8 @@ class Schedule:
             seconds = sum(self._costs.object_seconds(n) for _, n in batch)
             if seconds >= self._policy.batch_s or i + 1 == len(sizes):
                 need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(batch[0][1])
-                numbers, nodes = tuple(number for number, _ in batch), tuple(n for _, n in batch)
-                arguments = (pair.plan, pair.scoring, numbers)
-                self._submit(_Batch((pair,), score_objects, arguments, first + seconds, need, nodes))
+                arguments = (pair.plan, pair.scoring, tuple(number for number, _ in batch))
+                self._submit(_Batch((pair,), score_objects, arguments, first + seconds, need, keep=True))
                 batch = []
         if not sizes:
             self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, []), priority=_FIRST))
@@ -361,8 +351,7 @@ class Schedule:
             if not self._budget.admits(batch.need, [running.need for running in self._running.values()]):
                 return
             heapq.heappop(self._waiting)
-            keep = bool(batch.objects)
-            handle = self._pool.submit(batch.function, *batch.arguments, priority=batch.priority, keep=keep)
+            handle = self._pool.submit(batch.function, *batch.arguments, priority=batch.priority, keep=batch.keep)
             self._running[handle] = batch
-            if keep:
+            if batch.keep:
                 batch.pairs[0].scored.append(handle)

@@ -27,7 +27,7 @@ from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..engine.engine import Engine, Machines, absolute_paths
 from ..engine.plan import Job, PairPlan
-from ..engine.progress import Reporter, Work
+from ..engine.progress import Reporter
 from ..inspect.scan_checks import file_marks, hash_scan, input_name
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, run_dataset, select_pairs
@@ -42,7 +42,6 @@ RECIPE_VERSION = 2  # to be raised when the same recipe gives other measurements
 USUAL_NOISE_M, USUAL_LOST_SHARE = 0.03, 0.03  # where a scan does not show its own
 _KEY, _NOISE_M, _LOST_SHARE, _REASON = b"fidpipe.floor", b"noise_m", b"lost_share", b"reason"
 _AMOUNTS = (_NOISE_M, _LOST_SHARE, _REASON)
-_SECONDS = 0.1
 #: All that was measured, once each: the settings of the run cut both sides alike.
 _ALL = InputSettings(min_range_m=0.0, max_range_m=FARTHEST_M)
 
@@ -257,15 +256,14 @@ def _make_all(tasks: list[_Task], reporter: Reporter) -> None:
         return
     plans = (PairPlan(ScanPair(task.pair_id, None, None), (_job(task),)) for task in tasks)
     with Engine(Settings(), Machines(workers=1), reporter, [__name__]) as engine:
-        work = Work(len(tasks), _SECONDS * len(tasks), {_STAGE.name: (len(tasks), 0)})
-        with engine.scheduling(plans, work) as schedule:
+        with engine.scheduling(plans, len(tasks)) as schedule:
             schedule.run()
         if engine.failures:
             raise RunError(next(iter(engine.failures.values())))
 
 
 def _job(task: _Task) -> Job:
-    return Job(_STAGE, "", task.key, Settings(), arguments=(task,), seconds=_SECONDS)
+    return Job(_STAGE, "", task.key, Settings(), arguments=(task,))
 
 
 def _make(context: Context) -> Made:

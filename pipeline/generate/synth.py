@@ -24,7 +24,7 @@ from ...stages.inspect.sensor_models import SENSORS
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
 from ..engine.engine import Engine, Machines
 from ..engine.plan import Job, PairPlan
-from ..engine.progress import Reporter, Work
+from ..engine.progress import Reporter
 from ..stage import Context, Grain, Made, Stage
 from ..storage.files import key_of, refuse_link, write_whole
 
@@ -213,8 +213,7 @@ def _make_pairs(request: SynthRequest, wanted: list[int], reporter: Reporter) ->
         reporter.say(f"{request.n_pairs - len(wanted)} of {request.n_pairs} pairs are there already")
     plans = (_plan(request, index) for index in wanted)
     with Engine(Settings(), Machines(request.workers), reporter, [__name__]) as engine:
-        work = Work(len(wanted), float(len(wanted)), {_STAGE.name: (len(wanted), 0)})
-        with engine.scheduling(plans, work) as schedule:
+        with engine.scheduling(plans, len(wanted)) as schedule:
             schedule.run()
         if engine.failures:
             raise FidpipeError(f"dataset {request.out}: {next(iter(engine.failures.values()))}")
@@ -223,7 +222,7 @@ def _make_pairs(request: SynthRequest, wanted: list[int], reporter: Reporter) ->
 def _plan(request: SynthRequest, index: int) -> PairPlan:
     """The one job of a pair, which writes its files."""
     key = key_of(request.recipe(), index)
-    job = Job(_STAGE, "files", key, Settings(), arguments=(request, index), seconds=1.0)
+    job = Job(_STAGE, "files", key, Settings(), arguments=(request, index))
     return PairPlan(ScanPair(pair_name(index), None, None), (job,))
 
 

@@ -34,7 +34,7 @@ from ..datasets.readers.scan import label_path_of
 from ..datasets.sequences import Frame, Recording
 from ..engine.engine import Engine, Machines
 from ..engine.plan import Job, PairPlan
-from ..engine.progress import Reporter, Work
+from ..engine.progress import Reporter
 from ..stage import Context, Grain, Made, Stage
 from ..storage.files import hash_file, key_of, path_exists, refuse_link, write_whole
 from ..storage.record import library_versions
@@ -42,7 +42,6 @@ from ..storage.record import library_versions
 RECIPE = "twin.toml"
 RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
 _LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
-_SECONDS = 12.0  # of a twin, roughly
 _FEWEST_OTHERS = 2
 
 
@@ -284,8 +283,7 @@ def _make_all(request: TwinRequest, tasks: Sequence[_Task], reporter: Reporter) 
     """Makes the twins; gives why some could not be made, by name."""
     plans = (_plan(request, task) for task in tasks)
     with Engine(Settings(), Machines(request.workers), reporter, [__name__]) as engine:
-        work = Work(len(tasks), _SECONDS * len(tasks), {_STAGE.name: (len(tasks), 0)})
-        with engine.scheduling(plans, work) as schedule:
+        with engine.scheduling(plans, len(tasks)) as schedule:
             schedule.run()
         return engine.failures
 
@@ -293,7 +291,7 @@ def _make_all(request: TwinRequest, tasks: Sequence[_Task], reporter: Reporter) 
 def _plan(request: TwinRequest, task: _Task) -> PairPlan:
     """The one job of a frame, which writes the scans of its pair."""
     key = key_of(task.frame.name, str(request.out))
-    job = Job(_STAGE, "twin", key, Settings(), arguments=(task,), seconds=_SECONDS)
+    job = Job(_STAGE, "twin", key, Settings(), arguments=(task,))
     return PairPlan(ScanPair(task.frame.name, None, None), (job,))
 
 

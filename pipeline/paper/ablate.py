@@ -23,9 +23,8 @@ from ...schemas.metrics import DATASET_SCORES
 from ...schemas.settings import Settings, parse
 from ...stages.arrays import FloatArray
 from ...stages.paper.parameter_choice import Influence, ParameterSet, Trial, Verdict, influence, judge_parameters
-from ..engine.costs import CostModel
 from ..engine.engine import absolute_paths
-from ..engine.plan import PairPlan, Part
+from ..engine.plan import Part
 from ..engine.progress import Reporter
 from .ablate_jobs import STAGE
 from .experiment import ExperimentOutcome, ExperimentRequest, experimenting, mean_rows, read_source
@@ -108,7 +107,7 @@ def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
         raise SettingsError(f"{request.source}: is a scan; ablate compares real and simulated scans of a dataset")
     with experimenting("ablate", source, request, reporter, stages=(STAGE,), sides=SIDES) as experiment:
         facts = {"values": {name: list(tried) for name, tried in values.items()}, "grid": request.grid}
-        experiment.make({plan.pair_id: _parts(plan, settings_of) for plan in experiment.prepare()}, facts)
+        experiment.make({plan.pair_id: _parts(settings_of) for plan in experiment.prepare()}, facts)
         rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
         scores = rows.to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
         means = ({"n_pairs": row.pop("n"), **row} for row in mean_rows(scores, [*_NAMES, "metric"]))
@@ -191,17 +190,14 @@ def _values(name: str, asked: Sequence[float], now: float) -> tuple[float, ...]:
     return tuple(sorted({*map(int, asked), int(now)}))
 
 
-def _parts(plan: PairPlan, settings_of: dict[ParameterSet, Settings]) -> list[Part]:
+def _parts(settings_of: dict[ParameterSet, Settings]) -> list[Part]:
     """The wanted parts of a pair: one for each distinct setting of the graph."""
-    n_points = sum(job.record.facts["n_points"] for job in plan.jobs if job.record is not None)
     by_graph: dict[tuple[int, float], list[ParameterSet]] = {}
     for parameters in settings_of:
         by_graph.setdefault((parameters.k, parameters.tau_m), []).append(parameters)
     parts = []
     for (k, tau_m), own in by_graph.items():
         neutral = with_parameters(settings_of[own[0]], ParameterSet(k, tau_m, 1.0, 1.0))  # delta and t are arguments
-        n_scorings = len({parameters.t for parameters in own})
-        seconds = 1e-4 * n_points + n_scorings * 20 * CostModel().object_seconds(n_points // 60)
         arguments = ([[*vars(parameters).values()] for parameters in own],)
-        parts.append(Part(STAGE, f"k{k}-tau{tau_m!r}", arguments, seconds, neutral))
+        parts.append(Part(STAGE, f"k{k}-tau{tau_m!r}", arguments, neutral))
     return parts

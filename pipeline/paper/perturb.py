@@ -22,7 +22,6 @@ from ...stages.arrays import FloatArray, IntArray
 from ...stages.generate.perturbations import KINDS, Perturbation
 from ...stages.paper.sweeps import Means
 from ...stages.statistics.typical_objects import ChosenObject
-from ..engine.costs import CostModel
 from ..engine.engine import absolute_paths
 from ..engine.plan import Part
 from ..engine.progress import Reporter
@@ -122,7 +121,7 @@ def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcom
             "levels": [vars(level) for level in request.levels],
             "objects": [vars(each) for each in objects],
         }
-        experiment.make({scan: _parts(request, experiment, scan, own) for scan, own in chosen.items()}, facts)
+        experiment.make({scan: _parts(request, scan, own) for scan, own in chosen.items()}, facts)
         summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
         return PerturbOutcome(
             **experiment.finish(), scans=tuple(chosen), objects=objects, levels=request.levels, summary=summary
@@ -177,11 +176,8 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
     return level
 
 
-def _parts(request: PerturbRequest, experiment: Experiment, scan: str, objects: Sequence[ChosenObject]) -> list[Part]:
+def _parts(request: PerturbRequest, scan: str, objects: Sequence[ChosenObject]) -> list[Part]:
     """The wanted parts of one scan: each level of the whole scan, and of each chosen object."""
-    costs = CostModel()
-    sizes = experiment.folder.read_table("objects", scan, "real", ["n_points"]).column("n_points").to_pylist()
-    scan_seconds = sum(costs.object_seconds(n) for n in sizes)
     parts = []
 
     def seeds_of(what: int | str, level: Perturbation, n: int) -> list[int]:
@@ -192,15 +188,14 @@ def _parts(request: PerturbRequest, experiment: Experiment, scan: str, objects: 
     for level in request.levels:
         seeds = seeds_of("all", level, request.global_repeats)
         if seeds:
-            parts.append(Part(GLOBAL, _name(level), (level, seeds), len(seeds) * scan_seconds))
+            parts.append(Part(GLOBAL, _name(level), (level, seeds)))
         for chosen in objects:
             number = chosen.community_id
             seeds = seeds_of(number, level, request.repeats)
             name, arguments = f"{number}-{_name(level)}", (number, chosen.name, level, seeds)
-            seconds = len(seeds) * costs.object_seconds(chosen.n_points)
-            parts.append(Part(OBJECT, name, arguments, seconds))
+            parts.append(Part(OBJECT, name, arguments))
             if request.settings.metrics.baselines:
-                parts.append(Part(BASELINE, name, arguments, 2 * seconds))
+                parts.append(Part(BASELINE, name, arguments))
     return parts
 
 
