@@ -350,7 +350,7 @@ class _Run:
             stored = self._folder.write_at(path, table.name, parts, key)
             before = JobRecord(table.name, "", "", key, {path.name: stored})
             self._folder.ledger.put_job(before)
-        return self._folder.read(table.name, before.files[path.name], path) if table is PAIRS else None
+        return self._folder.read(table.name, before.files[path.name], path.name) if table is PAIRS else None
 
     def _pair_parts(self, survey: Survey) -> Iterator[pa.Table]:
         """The rows of `pairs`, some pairs at a time: those with current results, and those that failed."""

@@ -169,10 +169,10 @@ class PairTables:
             if self._folder is None:
                 raise RuntimeError(f"table {name} of side {side!r} is asked for before its job is done")
             record = self._maker(name, side)
-            path = self._folder.path(name, self.pair_id, side)
-            stored = record.files[table_name(name, self.pair_id, side)]
+            file = table_name(name, self.pair_id, side)
             with step("read"):
-                self._parts[name, side, columns] = self._folder.read(name, stored, path, list(columns) or None)
+                rows = self._folder.read(name, record.files[file], file, list(columns) or None)
+                self._parts[name, side, columns] = rows
         return self._parts[name, side, columns]
 
     def whole_table(self, name: str, side: str = "") -> pa.Table:

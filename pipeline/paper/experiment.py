@@ -192,7 +192,7 @@ class Experiment:
         """All rows of one of the experiment's tables."""
         files = ((name, stored) for record in self._records() for name, stored in record.files.items())
         own = [each for each in files if each[0].startswith(f"{table}/")]
-        parts = (self.folder.read(table, stored, self.folder.folder / name) for name, stored in own)
+        parts = (self.folder.read(table, stored, name) for name, stored in own)
         return pa.concat_tables([TABLES[table].schema.empty_table(), *parts])
 
     def write_summary(self, table: Table, rows: list[Row]) -> pa.Table:

@@ -29,7 +29,7 @@ from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, finished_record
-from ..storage.tables import read_bounded, table_name
+from ..storage.tables import plain_strings, table_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,7 +166,7 @@ class FinishedRun:
         sides = SIDES if stage.grain is Grain.SIDE else ("",)
         parts = [self.read_table(name, self._scored(own), side) for own in names for side in sides]
         if not parts:
-            return _as_read(TABLES[name].schema).empty_table()
+            return plain_strings(TABLES[name].schema).empty_table()
         return pa.concat_tables(parts).replace_schema_metadata()  # that of the first file says which job wrote it
 
     @property
@@ -248,30 +248,7 @@ class FinishedRun:
         RunError
             The file is damaged or gone.
         """
-        name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
-        record = self.store.ledger.job_of_file(name)
-        path = self.folder / name
-        try:
-            content = record.files[name].read(path) if record is not None else None
-            if content is None:
-                raise self._damaged(name)
-            rows = read_bounded(path, content, columns)
-            if columns is None and (
-                absent := [own for own in TABLES[table].schema.names if own not in rows.schema.names]
-            ):
-                raise RunError(
-                    f"run {self.folder}: its table {table} has no column {', '.join(absent)}, as an older fidpipe "
-                    f"wrote it; run it again with: {command_again(self.folder, self.record.dataset)}"
-                )
-            if surplus := [own for own in rows.schema.names if own not in TABLES[table].schema.names]:
-                raise RunError(
-                    f"run {self.folder}: {name} has columns that this fidpipe does not know ({', '.join(surplus)}); "
-                    "read it with the version that wrote it, which run.json tells"
-                )
-            return rows if columns is not None else TABLES[table].check(rows)
-        except (OSError, ValueError, KeyError, pa.ArrowException) as error:
-            cause = getattr(error, "strerror", None) or error
-            raise RunError(f"run {self.folder}: {name} cannot be read ({cause}); run fidpipe run again") from error
+        return self.store.read_table(table, pair_id, side, columns)
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
@@ -295,25 +272,13 @@ class FinishedRun:
         """Raises `RunError` if a file is not as the job wrote it, or gone."""
         record = self.store.ledger.job_of_file(name)
         if record is None or not self.store.is_whole(record, by_content=True):
-            raise self._damaged(name)
+            raise self.store.damaged(name)
 
     def _mismatched(self, pair_id: str) -> RunError:
         return RunError(
             f"run {self.folder}, pair {pair_id}: its tables name objects that are not in objects/; run it again with: "
             f"{command_again(self.folder, self.record.dataset)}"
         )
-
-    def _damaged(self, name: str) -> RunError:
-        return RunError(
-            f"run {self.folder}: {name} is damaged or gone; run it again with: "
-            f"{command_again(self.folder, self.record.dataset)}"
-        )
-
-
-def _as_read(schema: pa.Schema) -> pa.Schema:
-    """A schema as files give it back: names of pairs and the like as plain strings."""
-    is_coded = pa.types.is_dictionary
-    return pa.schema([field.with_type(pa.string()) if is_coded(field.type) else field for field in schema])
 
 
 def _frame(table: pa.Table) -> pd.DataFrame:

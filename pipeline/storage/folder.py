@@ -13,7 +13,7 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .ledger import LEDGER, Ledger
-from .record import read_run
+from .record import command_again, read_run
 from .tables import JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
@@ -93,19 +93,30 @@ class RunFolder(TableFolder):
                 f"run {self.folder}: {link} is a symbolic link, files of its own are wanted; remove the link"
             )
 
-    def read_table(self, table: str, pair_id: str, part: str = "", columns: list[str] | None = None) -> pa.Table:
-        """A table of a finished job, or a table of the whole run where `pair_id` is "".
+    def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
+        """A table of one pair (of one side where each side has its own), or of the whole run if `pair_id` is "".
+
+        Parameters
+        ----------
+        columns : only these, by default all
 
         Raises
         ------
         RunError
-            It is not there, or not as it was written.
+            The file is damaged or gone.
         """
-        name = table_name(table, pair_id, part) if pair_id else f"{table}.parquet"
+        name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
         record = self.ledger.job_of_file(name)
-        if record is None or not self.is_whole(record):
-            raise RunError(f"run {self.folder}: {name} is damaged or gone")
-        return self.read(table, record.files[name], self.folder / name, columns)
+        if record is None:
+            raise self.damaged(name)
+        return self.read(table, record.files[name], name, columns, is_plain=True)
+
+    def damaged(self, name: str, cause: str = "") -> RunError:
+        """The error of a file that is not as it was stored, with the command that makes it again."""
+        again = command_again(self.folder, read_run(self.folder).get("dataset", "DATASET"))
+        return RunError(
+            f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run it again with: {again}"
+        )
 
     def is_whole(self, record: JobRecord, *, by_content: bool = False) -> bool:
         """Whether the files of a job are as they were written; see `StoredFile.is_at`."""

@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import TypeAdapter
 
+from ...schemas.columns import CONSTANT
 from ...schemas.errors import OversizeError, RunError
 from ...schemas.tables import TABLES
 from .bounds import check_pages
@@ -231,21 +232,42 @@ class TableFolder:
         status = path.stat()
         return StoredFile(status.st_size, hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
 
-    def read(self, table: str, stored: StoredFile, path: Path, columns: list[str] | None = None) -> pa.Table:
-        """Reads a table that must be as it was stored; all columns are checked, or only the named ones are read.
+    def read(
+        self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None, *, is_plain: bool = False
+    ) -> pa.Table:
+        """The rows of a table of this run, which must be as it was stored and have the columns of its schema.
+
+        Parameters
+        ----------
+        stored : the file as it was written
+        name : of the file, relative to the run
+        columns : only these, by default all
+        is_plain : read strings as strings; otherwise those that are the same in all rows are dictionaries
 
         Raises
         ------
         RunError
-            The file is not what was stored.
+            The file is damaged or gone.
         """
-        content = stored.read(path)
-        if content is None:
-            raise RunError(f"{path}: the file changed while the run was using it; run the same command again")
-        schema = TABLES[table]
-        dictionaries = schema.same if columns is None else [name for name in schema.same if name in columns]
-        rows = read_bounded(path, content, columns, read_dictionary=dictionaries)
-        return rows if columns is not None else schema.check(rows.cast(schema.schema))
+        path, schema = self.folder / name, TABLES[table]
+        wanted = schema.schema if columns is None else pa.schema([schema.schema.field(column) for column in columns])
+        try:
+            content = stored.read(path)
+            if content is None:
+                raise self.damaged(name)
+            same = [] if is_plain else [column for column in schema.same if column in wanted.names]
+            rows = read_bounded(path, content, columns, read_dictionary=same)
+            if columns is None:
+                return schema.check(rows if is_plain else rows.cast(wanted))
+            return rows.cast(plain_strings(wanted) if is_plain else wanted)
+        except (OSError, ValueError, KeyError, pa.ArrowException) as error:
+            raise self.damaged(name, getattr(error, "strerror", None) or str(error)) from error
+
+    def damaged(self, name: str, cause: str = "") -> RunError:
+        """The error of a file that is not as it was stored."""
+        return RunError(
+            f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run the same command again"
+        )
 
     def check_token(self) -> None:
         """Raises `RunError` where another run has taken over the folder."""
@@ -255,6 +277,11 @@ class TableFolder:
             token = ""
         if token != self.token:
             raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+
+
+def plain_strings(schema: pa.Schema) -> pa.Schema:
+    """A schema with strings in place of dictionaries."""
+    return pa.schema([field.with_type(pa.string()) if field.type == CONSTANT else field for field in schema])
 
 
 def read_bounded(path: Path, content: bytes, columns: list[str] | None = None, **options: Any) -> pa.Table:
