@@ -56,8 +56,8 @@ docs: setup
 # atheris is not in the lock: it has wheels for few machines.
 fuzz: setup
 	$(PIP) --only-binary :all: 'atheris>=3.0' || echo "no atheris for this Python: inputs are made, not guided"
-	$(BIN)/python tests/hostile/campaign.py --inputs $(INPUTS)
-	if $(BIN)/python -c 'import atheris'; then $(BIN)/python tests/hostile/guided.py --inputs $(INPUTS); fi
+	$(BIN)/python tools/fuzz/campaign.py --inputs $(INPUTS)
+	if $(BIN)/python -c 'import atheris'; then $(BIN)/python tools/fuzz/guided.py --inputs $(INPUTS); fi
 
 bench: setup
 	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin
@@ -130,7 +130,7 @@ test-pythons: setup
 
 # Archives, clean installs, extras, the Dockerfile's steps: some minutes, wants the package index.
 release-check: setup
-	$(BIN)/python tests/release.py
+	$(BIN)/python tools/release.py
 
 clean:
 	rm -rf $(VENV) build .cache *.egg-info

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from rosbags.highlevel import AnyReader
-from targets import TARGETS
 
 from campaign import campaign
 from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names
@@ -23,6 +22,7 @@ from fidpipe.pipeline.storage import bounds
 from fidpipe.schemas.errors import DatasetError, OversizeError, ScanError
 from recordings import CLOUD, cloud, typestore
 from seeds import _ROWS, POINTS, scan_files
+from targets import TARGETS
 
 PACKAGE = Path(bounds.__file__).resolve().parents[2]
 #: Inputs a reader in the short form, fewer where one takes long; `make fuzz` has the long form.

@@ -6,12 +6,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from targets import TARGETS
 
 import fidpipe
 from attack import write_input
 from fidpipe.pipeline.datasets.readers import FORMATS
 from fidpipe.schemas.errors import FidpipeError
+from targets import TARGETS
 
 ROOT = Path(fidpipe.__file__).parent
 #: What opens a file to be read: functions, and methods of whatever.

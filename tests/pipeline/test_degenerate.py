@@ -24,12 +24,12 @@ LINES = set(PAGE.read_text(encoding="utf-8").splitlines())
 
 @pytest.mark.parametrize("scene", [pytest.param(name, marks=SLOW if name in FURTHER else ()) for name in SCENES])
 def test_the_page_says_what_becomes_of_a_scene(scene):
-    assert degenerate.row(scene) in LINES, "run python tests/degenerate.py, and say why in CHANGELOG.md"
+    assert degenerate.row(scene) in LINES, "run python tools/degenerate.py, and say why in CHANGELOG.md"
 
 
 @pytest.mark.parametrize("name", ARRAYS)
 def test_the_page_says_what_becomes_of_an_array(name):
-    assert degenerate.array_row(name) in LINES, "run python tests/degenerate.py, and say why in CHANGELOG.md"
+    assert degenerate.array_row(name) in LINES, "run python tools/degenerate.py, and say why in CHANGELOG.md"
 
 
 def test_the_page_has_no_other_row():

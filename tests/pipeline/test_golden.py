@@ -1,8 +1,8 @@
 import json
 
-import golden
 import pytest
 
+import golden
 from runs import STAGE_NAMES
 
 
@@ -21,9 +21,9 @@ def test_the_numbers_of_a_stage_change_only_with_its_code_version(measured, want
     found, kept = measured[stage], wanted[stage]
     assert not golden.differs(found["numbers"], kept["numbers"]), (
         f"numbers of stage {stage} changed under version {found['version']} (golden: {kept['version']}); if that is "
-        "meant, raise the version in pipeline/jobs, say why in CHANGELOG.md, and run python tests/golden.py"
+        "meant, raise the version in pipeline/jobs, say why in CHANGELOG.md, and run python tools/golden.py"
     )
-    assert found["version"] == kept["version"], "the version was raised: run python tests/golden.py"
+    assert found["version"] == kept["version"], "the version was raised: run python tools/golden.py"
 
 
 def test_the_comparison_sees_a_small_change():

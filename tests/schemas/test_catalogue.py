@@ -89,4 +89,4 @@ def test_identical_objects_have_the_value_of_the_catalogue_in_every_own_score(tw
 def test_the_tables_of_a_page_are_those_of_the_code(page, monkeypatch):
     for toy in TOY_TABLES:
         monkeypatch.delitem(TABLES, toy.name)
-    assert readme.with_tables(page) == page.read_text(encoding="utf-8"), "renew them with: python tests/readme.py"
+    assert readme.with_tables(page) == page.read_text(encoding="utf-8"), "renew them with: python tools/readme.py"

@@ -1,6 +1,7 @@
-"""The table of docs/degenerate.md, and what every result keeps. `python tests/degenerate.py` writes the table anew."""
+"""The table of docs/degenerate.md, and what every result keeps. `python tools/degenerate.py` writes the table anew."""
 
 import re
+import sys
 import warnings
 from pathlib import Path
 
@@ -10,6 +11,9 @@ from fidpipe import evaluate_pair
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.metrics import METRIC
 from fidpipe.schemas.tables import TABLES
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
 from scenes import cloud, degenerate
 
 PAGE = Path(__file__).parents[1] / "docs" / "degenerate.md"

@@ -1,6 +1,6 @@
 """Changes the stages in one place after the other, runs them on two small pairs, and counts what `verify` finds.
 
-    python tests/mutants.py [NUMBER ...]
+    python tools/mutants.py [NUMBER ...]
 
 Each is a copy of the package with one line changed, run and verified under both presets. The table is Markdown.
 """
@@ -14,6 +14,8 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
 from scenes import box, drifted, grid, rigid, street, write_bin
 
@@ -113,7 +115,7 @@ def verdict(mutant, data):
             path = package / "stages" / f"{mutant[0]}.py"
             assert mutant[1] in path.read_text(), mutant
             path.write_text(path.read_text().replace(mutant[1], mutant[2]))
-        env = os.environ | {"PYTHONPATH": f"{folder}:{Path(__file__).parent}", "PYTHONPYCACHEPREFIX": folder}
+        env = os.environ | {"PYTHONPATH": folder, "PYTHONPYCACHEPREFIX": folder}
         words = [sys.executable, __file__, "--one", str(data), folder]
         ended = subprocess.run(words, capture_output=True, text=True, check=False, env=env)
         return ended.stdout.strip() if not ended.returncode else f"ended with: {ended.stderr.strip().splitlines()[-1]}"

@@ -1,9 +1,10 @@
-"""Makes the pictures of docs/stages and docs/scores.md anew, and the numbers beside them: python tests/pictures.py.
+"""Makes the pictures of docs/stages and docs/scores.md anew, and the numbers beside them: python tools/pictures.py.
 
 All is drawn from pairs of `fidpipe synth`, evaluated by `fidpipe run` under the default settings in .cache/pictures.
 """
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,9 @@ from object_pictures import (
     save,
     three_views,
 )
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
 from runs import command
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,10 +1,12 @@
-"""Makes the README's pictures of a report anew: python tests/screenshots.py runs/streets (after fidpipe report)."""
+"""Makes the README's pictures of a report anew: python tools/screenshots.py runs/streets (after fidpipe report)."""
 
 import sys
 import tempfile
 from pathlib import Path
 
 from PIL import Image
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
 from browsers import by_id, choose, open_page, resize, settle, start_browser
 

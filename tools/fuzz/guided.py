@@ -1,6 +1,6 @@
 """Inputs that coverage guides: atheris changes them where that leads a reader or its library to lines not seen before.
 
-    python tests/hostile/guided.py [--inputs 100000] [--seconds 600] [--readers pcd,ply] [--out .cache/hostile]
+    python tools/fuzz/guided.py [--inputs 100000] [--seconds 600] [--readers pcd,ply] [--out .cache/hostile]
 
 It needs atheris (`pip install atheris`), and sees Python's lines alone, not those of libraries in C++ or Rust. An input
 is a byte that says which file of which whole input is exchanged, then what that file holds. Those that led to new lines
@@ -21,8 +21,9 @@ import time
 import warnings
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent)]
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE), str(ROOT / "tests" / "hostile"), str(ROOT / "tests")]
 
 _MOST_INPUT_BYTES = 8192
 #: Packages whose lines are followed, all of each: atheris knows no parts of them.
@@ -42,9 +43,8 @@ def guide(name, out, words):
     scratch = Path(tempfile.mkdtemp(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None))
     tempfile.tempdir = str(scratch)
     with atheris.instrument_imports(include=_FOLLOWED):
-        from targets import TARGETS
-
         from attack import Judge, write_input
+        from targets import TARGETS
 
         target = TARGETS[name]
         seeds = target.inputs()

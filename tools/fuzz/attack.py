@@ -1,6 +1,6 @@
 """What one process of a campaign does: it makes hostile inputs by number, reads each, and says what went wrong.
 
-Called as `python tests/hostile/attack.py PLACE READER START STOP`. Each line on standard output is a finding as JSON,
+Called as `python tools/fuzz/attack.py PLACE READER START STOP`. Each line on standard output is a finding as JSON,
 or the sums at the end. The number of the input at work stands in the file PLACE/number, for whoever watches.
 """
 
@@ -21,11 +21,11 @@ from itertools import count
 from pathlib import Path
 from time import process_time
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
-
-from targets import TARGETS
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests" / "hostile"), str(ROOT / "tests")]
 
 from mutation import mutated
+from targets import TARGETS
 
 #: An input may take so many seconds of the processor, so much memory, and so much again for each byte it is long.
 MOST_SECONDS = 2.0
@@ -71,7 +71,7 @@ class Watch:
             "/proc",
             "/sys",
             "/dev",
-            Path(__file__).parents[2],
+            ROOT,
         )
         self._known = tuple(map(str, known))
         sys.addaudithook(self._hook)

@@ -1,4 +1,4 @@
-"""The numbers that the tiny dataset must give. `python tests/golden.py` renews them, and says which stages changed.
+"""The numbers that the tiny dataset must give. `python tools/golden.py` renews them, and says which stages changed.
 
 It refuses where numbers of a stage changed and its code version in `pipeline/jobs` did not.
 """
@@ -14,10 +14,13 @@ from fidpipe.pipeline.jobs import STAGES
 from fidpipe.stages.generate.scans import make_pair
 from fidpipe.stages.inspect.sensor import describe_sensor, sensor_row
 from fidpipe.stages.inspect.sensor_models import SENSORS
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
 from runs import run
 from scenes import write_dataset
 
-FILE = Path(__file__).with_name("golden.json")
+FILE = Path(__file__).parents[1] / "tests" / "golden.json"
 RELATIVE, ABSOLUTE = 1e-6, 1e-9
 
 

@@ -1,4 +1,4 @@
-"""The licence of each library that users install. `python tests/licences.py` prints them."""
+"""The licence of each library that users install. `python tools/licences.py` prints them."""
 
 import re
 from importlib.metadata import distribution

@@ -1,6 +1,6 @@
 """The worked pictures of docs/scores.md: matched objects whose scores are near given values, and why they are so.
 
-`tests/pictures.py` draws them. Nothing is chosen by hand: of a run the object nearest to each value.
+`tools/pictures.py` draws them. Nothing is chosen by hand: of a run the object nearest to each value.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """A campaign of hostile inputs: for each reader so many, in a process of its own that is watched and may be ended.
 
-    python tests/hostile/campaign.py [--inputs 100000] [--readers pcd,ply] [--out .cache/hostile]
+    python tools/fuzz/campaign.py [--inputs 100000] [--readers pcd,ply] [--out .cache/hostile]
 
 A reader that ends its process, never comes back, or takes too much memory is found, and the input with it; the campaign
 goes on behind it. What is found lies in OUT/READER/NUMBER, and is made again by its number. `summary.json` and a table
@@ -19,8 +19,9 @@ import tempfile
 import time
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent)]
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE), str(ROOT / "tests" / "hostile"), str(ROOT / "tests")]
 
 #: Seconds of the processor after which an input counts as one that never ends; of the clock, ten times as many.
 SECONDS_TO_HANG = 20.0
@@ -105,9 +106,8 @@ def _fast_folder():
 
 def save(finding, out):
     """Writes the files of a finding and what was said of it."""
-    from targets import TARGETS
-
     from attack import make_input, write_input
+    from targets import TARGETS
 
     target = TARGETS[finding["reader"]]
     folder = out / finding["reader"].replace(" ", "-") / str(finding["number"])

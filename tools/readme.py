@@ -1,4 +1,4 @@
-"""The tables of the documentation that come from the code. `python tests/readme.py` writes them anew."""
+"""The tables of the documentation that come from the code. `python tools/readme.py` writes them anew."""
 
 import re
 from pathlib import Path
