@@ -51,7 +51,7 @@ def test_every_stage_has_a_picture_and_all_that_is_shown_is_there():
     assert shown == {f"{name}.png" for name in ("pipeline", *STAGE_NAMES, *(wanted.name for wanted in WANTED))}
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_worked_objects_are_those_of_the_page_and_the_pictures_can_be_drawn(tmp_path):
     text = (DOCS / "scores.md").read_text(encoding="utf-8")
     named = re.findall(r"`(\d{4}) (\d+)`", text)
