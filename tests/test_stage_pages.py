@@ -9,6 +9,7 @@ from PIL import Image
 import pictures
 from fidpipe.pipeline.generate import synth
 from fidpipe.pipeline.jobs import STAGES
+from fidpipe.stages.generate.things import KINDS
 from object_pictures import WANTED, numbers_table
 from runs import STAGE_NAMES, run
 
@@ -55,11 +56,12 @@ def test_every_stage_has_a_picture_and_all_that_is_shown_is_there():
 def test_the_worked_objects_are_those_of_the_page_and_the_pictures_can_be_drawn(tmp_path):
     text = (DOCS / "scores.md").read_text(encoding="utf-8")
     named = re.findall(r"`(\d{4}) (\d+)`", text)
-    request = synth.SynthRequest(tmp_path / "streets", pictures.N_PAIRS)
-    synth.prepare(request)
+    streets = tmp_path / "streets"
     for index in sorted({int(pair_id) for pair_id, _ in named}):
-        synth.make_files(request, index)
-    assert not run(request.out, tmp_path / "run").failures
+        synth.write_pair((streets, synth.recipe_of(0, "vlp32c", None), index))
+    labels = "".join(f'{number} = "{kind}"\n' for number, kind in enumerate(KINDS))
+    (streets / "labels.toml").write_text(labels)
+    assert not run(streets, tmp_path / "run").failures
     chosen = pictures.draw_all(tmp_path / "run", tmp_path)
     assert [(row.pair_id, str(row.real_id)) for row in chosen.values()] == named
     assert numbers_table(chosen) in text

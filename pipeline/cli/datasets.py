@@ -50,13 +50,20 @@ def synth(
     """
     from ...stages.inspect.sensor_models import SENSORS
     from ..engine.progress import Reporter
-    from ..generate.synth import SynthRequest, make_dataset
+    from ..generate.synth import make_dataset
 
     if sensor not in SENSORS:
-        raise typer.BadParameter(
-            f"{sensor!r} is no sensor; one of {', '.join(SENSORS)} is wanted", param_hint="--sensor"
-        )
-    make_dataset(SynthRequest(out, pairs, seed, sensor, points, workers, replace), Reporter())
+        raise typer.BadParameter(f"expected one of {', '.join(SENSORS)}; got {sensor!r}", param_hint="--sensor")
+    make_dataset(
+        out,
+        Reporter(),
+        n_pairs=pairs,
+        seed=seed,
+        sensor=sensor,
+        n_points=points,
+        workers=workers,
+        replace=replace,
+    )
     print_line(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))}")
 
 
@@ -139,18 +146,19 @@ def twin(
     from ..datasets.sequences import read_recording
     from ..engine.progress import Reporter
     from ..generate.sensor_files import read_sensor
-    from ..generate.twin import TwinRequest, make_twins
+    from ..generate.twin import make_twins
 
     model = read_sensor(sensor)
-    request = TwinRequest(
-        out=out,
+    outcome = make_twins(
+        read_recording(sequence, poses, calib),
+        out,
+        Reporter(),
         flaws=parse_flaws(flaw or []),
         sensor=with_values(
             model,
             range_noise_m=model.range_noise_m if range_noise is None else range_noise,
             lost_share=model.lost_share if dropout is None else dropout,
         ),
-        recording=read_recording(sequence, poses, calib),
         n_others=others,
         foliage=tuple(foliage.split(",")) if foliage else (),
         pattern=pairs,
@@ -159,7 +167,6 @@ def twin(
         workers=workers,
         replace=replace,
     )
-    outcome = make_twins(request, Reporter())
     print_line(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))}")
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from time import monotonic
 from typing import Annotated
 
 import typer
@@ -234,19 +233,13 @@ def verify(
     """
     if all_ and objects is not None:
         raise typer.BadParameter("--all is every object, --objects some; give one of the two")
-    from ..engine.progress import SECONDS_BETWEEN_LINES, Reporter
+    from ..engine.progress import Reporter
+    from ..engine.tasks import counting
     from ..verify.verify import verify_run
     from ..verify.verify_view import verify_view
 
-    reporter, last_line = Reporter(), monotonic()
-
-    def pair_done(n_done: int, n_pairs: int) -> None:
-        nonlocal last_line
-        if n_done < n_pairs and monotonic() - last_line >= SECONDS_BETWEEN_LINES:
-            reporter.say(f"{n_done} of {n_pairs} pairs verified")
-            last_line = monotonic()
-
-    result = verify_run(run, None if all_ else objects or 20, seed, pair_done)
+    with counting(Reporter()) as pair_done:
+        result = verify_run(run, None if all_ else objects or 20, seed, pair_done)
     print_json(result.as_dict()) if as_json else print_view(verify_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 

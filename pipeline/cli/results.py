@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from time import monotonic
 from typing import Annotated
 
 import typer
@@ -156,23 +155,18 @@ def export(
 
     fidpipe export runs/dataset --mcap --ply --out viewers/
     """
-    from ..engine.progress import SECONDS_BETWEEN_LINES, Reporter
+    from ..engine.progress import Reporter
+    from ..engine.tasks import counting
     from ..results.export import LEGEND, export_run
     from ..results.finished import FinishedRun
     from ..storage.files import megabytes
 
     if not (mcap or ply):
         raise typer.BadParameter("no format is given; --mcap or --ply, or both, is wanted")
-    reporter, last_line = Reporter(), monotonic()
-
-    def pair_done(n_done: int, n_pairs: int) -> None:
-        nonlocal last_line
-        if n_done == n_pairs or monotonic() - last_line >= SECONDS_BETWEEN_LINES:
-            reporter.say(f"{n_done} of {n_pairs} pairs exported")
-            last_line = monotonic()
-
+    reporter = Reporter()
     finished, folder = FinishedRun(run), out or run / "export"
-    made = export_run(finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done)
+    with counting(reporter) as pair_done:
+        made = export_run(finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done)
     if n_failed := finished.record.pairs.failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
     if made.mcap:

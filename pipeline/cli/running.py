@@ -251,13 +251,14 @@ def floor(
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..generate.floor_run import FloorRequest, run_floor
+    from ..generate.floor_run import run_floor
     from ..report.terminal.run import outcome_view
 
-    request = FloorRequest(
-        dataset=dataset,
-        out=out or Path("runs") / f"{dataset.resolve().name or 'dataset'}-floor",
-        settings=in_force,
+    outcome = run_floor(
+        dataset,
+        out or Path("runs") / f"{dataset.resolve().name or 'dataset'}-floor",
+        in_force,
+        Reporter(),
         noise_m=noise_m,
         lost_share=dropout,
         seed=seed,
@@ -266,7 +267,6 @@ def floor(
         machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
         replace=replace,
     )
-    outcome = run_floor(request, Reporter())
     print_outcome(outcome_view(outcome), outcome.failures)
 
 

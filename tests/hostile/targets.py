@@ -3,8 +3,11 @@
 import json
 import shutil
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+
+import tomli_w
 
 from recordings import cloud, write_bag
 from seeds import _ROWS, SCANS, Target, files_written, scan_files
@@ -134,12 +137,12 @@ def _read_sensor(folder):
 
 def _recipes():
     """What `synth`, `twin` and `floor` wrote of how they made a folder; the other file says which of them."""
-    from fidpipe.pipeline.generate.synth import SynthRequest
+    from fidpipe.pipeline.generate.synth import recipe_of
     from fidpipe.pipeline.results.floor import FloorRecipe
 
     twin = 'version = 1\nseed = 0\ninputs_sha256 = "00"\nfiles = ["0.bin", "0.label"]\n[sensor]\nname = "x"\n'
     floor = FloorRecipe(1, "again", 0.02, 0.05, 0, "streets").to_toml()
-    texts = {"synth": SynthRequest(Path("out"), n_pairs=2).recipe(), "twin": twin, "floor": floor}
+    texts = {"synth": tomli_w.dumps(recipe_of(0, "vlp32c", None)), "twin": twin, "floor": floor}
     return [{"a.toml": text.encode(), "kind": kind.encode()} for kind, text in texts.items()]
 
 
@@ -147,6 +150,7 @@ def _go_on(folder):
     """Prepares to go on in a folder of this recipe: with what another recipe left there, and then in its place."""
     from fidpipe.pipeline.datasets.sequences import Recording
     from fidpipe.pipeline.generate import floor_run, synth, twin
+    from fidpipe.pipeline.generate.dataset import prepare_folder
     from fidpipe.pipeline.results.floor import FLOOR_DATASET, FloorRecipe, read_recipe
     from fidpipe.schemas.errors import FidpipeError
 
@@ -160,16 +164,15 @@ def _go_on(folder):
         if (recipe := read_recipe(out)) is None:
             raise FidpipeError("no recipe")
         wanted = FloorRecipe(1, "again", 0.02, 0.05, 0, "streets")
-        return floor_run._refuse_other_recipe(
-            SimpleNamespace(out=out, recipe=wanted, dataset="x", replace=False)
-        ), recipe.words
+        return floor_run._refuse_other_recipe(out, wanted, replace=False), recipe.words
     recording = Recording(folder / "posed", folder / "poses.txt", (), {4: "tree"})
 
     def prepare(replace):
         if kind == "synth":
-            synth.prepare(synth.SynthRequest(out, n_pairs=2, replace=replace))
+            owned, recipe = synth._own_files, synth.recipe_of(0, "vlp32c", None)
         else:
-            twin._prepare(twin.TwinRequest(out, recording, replace=replace), ())
+            owned, recipe = twin._own_files, twin._inputs(recording) | {"seed": 0, "files": []}
+        prepare_folder(out, f"{kind}.toml", recipe, partial(owned, out), set(), {}, replace=replace)
 
     with suppress(FidpipeError):
         prepare(replace=False)

@@ -8,24 +8,27 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
 from campaign import campaign
 from fidpipe.pipeline.cli import completion
 from fidpipe.pipeline.datasets.sequences import Recording
 from fidpipe.pipeline.datasets.writers import convert
+from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.sensor_files import read_sensor
 from fidpipe.pipeline.results.findings import read_columns
 from fidpipe.pipeline.results.floor import FLOOR_DATASET, FLOOR_RECIPE, read_recipe
 from fidpipe.schemas.errors import DatasetError, FidpipeError, OversizeError, RunError
 
+QUIET = Reporter(Console(quiet=True))
 TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 
 
 def twins(out, replace=True):
-    """Prepares a folder for twins of a recording without a frame."""
+    """Makes the twins of a recording without a frame."""
     recording = Recording(out.parent / "posed", Path("poses.tum"), (), {})
-    twin._prepare(twin.TwinRequest(out, recording, replace=replace), ())
+    twin.make_twins(recording, out, QUIET, replace=replace)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +58,7 @@ def test_a_recipe_that_names_files_elsewhere_is_none_of_ours(tmp_path, files):
         twins(out)
         assert (out / "real").is_dir()
     else:
-        with pytest.raises(FidpipeError, match="holds other things than twins"):
+        with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):
             twins(out)
     assert victim.read_text() == "precious"
 
@@ -72,7 +75,7 @@ def test_a_side_that_is_a_link_is_not_cleared(tmp_path, side):
         (out / name).write_text(recipe)
         (out / side).symlink_to(elsewhere)
         with pytest.raises(RunError, match=f"{side}: is a symbolic link, a folder of its own is wanted"):
-            twins(out) if name == twin.RECIPE else synth.prepare(synth.SynthRequest(out, n_pairs=1, replace=True))
+            twins(out) if name == twin.RECIPE else synth.make_dataset(out, QUIET, n_pairs=1, replace=True)
     assert (elsewhere / "0000.bin").read_text() == "precious"
 
 

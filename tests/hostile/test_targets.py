@@ -27,6 +27,7 @@ NOT_ATTACKED = {
     "pipeline.cli.results": "a browser, for a page that it has made",
     "pipeline.report.page.render": "its own scripts and styles",
     "pipeline.generate.floor_run": "copies labels.toml, which the dataset's reader has read",
+    "pipeline.generate.twin": "copies scans and labels, which the reader of scans has read",
     "stages.ground": "/dev/null",
 }
 

@@ -21,7 +21,7 @@ from fidpipe.pipeline.engine.cluster import DaskPool, code_hash, worker_fault
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.generate.floor_run import FloorRequest, run_floor
+from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.jobs import STAGES, metrics, selection
 from fidpipe.pipeline.paper.ablate import AblateRequest, ablate_dataset
 from fidpipe.pipeline.paper.perturb import PerturbRequest, perturb_source
@@ -171,7 +171,7 @@ def test_relative_paths_are_those_of_the_command_not_of_workers_in_other_folders
     assert outcome.failures == {}
     assert outcome.n_made == JOBS_PER_PAIR
     assert run(named, tmp_path / "run", **one).n_reused == JOBS_PER_PAIR
-    assert run_floor(FloorRequest(named, Path("floor"), machines=machines, **one), QUIET).failures == {}
+    assert run_floor(named, Path("floor"), Settings(), QUIET, machines=machines, **one).failures == {}
     asked = {"settings": Settings(), "machines": machines, **one}
     assert ablate_dataset(AblateRequest(named, Path("ablate"), values=NO_VALUES, **asked), QUIET).failures == {}
     levels = {"levels": (Perturbation("noise", 0.01),), "repeats": 1, "global_repeats": 1}

@@ -17,7 +17,7 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.generate.floor_run import FloorRequest, run_floor
+from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.report.terminal.compare import remarks
 from fidpipe.pipeline.results.compare import compare_runs
@@ -26,7 +26,7 @@ from fidpipe.pipeline.results.floor import excess_over
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.metrics import COVERAGE_SCORES, OBJECT_METRICS
-from fidpipe.schemas.settings import load
+from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.scans import make_pair
 from fidpipe.stages.inspect.sensor import describe_sensor
 from fidpipe.stages.inspect.sensor_models import SENSORS
@@ -37,8 +37,10 @@ REFERENCE = load(preset="reference")
 
 
 def floor(dataset, out, reporter=None, **options):
-    request = FloorRequest(dataset, out, machines=Machines(workers=1), **options)
-    return run_floor(request, reporter or Reporter(Console(quiet=True)))
+    settings = options.pop("settings", Settings())
+    return run_floor(
+        dataset, out, settings, reporter or Reporter(Console(quiet=True)), machines=Machines(workers=1), **options
+    )
 
 
 def shown(*words, code=0):
@@ -116,8 +118,8 @@ def test_neither_the_simulated_side_nor_the_workers_matter(folder, tmp_path):
     data = write_dataset(tmp_path / "streets", 3)
     (data / "sim" / "000.bin").write_bytes(b"")
     settings = load(assignments=["input.sim_flip_y=true"])
-    request = FloorRequest(data, tmp_path / "floor", settings, machines=Machines(workers=2))
-    assert not run_floor(request, Reporter(Console(quiet=True))).failures
+    reporter, machines = Reporter(Console(quiet=True)), Machines(workers=2)
+    assert not run_floor(data, tmp_path / "floor", settings, reporter, machines=machines).failures
     assert_same_tables(tmp_path / "floor", folder / "floor")
 
 
@@ -158,7 +160,7 @@ def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, t
         floor(data, out, settings=load(assignments=["graph.k=20"]))
     with pytest.raises(RunError, match=r"holds the floor of .*streets, not of .*streets"):
         floor(folder / "streets", out)
-    with pytest.raises(RunError, match=r"run .*run: holds a run of .*streets, no floor; give another --out"):
+    with pytest.raises(RunError, match=r"run .*run: holds a run of .*streets, not a floor; give another --out"):
         floor(folder / "streets", folder / "run")
     assert floor(data, out, noise_m=0.1, replace=True).n_made == n_made - 4  # all but those of the real side
 
@@ -184,7 +186,7 @@ def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
     turned = {name: np.degrees(np.arctan2(T[1, 0], T[0, 0])) for name, T in places.items()}
     assert turned == pytest.approx({"2": -4, "1": -4, "0": 4})  # 2 is the first in time, 0 the last
     manifest.write_text("pair_id,real,sim\n0,0.bin,\n1,1.bin,\n")
-    with pytest.raises(DatasetError, match="pair 0 has no pose; --neighbours wants the column T_world_sensor"):
+    with pytest.raises(DatasetError, match="pair 0 has no pose; --neighbours needs the column T_world_sensor"):
         floor(tmp_path / "drive", tmp_path / "other", neighbours=True)
 
 

@@ -7,6 +7,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
+import tomli_w
 from rich.console import Console
 from scipy.spatial import cKDTree
 
@@ -14,13 +15,6 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import synth
-from fidpipe.pipeline.generate.synth import (
-    SynthRequest,
-    finish,
-    make_files,
-    prepare,
-    wanted_pairs,
-)
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
@@ -33,10 +27,10 @@ N_POINTS = 400  # of a small scan
 CLASSES = ("wall", "car", "tree", "vegetation")
 
 
-def make_dataset(request):
+def make_dataset(out, **options):
     """Makes the dataset; gives the lines that were said."""
     said = StringIO()
-    synth.make_dataset(request, Reporter(Console(file=said, width=200)))
+    synth.make_dataset(out, Reporter(Console(file=said, width=200)), **options)
     return said.getvalue().splitlines()
 
 
@@ -50,7 +44,7 @@ def pairs():
 def dataset(tmp_path_factory):
     """The folder of two small pairs."""
     out = tmp_path_factory.mktemp("synth") / "streets"
-    make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS))
+    make_dataset(out, n_pairs=2, n_points=N_POINTS)
     return out
 
 
@@ -80,39 +74,25 @@ def distances(pair):
 
 
 def test_the_same_seed_gives_the_same_bytes(dataset, tmp_path):
-    make_dataset(SynthRequest(tmp_path / "again", n_pairs=2, n_points=N_POINTS))
+    make_dataset(tmp_path / "again", n_pairs=2, n_points=N_POINTS)
     assert content(tmp_path / "again") == content(dataset)
 
 
 def test_another_seed_gives_other_bytes(dataset, tmp_path):
-    make_dataset(SynthRequest(tmp_path / "other", n_pairs=1, seed=1, n_points=N_POINTS))
+    make_dataset(tmp_path / "other", n_pairs=1, seed=1, n_points=N_POINTS)
     ours, others = content(dataset), content(tmp_path / "other")
     assert all(ours[name] != others[name] for name in ("real/0000.bin", "sim/0000.bin"))
 
 
 def test_a_pair_made_alone_is_the_pair_of_the_set(dataset, tmp_path):
-    for side in ("real", "sim"):
-        (tmp_path / side).mkdir()
-    make_files(SynthRequest(tmp_path, n_points=N_POINTS), 1)
+    synth.write_pair((tmp_path, synth.recipe_of(0, "vlp32c", N_POINTS), 1))
     ours = content(dataset)
     assert {name: ours[name] for name in content(tmp_path)} == content(tmp_path)
 
 
-def test_pairs_can_be_made_one_by_one_in_any_order(dataset, tmp_path):
-    request = SynthRequest(tmp_path / "steps", n_pairs=2, n_points=N_POINTS)
-    prepare(request)
-    assert wanted_pairs(request) == [0, 1]
-    make_files(request, 1)
-    assert wanted_pairs(request) == [0]
-    make_files(request, 0)
-    assert wanted_pairs(request) == []
-    finish(request)
-    assert content(request.out) == content(dataset)
-
-
 @pytest.mark.slow
 def test_two_processes_make_the_same_dataset(dataset, tmp_path):
-    make_dataset(SynthRequest(tmp_path / "two", n_pairs=2, n_points=N_POINTS, workers=2))
+    make_dataset(tmp_path / "two", n_pairs=2, n_points=N_POINTS, workers=2)
     assert content(tmp_path / "two") == content(dataset)
 
 
@@ -130,41 +110,33 @@ def test_the_reader_finds_pairs_labels_and_frames_over_a_minute_apart(dataset):
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(FidpipeError, match="holds other things than a synthetic dataset"):
-        make_dataset(SynthRequest(tmp_path))
+    with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):
+        make_dataset(tmp_path)
     assert content(tmp_path) == {"thesis.tex": b"years of work"}
 
 
 def test_the_recipe_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "synth.toml").write_text('wave = "saw"')
-    with pytest.raises(FidpipeError, match="holds other things than a synthetic dataset"):
-        make_dataset(SynthRequest(tmp_path))
+    with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):
+        make_dataset(tmp_path)
 
 
 def test_a_folder_made_but_never_filled_is_taken(tmp_path):
     (tmp_path / ".synth.toml.0badcafe").write_text("vers")
-    make_dataset(SynthRequest(tmp_path, n_pairs=1, n_points=N_POINTS))
+    make_dataset(tmp_path, n_pairs=1, n_points=N_POINTS)
     assert len(read_dataset(tmp_path).pairs) == 1
 
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
-    with pytest.raises(FidpipeError, match="is a file, a folder is wanted"):
-        make_dataset(SynthRequest(tmp_path / "out"))
+    with pytest.raises(FidpipeError, match="expected a folder, got a file"):
+        make_dataset(tmp_path / "out")
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FidpipeError, match=r"dataset .*file/out: cannot be written"):
-        make_dataset(SynthRequest(tmp_path / "file" / "out", n_pairs=1, n_points=N_POINTS))
-
-
-def test_an_unknown_sensor_or_no_pair_is_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(FidpipeError, match="known are vlp32c, hdl64"):
-        make_dataset(SynthRequest(tmp_path / "out", sensor="hdl46"))
-    with pytest.raises(FidpipeError, match="pairs 0: at least 1 is wanted"):
-        make_dataset(SynthRequest(tmp_path / "out", n_pairs=0))
-    assert not (tmp_path / "out").exists()
+        make_dataset(tmp_path / "file" / "out", n_pairs=1, n_points=N_POINTS)
 
 
 def test_what_was_interrupted_goes_on_where_it_stopped(dataset, tmp_path, monkeypatch):
@@ -178,32 +150,32 @@ def test_what_was_interrupted_goes_on_where_it_stopped(dataset, tmp_path, monkey
         return make_pair(seed, index, *rest)
 
     monkeypatch.setattr(synth, "make_pair", interrupted)
-    request = SynthRequest(tmp_path / "out", n_pairs=2, n_points=N_POINTS)
+    request = {"n_pairs": 2, "n_points": N_POINTS}
     with pytest.raises(KeyboardInterrupt):
-        make_dataset(request)
+        make_dataset(tmp_path / "out", **request)
     assert not (tmp_path / "out" / "pairs.csv").exists()
     (tmp_path / "out" / "sim" / ".0001.bin.0badcafe").write_bytes(b"half a file")
-    lines = make_dataset(request)
+    lines = make_dataset(tmp_path / "out", **request)
     assert made == [0, None, 1]
-    assert lines == ["1 of 2 pairs are there already"]
+    assert lines == ["1 of 2 pairs already exist"]
     assert content(tmp_path / "out") == content(dataset)
 
 
 def test_another_recipe_replaces_the_pairs_and_fewer_pairs_leave_fewer(dataset, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(dataset, out)
-    (out / "synth.toml").write_text(SynthRequest(out, seed=5, n_points=N_POINTS).recipe())
+    (out / "synth.toml").write_text(tomli_w.dumps(synth.recipe_of(5, "vlp32c", N_POINTS)))
     for path in out.glob("*/0*"):
         path.write_bytes(b"of seed 5")
     before = content(out)
-    with pytest.raises(FidpipeError, match=r"is finished, and 2 of its 2 pairs would be removed \(seed was 5, is 0\)"):
-        make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS))
+    with pytest.raises(FidpipeError, match=r"is finished, and 2 of its 2 pairs would be replaced \(seed was 5, is 0\)"):
+        make_dataset(out, n_pairs=2, n_points=N_POINTS)
     assert content(out) == before
-    make_dataset(SynthRequest(out, n_pairs=2, n_points=N_POINTS, replace=True))
+    make_dataset(out, n_pairs=2, n_points=N_POINTS, replace=True)
     assert content(out) == content(dataset)
-    with pytest.raises(FidpipeError, match=r"1 of its 2 pairs would be removed \(pairs was 2, is 1\); add --replace"):
-        make_dataset(SynthRequest(out, n_pairs=1, n_points=N_POINTS))
-    make_dataset(SynthRequest(out, n_pairs=1, n_points=N_POINTS, replace=True))
+    with pytest.raises(FidpipeError, match=r"1 of its 2 pairs would be replaced \(pairs was 2, is 1\); add --replace"):
+        make_dataset(out, n_pairs=1, n_points=N_POINTS)
+    make_dataset(out, n_pairs=1, n_points=N_POINTS, replace=True)
     assert sorted(path.name for path in out.glob("*/*")) == ["0000.bin", "0000.bin", "0000.label", "0000.label"]
     assert len(read_dataset(out).pairs) == 1
 

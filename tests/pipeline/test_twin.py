@@ -68,8 +68,9 @@ def drive(tmp_path_factory):
 def make(out, drive, *flaws, **options):
     """Makes twins of the drive, with flaws in words."""
     options = {"sensor": SMALL, **options}
-    request = twin.TwinRequest(out, read_recording(drive), flaws=parse_flaws(flaws), **options)
-    return twin.make_twins(request, Reporter(Console(quiet=True)))
+    return twin.make_twins(
+        read_recording(drive), out, Reporter(Console(quiet=True)), flaws=parse_flaws(flaws), **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +190,9 @@ def test_a_broken_scan_fails_alone(twins, drive, tmp_path):
     for index in (1, 2):
         (broken / f"{NAMES[index]}.bin").write_bytes(b"no scan")
     reasons = make(tmp_path / "out2", broken).failures
-    assert any("0 other scans can be read, at least 2 are wanted for a model" in reason for reason in reasons.values())
+    assert any(
+        "expected at least 2 other scans that can be read, for a model; got 0" in reason for reason in reasons.values()
+    )
 
 
 def test_flaws_are_those_of_the_functions_and_alike_in_all_frames_where_they_are_systematic(twins, drive, tmp_path):
@@ -243,7 +246,9 @@ def test_a_run_takes_the_twins_and_sees_a_flaw(twins, drive, tmp_path):
 def test_finished_twins_of_another_recipe_are_replaced_on_purpose_only(twins, drive, tmp_path):
     out = shutil.copytree(twins, tmp_path / "out")
     before = content(out)
-    with pytest.raises(FidpipeError, match=r"holds finished twins of another recipe .seed.; give .* --replace"):
+    with pytest.raises(
+        FidpipeError, match=r"is finished, and 4 of its 4 pairs would be replaced \(seed was 0, is 1\); add --replace"
+    ):
         make(out, drive, seed=1)
     assert content(out) == before
     (out / "sim" / "notes.txt").write_text("mine")
@@ -255,12 +260,12 @@ def test_finished_twins_of_another_recipe_are_replaced_on_purpose_only(twins, dr
 
 def test_a_folder_with_other_things_and_the_recording_itself_are_left_alone(drive, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(FidpipeError, match="holds other things than twins"):
+    with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):
         make(tmp_path, drive)
     assert content(tmp_path) == {"thesis.tex": b"years of work"}
     with pytest.raises(FidpipeError, match="is the recording; give the name of a new or empty folder"):
         make(drive, drive)
-    with pytest.raises(FidpipeError, match='input.real_frame is "nuscenes", "ros" is wanted'):
+    with pytest.raises(FidpipeError, match='input.real_frame: expected "ros", got "nuscenes"'):
         make(tmp_path / "turned", drive, settings=InputSettings(real_frame="nuscenes"))
     with pytest.raises(DatasetError, match="matches none of the 4 frames"):
         make(tmp_path / "out", drive, pattern="x*")

@@ -1,0 +1,117 @@
+"""The folder of a generated dataset: `real/`, `sim/`, its recipe, and a manifest that is written last.
+
+Each file is whole or absent and depends on the recipe alone, so that an interrupted command resumes with what is
+missing.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from ...schemas.columns import SIDES
+from ...schemas.errors import FidpipeError
+from ..datasets.pairs import LABEL_NAMES, MANIFEST
+from ..storage.files import refuse_link, write_whole
+from ..storage.folder import refuse_other_content, refuse_overwrite
+
+Recipe = dict[str, Any]
+#: Where the recording lies changes no file.
+_NO_MATTER = ("recording",)
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Turn errors of the system into a `FidpipeError` that names the dataset."""
+    try:
+        yield
+    except OSError as error:
+        raise FidpipeError(f"dataset {out}: cannot be written ({error.strerror or error})") from error
+
+
+def prepare_folder(
+    out: Path,
+    recipe_name: str,
+    recipe: Recipe,
+    own_files: Callable[[Recipe], set[Path] | None],
+    files: set[Path],
+    label_names: Mapping[int, str],
+    *,
+    replace: bool,
+) -> None:
+    """Make the folder, write recipe and label names, and remove files of an earlier dataset that are not of this one.
+
+    Parameters
+    ----------
+    recipe_name : of the recipe's file
+    recipe : all that the files depend on
+    own_files : existing files of an earlier dataset, by its recipe; None if the recipe is not of the same command
+    files : scans and labels that the dataset will have
+    replace : whether files of a finished dataset may be removed
+
+    Raises
+    ------
+    FidpipeError
+        The folder holds something else, or a finished dataset whose files would be removed; nothing is written then.
+    """
+    import tomli_w
+
+    for side in SIDES:
+        refuse_link(out / side)
+    earlier = _read_recipe(out / recipe_name)
+    existing = None if earlier is None else own_files(earlier)
+    kind = f"a dataset of fidpipe {recipe_name.removesuffix('.toml')}"
+    refuse_other_content(f"dataset {out}", out, kind, is_own=existing is not None, other="folder")
+    out.mkdir(parents=True, exist_ok=True)
+    text = tomli_w.dumps(recipe)
+    if earlier is not None and existing is not None:
+        changes = _changes(earlier, tomllib.loads(text))
+        lost = existing if changes else existing - files
+        n_lost, n_existing = len(_stems(lost)), len(_stems(existing))
+        if n_lost and not replace and (out / MANIFEST).exists():
+            why = changes or [f"pairs was {n_existing}, is {len(_stems(files))}"]
+            refuse_overwrite(f"dataset {out}", f"{n_lost} of its {n_existing} pairs", why, "folder")
+        (out / MANIFEST).unlink(missing_ok=True)
+        for path in {*lost, *([out / LABEL_NAMES] if changes else [])}:
+            path.unlink(missing_ok=True)
+    write_whole(out / recipe_name, text.encode())
+    if label_names:
+        names = tomli_w.dumps({str(number): name for number, name in label_names.items()})
+        write_whole(out / LABEL_NAMES, names.encode())
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a CSV file; that of a manifest says that the dataset is finished."""
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    write_whole(path, text.getvalue().encode())
+
+
+def _read_recipe(path: Path) -> Recipe | None:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
+        return None
+
+
+def _changes(before: Recipe, now: Recipe) -> list[str]:
+    """Values of a recipe that differ, in words; of lists and tables the names alone."""
+    changes = []
+    for name in dict.fromkeys([*before, *now]):
+        values = [recipe.get(name, "not given") for recipe in (before, now)]
+        if values[0] != values[1] and name not in _NO_MATTER:
+            is_long = any(isinstance(value, list | dict) for value in values)
+            changes.append(name if is_long else f"{name} was {values[0]}, is {values[1]}")
+    return changes
+
+
+def _stems(files: Iterable[Path]) -> set[str]:
+    """Names of the pairs of some files."""
+    return {path.stem for path in files if not path.name.startswith(".")}
