@@ -1,8 +1,9 @@
 # make run    sets up, makes a small synthetic dataset, evaluates it, verifies a sample, makes its report, says where all is
-# make test   sets up, runs every check and test (make check is the same; make fast leaves out the slow tests)
-# make test-all  the same with all of each matrix of tests: every setting, column and fault, of which make test tries some
+# make test   sets up, runs every check and test but the exhaustive ones (make check is the same)
+# make test-all  the same with the exhaustive tests: every setting, column, fault and cluster, hours of them
+# make test-slice  15 minutes of the exhaustive tests, others each day; those that were not reached are listed
 # make docs   builds the documentation: build/docs/index.html
-# make faults kills, fills, damages and misleads real runs in every way known, and counts what is lost
+# make faults kills, fills, damages and misleads real runs in every way known
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
 # make fuzz   gives every reader 100,000 hostile inputs (hours; INPUTS=1000 for fewer), then has atheris guide as many
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
@@ -21,7 +22,7 @@ AT_ONCE := --numprocesses auto --dist loadfile --no-loadscope-reorder
 TESTED := -m "not exhaustive"
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test test-all check faults fast docs bench fuzz clean setup browser javascript lock release-check test-pythons
+.PHONY: run test test-all test-slice check faults docs bench fuzz clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -43,12 +44,12 @@ check: setup browser javascript
 	$(SPHINX)
 	$(BIN)/pytest $(AT_ONCE) $(TESTED)
 
-# Every fault, some hundred tries, an hour or so; the table of what was tried and lost: .cache/faults/faults.md
-faults: setup
-	FIDPIPE_FAULTS=all FIDPIPE_FAULTS_TABLE=.cache/faults $(BIN)/pytest -s tests/faults
+test-slice: setup
+	$(BIN)/pytest $(AT_ONCE) --slice $$(($$(date +%s) / 86400)) --minutes 15
 
-fast: setup
-	$(BIN)/pytest $(AT_ONCE) -m "not slow and not exhaustive"
+# Every fault, some hundred tries, an hour or so.
+faults: setup
+	$(BIN)/pytest -s tests/faults
 
 docs: setup
 	$(SPHINX)
@@ -110,10 +111,10 @@ lock: setup
 	$(LOCKED) --extra all --extra dev --extra docs $(UPGRADE) --output-file $(LOCK)
 	$(LOCKED) --extra all --constraint $(LOCK) --upgrade --output-file requirements-run.lock
 
-# Under each Python with the locked versions, and with the lowest versions that pyproject.toml allows. TESTS="-m ''" runs
-# the slow ones too; interpreters of pyenv are found with PYENV_VERSION=3.11.7:3.12.1:3.13.0 or the like.
+# Under each Python with the locked versions, and with the lowest versions that pyproject.toml allows. TESTS= runs the
+# exhaustive ones too; interpreters of pyenv are found with PYENV_VERSION=3.11.7:3.12.1:3.13.0 or the like.
 PYTHONS ?= 3.11 3.12 3.13
-TESTS ?= -m "not slow"
+TESTS ?= $(TESTED)
 
 test-pythons: setup
 	for version in $(PYTHONS) lowest; do \

@@ -7,8 +7,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Libraries read these when they are loaded, so the imports come after.
 import shutil
+import time
 from functools import cache
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -16,9 +18,35 @@ import pytest
 from reports import finished_run, reference_run
 from runs import run
 from scenes import write_dataset
-from tries import Tally
 
+#: Days in which CI runs each exhaustive test once.
+N_SLICES = 12
+STARTED = time.monotonic()
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_addoption(parser):
+    parser.addoption("--slice", type=int, metavar="DAY", help=f"one of {N_SLICES} parts of the exhaustive tests")
+    parser.addoption("--minutes", type=float, metavar="N", help="skip the tests that have not begun by then")
+
+
+def pytest_collection_modifyitems(config, items):
+    """With --slice, keep the exhaustive tests of that day."""
+    if (day := config.getoption("--slice")) is not None:
+        kept = [
+            item
+            for item in items
+            if item.get_closest_marker("exhaustive") and crc32(item.nodeid.encode()) % N_SLICES == day % N_SLICES
+        ]
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = kept
+
+
+def pytest_runtest_setup(item):
+    """With --minutes, skip a test that would begin later."""
+    minutes = item.config.getoption("--minutes")
+    if minutes is not None and time.monotonic() - STARTED > 60 * minutes:
+        pytest.skip(f"{item.nodeid}: not reached within {minutes:g} minutes")
 
 
 @pytest.fixture(scope="session")
@@ -83,10 +111,3 @@ def again(finished, tmp_path) -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20)
-
-
-@pytest.fixture(scope="session")
-def tally():
-    """The count of what faults were tried and what was lost; a table of it where a folder is named for that."""
-    folder = os.environ.get("FIDPIPE_FAULTS_TABLE")
-    return Tally(Path(folder) if folder else None)

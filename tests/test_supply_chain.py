@@ -160,13 +160,13 @@ def test_the_guard_sees_who_reaches_out(guarded, code):
     assert "socket." in guarded(sys.executable, "-c", f"import socket; {code}", check=False)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_no_command_reaches_out(guarded, dataset):
     for words in all_commands(dataset):
         assert guarded(*words) == "", words
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_every_command_does_its_work_where_there_is_no_network(guarded, dataset):
     alone = ("unshare", "--net", "--map-root-user")
     if subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:

@@ -1,75 +1,16 @@
-"""Trying faults on real processes: start the command, harm it, run it again; and the count of what was lost.
+"""Faults on real processes: start the command, harm it, run it again, and compare with an undisturbed run."""
 
-All tries are made where FIDPIPE_FAULTS=all (`make faults`), else a few of each kind. FIDPIPE_FAULTS_TABLE names the
-folder for the table of all tries.
-"""
-
-import json
 import os
 import re
 import signal
 import subprocess
 import time
-from collections import defaultdict
-from dataclasses import dataclass, field
 
 import psutil
-import pytest
 
-from runs import FIDPIPE, assert_same_tables, own_process, tables
+from runs import FIDPIPE, assert_same_tables, command, tables
 
-ALL = os.environ.get("FIDPIPE_FAULTS") == "all"
 _OWN_FILES = {".lock", ".writer"}  # of a run's folder, beginning with a dot, that stay
-
-
-only_all = pytest.mark.skipif(not ALL, reason="only make faults tries it")
-
-
-def times(few, all_of_them):
-    """How often something is tried."""
-    return all_of_them if ALL else few
-
-
-@dataclass
-class _Fault:
-    """What became of the tries of one fault: for each the pairs that were lost, and the seconds until all was whole."""
-
-    lost: list = field(default_factory=list)
-    seconds: list = field(default_factory=list)
-
-
-class Tally:
-    """What became of all tries, by fault; where a folder is named, a table of them stands in it after each try."""
-
-    def __init__(self, folder=None):
-        self._folder = folder
-        self._faults = defaultdict(_Fault)
-
-    def add(self, fault, lost=0, seconds=None):
-        """One try; `seconds` of the run that made everything whole, None where none was needed."""
-        self._faults[fault].lost.append(lost)
-        if seconds is not None:
-            self._faults[fault].seconds.append(seconds)
-        if self._folder is not None:
-            self._write(self._folder)
-
-    def _write(self, folder):
-        """The table of all tries as JSON and as Markdown."""
-        folder.mkdir(parents=True, exist_ok=True)
-        rows = [
-            {
-                "fault": name,
-                "tried": len(of.lost),
-                "lost": sum(of.lost),
-                "median_s": round(sorted(of.seconds)[len(of.seconds) // 2], 1) if of.seconds else None,
-                "most_s": round(max(of.seconds), 1) if of.seconds else None,
-            }
-            for name, of in self._faults.items()
-        ]
-        (folder / "faults.json").write_text(json.dumps({"load": os.getloadavg(), "faults": rows}, indent=1))
-        lines = ["| fault | tried | pairs lost | next run, median s | longest, s |", "|---|---|---|---|---|"]
-        lines += ["| " + " | ".join("" if of is None else str(of) for of in row.values()) + " |" for row in rows]
-        (folder / "faults.md").write_text("\n".join(lines) + "\n")
 
 
 class Started:
@@ -159,15 +100,11 @@ def n_lost(out, undisturbed):
     return sum(rows[0].get(pair_id) != row for pair_id, row in rows[1].items())
 
 
-def assert_resumes(dataset, out, undisturbed, tally=None, fault="", workers=1, words=(), code=0):
+def assert_resumes(dataset, out, undisturbed, workers=1, code=0, start=command):
     """The next run ends with this code and the tables of an undisturbed one; gives what it said."""
-    begun = time.monotonic()
-    again = own_process("run", dataset, "--out", out, "--workers", workers, *words)
-    seconds = time.monotonic() - begun
+    again = start("run", dataset, "--out", out, "--workers", workers)
     assert again.returncode == code, again.stderr
     assert "Traceback" not in again.stderr
-    if tally is not None:
-        tally.add(fault, n_lost(out, undisturbed), seconds)
     assert_same_tables(out, undisturbed)
     assert temporary_files(out) == []
     return again.stdout + again.stderr

@@ -14,13 +14,11 @@ import pytest
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError
-from runs import FOLDERS, assert_same_tables, marks, own_process, run
-from tries import assert_resumes, temporary_files, times
-
-pytestmark = pytest.mark.slow
+from runs import FOLDERS, assert_same_tables, marks, own_process, run, some_of
+from tries import assert_resumes, temporary_files
 
 WHOLE_RUN = ["pairs", "timings"]
-N_FLIPS = times(1, 20)  # of each table
+N_FLIPS = 5  # of each table
 
 
 def tables_of(out, table):
@@ -57,11 +55,11 @@ HARMS = {"deleted": delete, "truncated": truncate, "emptied": empty, "zeroed": z
 
 
 ALL_TABLES = [*FOLDERS, *WHOLE_RUN]
-FEW = [("metrics", harm) for harm in HARMS] + [(table, "flipped") for table in ALL_TABLES if table != "metrics"]
+FEW = [("metrics", "flipped"), ("communities", "truncated"), ("pairs", "zeroed")]
 
 
-@pytest.mark.parametrize(("table", "harm"), times(FEW, [(table, harm) for table in ALL_TABLES for harm in HARMS]))
-def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dataset, tally, table, harm):
+@pytest.mark.parametrize(("table", "harm"), some_of([(table, harm) for table in ALL_TABLES for harm in HARMS], FEW))
+def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dataset, table, harm):
     rng = random.Random(f"{table} {harm}")
     for _ in range(N_FLIPS if harm == "flipped" else 1):
         path = rng.choice(tables_of(again, table))
@@ -73,22 +71,21 @@ def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dat
         assert {name.rpartition("/")[2] for name in changed} <= {path.name}
         assert_same_tables(again, finished)
         assert temporary_files(again) == []
-        tally.add(f"a table {harm}")
 
 
-@pytest.mark.parametrize("harm", times(["flipped"], HARMS))
-def test_the_command_says_what_it_replaces_and_show_believes_nothing(again, finished, dataset, tally, harm):
+@pytest.mark.parametrize("harm", some_of(HARMS, ["flipped"]))
+def test_the_command_says_what_it_replaces_and_show_believes_nothing(again, finished, dataset, harm):
     HARMS[harm](again / "metrics" / "001.parquet", random.Random(harm))
     shown = own_process("show", again, "001")
     hint = f"metrics/001.parquet is damaged or gone; run it again with: fidpipe run {dataset}"
     assert (shown.returncode, hint in shown.stderr) == (1, True), shown.stderr
-    told = assert_resumes(dataset, again, finished, tally, f"a table {harm} (the command)")
+    told = assert_resumes(dataset, again, finished)
     assert "replacing metrics of 1 pair: damaged or gone" in told
     assert own_process("show", again, "001").returncode == 0
 
 
-@pytest.mark.parametrize("seed", range(times(5, 200)))
-def test_a_bit_flipped_in_the_ledger_changes_no_result(again, finished, dataset, tally, seed):
+@pytest.mark.parametrize("seed", some_of(range(50), [0, 1]))
+def test_a_bit_flipped_in_the_ledger_changes_no_result(again, finished, dataset, seed):
     rng = random.Random(seed)
     for _ in range(rng.choice([1, 1, 1, 8, 64])):
         flip_bit(again / LEDGER, rng)
@@ -97,19 +94,18 @@ def test_a_bit_flipped_in_the_ledger_changes_no_result(again, finished, dataset,
     assert_same_tables(again, finished)
     assert temporary_files(again) == []
     assert run(dataset, again).n_made == 0
-    tally.add("bits flipped in the ledger")
 
 
-@pytest.mark.parametrize("harm", times(["truncated"], ["deleted", "truncated", "emptied", "zeroed"]))
-def test_a_run_goes_on_without_a_sound_ledger(again, finished, dataset, tally, harm):
+@pytest.mark.parametrize("harm", some_of(["deleted", "truncated", "emptied", "zeroed"], ["truncated"]))
+def test_a_run_goes_on_without_a_sound_ledger(again, finished, dataset, harm):
     before = marks(again)
     HARMS[harm](again / LEDGER, random.Random(harm))
-    assert_resumes(dataset, again, finished, tally, f"the ledger {harm}")
+    assert_resumes(dataset, again, finished)
     assert marks(again) == before
 
 
-@pytest.mark.parametrize("harm", HARMS)
-def test_a_damaged_record_is_named_and_made_again(again, finished, dataset, tally, harm):
+@pytest.mark.parametrize("harm", some_of(HARMS, ["flipped", "truncated"]))
+def test_a_damaged_record_is_named_and_made_again(again, finished, dataset, harm):
     for seed in range(N_FLIPS if harm == "flipped" else 1):
         before = (again / "run.json").read_bytes()
         HARMS[harm](again / "run.json", random.Random(f"{harm} {seed}"))
@@ -124,7 +120,6 @@ def test_a_damaged_record_is_named_and_made_again(again, finished, dataset, tall
         run(dataset, again)
         assert FinishedRun(again).record.summary == FinishedRun(finished).record.summary
         assert_same_tables(again, finished)
-        tally.add(f"run.json {harm}")
 
 
 @pytest.fixture
@@ -143,10 +138,8 @@ def failing_disk(tmp_path):
     subprocess.run(["umount", folder], check=False)
 
 
-@pytest.mark.parametrize("table", [*times(["metrics"], FOLDERS), "pairs"])
-def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(
-    finished, dataset, failing_disk, tmp_path, tally, table
-):
+@pytest.mark.parametrize("table", some_of([*FOLDERS, "pairs"], ["metrics"]))
+def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(finished, dataset, failing_disk, tmp_path, table):
     image, disk = failing_disk
     out = disk / "run"
     run(dataset, out)
@@ -170,7 +163,7 @@ def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(
         name = re.escape(str(path.relative_to(out)))
         with pytest.raises(RunError, match=f"{name} is damaged or gone; run it again with: fidpipe run"):
             read_all(out)
-    told = assert_resumes(dataset, out, finished, tally, "a bit lost by the disk, no time changed")
+    told = assert_resumes(dataset, out, finished)
     assert table == "pairs" or re.search("replacing .* of 1 pair: damaged or gone", told)
     read_all(out)
     assert_same_tables(out, finished)

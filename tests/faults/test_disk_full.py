@@ -63,7 +63,7 @@ def mount(folder, options):
     return 1 if shutil.which("mount") is None else subprocess.run(words, check=False, capture_output=True).returncode
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_run_on_a_full_file_system_stops_once_and_goes_on_where_there_is_room(dataset, small_disk, tmp_path):
     out, n_tables = small_disk / "run", [0]
     for n_kib in (100, 150, 500, 1200, 1700):
@@ -96,8 +96,7 @@ def test_a_ledger_on_a_full_disk_says_so(tmp_path):
             ledger.put_input(f"{i}", {"text": "x" * 5000})
 
 
-@pytest.mark.real_data
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_estimate_of_disk_space_is_near_what_a_run_takes(real_data, tmp_path):
     data = real_data / "kitti_twin"
     run(data, tmp_path / "run", pattern="000002", workers=None)

@@ -36,8 +36,6 @@ from runs import (
 
 N_PAIRS = 4
 
-pytestmark = pytest.mark.slow
-
 TESTS = Path(broken_jobs.__file__).parent
 
 
@@ -45,7 +43,7 @@ TESTS = Path(broken_jobs.__file__).parent
     ("how", "stage"),
     some_of(
         [(how, stage) for how in ("kill", "kill-writing") for stage in STAGE_NAMES],
-        [("kill", "matching"), ("kill-writing", "communities"), ("kill-writing", "metrics")],
+        [("kill", "matching"), ("kill-writing", "communities")],
     ),
 )
 def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_path, how, stage):
@@ -68,7 +66,7 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     ("how", "workers"),
     some_of(
         [(how, workers) for how in (signal.SIGKILL, signal.SIGINT, signal.SIGTERM) for workers in (1, 2)],
-        [(signal.SIGKILL, 2), (signal.SIGINT, 1), (signal.SIGTERM, 2)],
+        [(signal.SIGTERM, 2)],
     ),
 )
 def test_a_run_stopped_from_outside_goes_on_where_it_was(dataset, finished, tmp_path, workers, how):
@@ -86,7 +84,7 @@ def test_a_run_stopped_from_outside_goes_on_where_it_was(dataset, finished, tmp_
     assert no_temporary_files(out)
 
 
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path):
     out = tmp_path / "run"
     words = ["run", str(real_data / "kitti_twin"), "--out", str(out), "--workers", "2", "--pairs", "000002"]
@@ -121,6 +119,7 @@ def test_two_workers_give_the_tables_of_one(dataset, finished, tmp_path):
     assert_same_tables(tmp_path / "run", finished)
 
 
+@pytest.mark.exhaustive
 def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_path):
     outcome = run(dataset, tmp_path / "run", workers=2, policy=Policy(worth_splitting_s=0.0, batch_s=0.0))
     assert outcome.n_made == 4 * JOBS_PER_PAIR
@@ -150,6 +149,7 @@ def scheduler(tmp_path):
         process.wait(30)
 
 
+@pytest.mark.exhaustive
 def test_an_external_scheduler_gives_the_same_tables_and_its_dashboard_is_told(dataset, finished, tmp_path, scheduler):
     ended = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", scheduler)
     assert ended.returncode == 0
@@ -159,6 +159,7 @@ def test_an_external_scheduler_gives_the_same_tables_and_its_dashboard_is_told(d
         assert page.status == 200
 
 
+@pytest.mark.exhaustive
 def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
     result = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", "tcp://127.0.0.1:9")
     assert result.returncode == 1
@@ -176,6 +177,7 @@ def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
     assert_same_tables(tmp_path / "run", finished)
 
 
+@pytest.mark.exhaustive
 def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
     stages = broken_jobs.with_job("baselines", broken_jobs.poisoned_baselines, (*STAGES, *EXTRAS))
@@ -189,7 +191,7 @@ def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monk
     assert_same_tables(tmp_path / "run", finished)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", some_of([1, 2], [1]))
 def test_a_bug_fails_its_pair_and_keeps_its_traceback(dataset, tmp_path, monkeypatch, workers):
     monkeypatch.setenv("PYTHONPATH", str(TESTS))
     stages = broken_jobs.with_job("matching", broken_jobs.buggy_matching)
@@ -223,6 +225,7 @@ def note_or_die(path, n_good):
     return calls
 
 
+@pytest.mark.exhaustive
 def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     pool = DaskPool(1, None, tmp_path, {})
@@ -238,6 +241,7 @@ def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeyp
         pool.close(now=True)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("n_good", [1, 2])
 def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(tmp_path, monkeypatch, n_good):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
@@ -256,6 +260,7 @@ def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(t
         pool.close(now=True)
 
 
+@pytest.mark.exhaustive
 def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_KILL_S", 0.0)
     pool = DaskPool(1, None, tmp_path, {})

@@ -6,14 +6,12 @@ import time
 import numpy as np
 import pytest
 
-from runs import assert_same_tables, own_process
+from runs import assert_same_tables, own_process, some_of
 from scenes import drifted, street, write_dataset
-from tries import Started, assert_resumes, lines_of, n_lost, only_all, temporary_files, times
-
-pytestmark = pytest.mark.slow
+from tries import Started, assert_resumes, lines_of, n_lost, temporary_files
 
 N_PAIRS = 4
-LIMIT_S = 6  # a healthy pair takes 0.2 s
+LIMIT_S = 3  # a healthy pair takes 0.2 s
 POISON = "002"
 
 #: Reads what `numpy.save` writes, unless a file beside it says what else to do, and at which reading.
@@ -122,21 +120,12 @@ TRIES = [
     ("fill_memory", 1, IN_LITTLE_MEMORY, DIED_READING),
     ("fill_memory", 2, IN_LITTLE_MEMORY, DIED_IN_STAGE),
 ]
-FEW = TRIES[:1]
-FAULTS = {
-    "crash": "a reader that crashes the interpreter",
-    "hang": "a reader that never ends, the interpreter held",
-    "wait": "a reader that never ends",
-    "fill_memory": "a reader that fills the memory",
-}
 
 
 @pytest.mark.parametrize(
-    ("what", "nth", "words", "reason"), times(FEW, TRIES), ids=[f"{t[0]}-{t[1]}" for t in times(FEW, TRIES)]
+    ("what", "nth", "words", "reason"), some_of(TRIES, TRIES[:1]), ids=[f"{t[0]}-{t[1]}" for t in TRIES]
 )
-def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
-    dataset, undisturbed, tmp_path, tally, what, nth, words, reason
-):
+def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(dataset, undisturbed, tmp_path, what, nth, words, reason):
     out, trap = tmp_path / "run", set_trap(dataset, what, nth)
     try:
         started = Started("run", dataset, "--out", out, "--workers", 2, *words)
@@ -153,11 +142,11 @@ def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
     finally:
         trap.unlink()
         trap.with_suffix(".readings").unlink(missing_ok=True)
-    assert_resumes(dataset, out, undisturbed, tally, f"{FAULTS[what]} ({'its files' if nth == 1 else 'a stage'})")
+    assert_resumes(dataset, out, undisturbed, start=own_process)
 
 
-@only_all
-def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_path, tally):
+@pytest.mark.exhaustive
+def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_path):
     out, trap = tmp_path / "run", set_trap(dataset, "hang", 1)
     try:
         started = Started("run", dataset, "--out", out, "--workers", 2)
@@ -169,10 +158,10 @@ def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_p
     finally:
         trap.unlink()
         trap.with_suffix(".readings").unlink(missing_ok=True)
-    assert_resumes(dataset, out, undisturbed, tally, "a reader that never ends, then SIGTERM")
+    assert_resumes(dataset, out, undisturbed, start=own_process)
 
 
-@only_all
+@pytest.mark.exhaustive
 def test_a_reader_of_another_package_gives_the_same_tables_in_a_worker_and_in_the_command(
     dataset, undisturbed, tmp_path
 ):

@@ -37,6 +37,7 @@ from runs import (
     no_temporary_files,
     read_only,
     run,
+    some_of,
 )
 
 N_JOBS = 2 * JOBS_PER_PAIR
@@ -116,7 +117,7 @@ def test_results_that_are_out_of_date_are_not_taken_for_lack_of_a_ledger(again, 
     assert_same_tables(again, tmp_path / "fresh")
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
+@pytest.mark.parametrize("folder", some_of(FOLDERS, ["communities", "metrics"]))
 @pytest.mark.parametrize("where", ["page", "footer"])
 def test_without_a_ledger_a_damaged_table_alone_is_made_again(again, finished, dataset, folder, where):
     before = marks(again)
@@ -142,8 +143,7 @@ def test_show_and_status_need_no_ledger(again, finished, spoil):
     assert {path: path.read_bytes() for path in again.rglob("*") if path.is_file()} == files
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("spoil", [None, lose_ledger])
+@pytest.mark.parametrize("spoil", some_of([None, lose_ledger], [None]))
 def test_a_folder_that_may_not_be_written_is_shown_and_judged_but_not_run(again, dataset, spoil):
     if spoil is not None:
         spoil(again)

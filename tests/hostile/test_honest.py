@@ -152,7 +152,7 @@ def test_one_point_is_read(tmp_path, name):
     assert scan.intensity.tolist() == [7]
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", WRITERS)
 def test_two_million_points_are_read(tmp_path, name):
     file, write = WRITERS[name]
@@ -163,7 +163,7 @@ def test_two_million_points_are_read(tmp_path, name):
     assert scan.points[-1000:] == pytest.approx(rows[-1000:, :3].astype(float), abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", WRITERS)
 def test_two_million_equal_points_are_read(tmp_path, name):
     """Packed, these are a thousandth of their length."""
@@ -174,7 +174,7 @@ def test_two_million_equal_points_are_read(tmp_path, name):
     assert np.all(scan.points == [1.5, -2.25, 0.5])
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["pcd", "packed pcd", "mcap"])
 @pytest.mark.parametrize("share", [0.5, 1.0])
 def test_an_organised_cloud_of_65536_columns_with_nan_is_read(tmp_path, name, share):
@@ -209,8 +209,6 @@ def test_an_empty_label_file_is_named(tmp_path):
         read_scan(tmp_path / "a.bin")
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
 def test_each_real_scan_is_read(real_data):
     files = [
         path for path in sorted(real_data.rglob("*")) if suffix_of(path) and not path.parent.name.startswith("rosbag2")

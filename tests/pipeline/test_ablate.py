@@ -142,7 +142,7 @@ def test_another_run_reuses_everything_and_another_value_of_delta_no_other_graph
     assert {row["delta_m"] for row in more.rows.to_pylist()} == {0.5, 3.0, 5.0}
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_two_workers_give_the_same_rows(done, dataset, tmp_path):
     assert ablated(dataset, tmp_path / "run", workers=2).rows.equals(done.rows)
 
@@ -251,7 +251,6 @@ def test_diffusion_time_cannot_move_the_match_rate(done):
     assert of_t.range_of_means == 0
 
 
-@pytest.mark.slow
 def test_the_figure_is_drawn_without_a_display(dataset, tmp_path):
     from matplotlib.image import imread
 
@@ -260,7 +259,6 @@ def test_the_figure_is_drawn_without_a_display(dataset, tmp_path):
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
 
 
-@pytest.mark.slow
 def test_the_command_prints_a_choice_and_its_rule(dataset, tmp_path):
     words = ("--workers", 1, "--set", "graph.k=12", "--k", "8", "--tau", "0.2", "--delta", "5", "--t", "1")
     result = command("ablate", dataset, *words, cwd=tmp_path)

@@ -203,7 +203,7 @@ def test_python_gives_the_same_numbers_as_the_command(compared, dataset):
     assert fidpipe.evaluate_pair(*scans).baselines is None
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_two_workers_give_the_same_tables(dataset, compared, tmp_path):
     run(dataset, tmp_path / "run", ALL, workers=2, policy=Policy(worth_splitting_s=0.0))
     assert_same_tables(tmp_path / "run", compared[0])

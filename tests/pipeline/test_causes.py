@@ -146,7 +146,6 @@ def re_measured(scan, rng, noise_m, lost_share, shift_z_m=0.0):
     return kept * (1 + rng.normal(0, noise_m, (len(kept), 1)) / range_m) + [0, 0, shift_z_m]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

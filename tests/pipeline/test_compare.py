@@ -213,7 +213,6 @@ def test_runs_without_a_common_pair_are_refused(versions, tmp_path):
         compare_runs([versions[0], tmp_path / "run"])
 
 
-@pytest.mark.slow
 def test_the_command_compares_three_runs_and_writes_a_page(versions, tmp_path):
     good, bad = versions
     result = command("compare", good, bad, good, "--html", tmp_path / "page.html")
@@ -262,7 +261,6 @@ def test_the_chart_has_a_dot_for_each_pair_and_the_interval_of_each_score(versio
     assert all(abs(x) <= 1 for of in dots for x in of["x"])
 
 
-@pytest.mark.slow
 def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
     runs = []
     for name in ("good", "bad"):
@@ -357,6 +355,7 @@ def test_markdown_and_csv_hold_the_scores(versions):
     assert "described, not judged" in text
 
 
+@pytest.mark.exhaustive
 def test_the_worst_changes_have_pictures_linked_into_both_reports(versions, tmp_path):
     runs = [shutil.copytree(folder, tmp_path / folder.name) for folder in versions]
     for folder in runs:

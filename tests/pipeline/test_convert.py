@@ -79,7 +79,6 @@ def test_names_that_contradict_are_refused(tmp_path):
         convert(tmp_path / "a.ply", tmp_path / "out" / "a.pcd")
 
 
-@pytest.mark.real_data
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_frames_of_a_capture_come_back(real_data, tmp_path, suffix):
     capture = real_data / "velodyne_vlp32c/sweeps.pcap"
@@ -90,7 +89,6 @@ def test_frames_of_a_capture_come_back(real_data, tmp_path, suffix):
         same(read_scan(frame), read_scan(file))
 
 
-@pytest.mark.real_data
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize(
     "name", ["las/autzen_trim.laz", "las/test1_4.las", "registration/source.ply", "rellis/000104.bin"]
@@ -125,7 +123,6 @@ def test_a_format_that_is_not_written_is_named(tmp_path, out, to, wanted):
         convert(write_bin(tmp_path / "a.bin", street()), tmp_path / out, to)
 
 
-@pytest.mark.real_data
 def test_several_frames_do_not_go_into_one_file(real_data, tmp_path):
     shutil.copy(real_data / "velodyne_vlp32c/rosbag1.bag", tmp_path)
     with pytest.raises(DatasetError, match=r"3 frames found, .*a\.ply is one file; name a frame, or a folder"):

@@ -168,7 +168,6 @@ def test_five_points_are_a_fault(tmp_path):
     assert "5 points are left after cleaning (no more in the file), at least 8 are needed" in fault
 
 
-@pytest.mark.real_data
 def test_the_faults_of_real_scans_are_seen(real_data, tmp_path):
     carla = real_data / "carla"
     (tmp_path / "pairs.csv").write_text(
@@ -182,7 +181,6 @@ def test_the_faults_of_real_scans_are_seen(real_data, tmp_path):
     assert not any("kitti_twin" in text for text in warnings)
 
 
-@pytest.mark.real_data
 def test_wrong_columns_of_a_real_scan_are_seen(real_data, tmp_path):
     (scan,) = (real_data / "nuscenes").glob("*.pcd.bin")
     (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\na,{scan},{scan}\n")

@@ -16,13 +16,13 @@ from runs import command, run, tables
 from scenes import cloud, drifted, street
 
 MOST_OBJECTS = "2025 tiny communities"
-SLOW = pytest.mark.slow
+EXHAUSTIVE = pytest.mark.exhaustive
 EXTRAS = {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
 SAME_THERE = ("n_matched", "match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
 LINES = set(PAGE.read_text(encoding="utf-8").splitlines())
 
 
-@pytest.mark.parametrize("scene", [pytest.param(name, marks=SLOW if name in FURTHER else ()) for name in SCENES])
+@pytest.mark.parametrize("scene", [pytest.param(name, marks=EXHAUSTIVE if name in FURTHER else ()) for name in SCENES])
 def test_the_page_says_what_becomes_of_a_scene(scene):
     assert degenerate.row(scene) in LINES, "run python tools/degenerate.py, and say why in CHANGELOG.md"
 
@@ -37,7 +37,7 @@ def test_the_page_has_no_other_row():
     assert rows == {*SCENES, *ARRAYS, "scene", "array", "---"}
 
 
-@SLOW
+@EXHAUSTIVE
 @pytest.mark.parametrize(
     "settings",
     [
@@ -78,14 +78,16 @@ def files(tmp_path_factory):
     return folder
 
 
-@SLOW
 @pytest.mark.parametrize(
     "words",
     [
-        ["--preset", "paper"],
-        ["--preset", "reference", "--set", "communities.reference=labels", "--set", "metrics.baselines=all"],
+        pytest.param(["--preset", "paper"], id="paper"),
+        pytest.param(
+            ["--preset", "reference", "--set", "communities.reference=labels", "--set", "metrics.baselines=all"],
+            id="reference, labels, baselines",
+            marks=EXHAUSTIVE,
+        ),
     ],
-    ids=["paper", "reference, labels, baselines"],
 )
 def test_a_run_over_all_scenes_scores_what_can_be_and_names_the_rest(files, tmp_path, words):
     out = tmp_path / "run"
@@ -109,7 +111,7 @@ def test_a_run_over_all_scenes_scores_what_can_be_and_names_the_rest(files, tmp_
             assert _without_names(row) == _in_memory(*SCENES[name], settings), name
 
 
-@SLOW
+@EXHAUSTIVE
 def test_a_finished_run_of_all_scenes_is_shown_and_reported(files, tmp_path):
     assert run(files, tmp_path / "run").failures
     for words in (["show"], ["report"], ["status"], ["gate", "--max", "r_lambda.mean=1"], ["export", "--ply"]):

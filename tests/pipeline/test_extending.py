@@ -289,7 +289,6 @@ def made_again(result):
     return {name for line in lines for name in re.search(r"replacing (.*?) of ", line)[1].split(", ")}
 
 
-@pytest.mark.slow
 def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, dataset, tmp_path):
     package, _ = extended("A setting", tmp_path)
     run = ("run", dataset, "--out", again, "--workers", 1)
@@ -312,7 +311,7 @@ def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, datas
     assert wrong.stderr.startswith("error: setting graph.max_edge_m: 0 found; Input should be greater than 0")
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
     package, _ = extended("A baseline", tmp_path)
     assert package.breaks_no_layer() is True
@@ -332,7 +331,7 @@ def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
     assert pd.read_parquet(tmp_path / "perturb" / "perturb_baselines").value.between(0, 1).all()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, tmp_path):
     package, _ = extended("A score", tmp_path)
     words = ("--sweep", "noise=0.01", "--repeats", 1, "--global-repeats", 1, "--workers", 1)
@@ -360,7 +359,7 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     assert (pd.read_parquet(tmp_path / "identical" / "metrics").frobenius_change.dropna() == 0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
     package, _ = extended("A stage", tmp_path)
     assert package.breaks_no_layer() is True
@@ -391,7 +390,7 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
         assert pq.read_table(path).equals(pq.read_table(again / "neighbours" / path.name))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_experiment_makes_what_is_missing_on_any_number_of_workers(dataset, tmp_path):
     package, _ = extended("An experiment", tmp_path)
     assert package.breaks_no_layer() is True

@@ -284,7 +284,6 @@ FEW = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", some_of(FORGERIES, FEW))
 def test_a_forged_table_is_found(forged, name):
     file, change = FORGERIES[name]
@@ -365,7 +364,6 @@ def test_a_score_that_is_wrong_in_every_table_is_found_by_its_objects(forged):
     assert ("metrics", "r_gap") in wrong
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "value"),
     [

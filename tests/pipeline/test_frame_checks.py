@@ -202,8 +202,7 @@ def test_a_folder_that_is_a_link_to_the_other_side_is_named(tmp_path):
     assert "which is named simulated; are the sides swapped?" in warning
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_real_pairs_raise_no_alarm_and_their_mirror_images_do(real_data):
     for real_path in sorted((real_data / "kitti_twin/real").iterdir()):
         real, sim = read_scan(real_path).points, read_scan(real_data / "kitti_twin/sim" / real_path.name).points
@@ -212,15 +211,13 @@ def test_real_pairs_raise_no_alarm_and_their_mirror_images_do(real_data):
         assert (found.is_suspect, found.setting) == (True, MENDED)
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_neighbouring_frames_of_a_recording_raise_no_alarm(real_data):
     scans = [read_scan(path).points for path in sorted((real_data / "kitti_sequence").glob("*.bin"))]
     assert not any(check_frames(*pair, InputSettings()).is_suspect for pair in pairwise(scans))
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_two_sensors_raise_no_alarm_with_their_extrinsics_and_one_without(real_data):
     from scipy.spatial.transform import Rotation
 

@@ -88,7 +88,6 @@ def test_on_a_lattice_of_ties_the_matching_is_that_of_the_literal_twin(real, sim
         assert optimal.distance_m.sum() <= greedy.distance_m.sum() + 1e-12
 
 
-@pytest.mark.slow
 @tried(8)
 @given(scene=seeds, order_real=seeds, order_sim=seeds)
 def test_under_the_preset_reference_the_order_of_rows_changes_nothing(scene, order_real, order_sim):
@@ -101,7 +100,7 @@ def test_under_the_preset_reference_the_order_of_rows_changes_nothing(scene, ord
         assert b[name] == (pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value), name
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @tried(8)
 @given(scene=seeds, order_real=seeds, order_sim=seeds)
 def test_under_any_preset_the_order_of_rows_changes_neither_coverage_nor_displacement(scene, order_real, order_sim):
@@ -115,7 +114,6 @@ def test_under_any_preset_the_order_of_rows_changes_neither_coverage_nor_displac
         assert b[name] == (pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value), name
 
 
-@pytest.mark.slow
 @tried(12)
 @given(
     scene=seeds,
@@ -144,7 +142,6 @@ def undisturbed(dataset, tmp_path_factory):
     return out
 
 
-@pytest.mark.slow
 @tried(5)
 @given(order=st.permutations(["000", "001", "002"]))
 def test_the_order_of_pairs_changes_no_table(dataset, undisturbed, order):
@@ -156,7 +153,7 @@ def test_the_order_of_pairs_changes_no_table(dataset, undisturbed, order):
         assert_same_tables(Path(folder) / "run", undisturbed)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @tried(6)
 @given(n_workers=st.integers(1, 9))
 def test_the_number_of_workers_changes_no_table(dataset, undisturbed, n_workers):
@@ -181,7 +178,6 @@ def stopped_at(n, is_written):
     return write
 
 
-@pytest.mark.slow
 @tried(6)
 @given(stops=st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=3))
 def test_a_run_that_is_stopped_again_and_again_ends_in_the_same_tables(dataset, undisturbed, stops):

@@ -14,8 +14,6 @@ from fidpipe.stages.literal import method
 from runs import run, some_of
 from scenes import box, degenerate, drifted, moved, rigid, street, write_bin
 
-pytestmark = pytest.mark.slow
-
 ALONE = [
     "graph.k=1",
     "graph.k=12",
@@ -158,7 +156,7 @@ def test_scenes_of_which_hardly_anything_can_be_said(tmp_path, preset):
     assert any("alike along two axes" in what for what in result.not_compared)
 
 
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("preset", ["paper", "reference"])
 @pytest.mark.parametrize(
     ("real", "sim", "every", "words"),
@@ -213,7 +211,6 @@ def by_hand(folder, name):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.real_data
 def test_the_published_figures_of_kitti_are_those_of_the_literal_twin(real_data, tmp_path):
     out = tmp_path / "run"
     assert not run(real_data / "kitti_twin", out, workers=2).failures

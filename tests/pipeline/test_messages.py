@@ -138,7 +138,7 @@ def test_no_report_is_offered_where_nothing_is_scored(tmp_path):
     assert "fidpipe report" not in result.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_run_on_a_read_only_medium_is_judged_compared_and_reported_elsewhere(dataset, finished, tmp_path):
     medium = shutil.copytree(finished, tmp_path / "medium")
     before = {path: path.stat().st_mtime_ns for path in medium.rglob("*")}
@@ -264,7 +264,7 @@ def close_streams():
         os.close(stream)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_home_that_cannot_be_written_is_no_news(finished, tmp_path):
     nowhere = dict.fromkeys(("HOME", "MPLCONFIGDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/dev/null")
     ended = command("report", finished, "--out", tmp_path / "page", env=os.environ | nowhere)

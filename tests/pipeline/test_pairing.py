@@ -135,7 +135,6 @@ def test_a_folder_has_its_times_from_a_file_or_from_its_names(tmp_path):
     assert [path.name for path in line.frames] == ["9.250.bin", "10.250.bin", "11.250.bin"]
 
 
-@pytest.mark.real_data
 def test_a_capture_and_a_bag_of_the_same_turns_are_paired_turn_by_turn(real_data, tmp_path):
     folder = real_data / "velodyne_vlp32c"
     shown = command("pair", folder / "sweeps.pcap", folder / "rosbag2_mcap", "-o", tmp_path / "out")
@@ -147,8 +146,7 @@ def test_a_capture_and_a_bag_of_the_same_turns_are_paired_turn_by_turn(real_data
     assert len(pd.read_csv(tmp_path / "out" / "unpaired.csv")) == 2
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_a_run_straight_from_two_bags_sees_what_was_changed(real_data, tmp_path):
     """The simulated bag is the real one with 3 cm of noise, without its left half beyond 3 m."""
     real = real_data / "velodyne_vlp32c/rosbag1.bag"

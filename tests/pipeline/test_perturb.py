@@ -203,7 +203,7 @@ def test_an_interrupted_experiment_goes_on_where_it_was(done, scan, tmp_path, n_
     assert again.summary.equals(done.summary)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_two_workers_give_the_same_tables(done, scan, tmp_path):
     perturbed(scan, tmp_path / "run", workers=2)
     for table in ("perturb_objects", "perturb_global"):
@@ -377,7 +377,6 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     assert reactions["r_lambda"].most.kind == "dropout"
 
 
-@pytest.mark.slow
 def test_the_figure_is_drawn_without_a_display(done):
     from matplotlib.image import imread
 
@@ -387,7 +386,6 @@ def test_the_figure_is_drawn_without_a_display(done):
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
 
 
-@pytest.mark.slow
 def test_the_command_prints_the_table_of_the_paper_beside_ours(scan, tmp_path):
     words = ("--workers", 1, "--sweep", "rigid", "--repeats", 1, "--global-repeats", 1, "--set", "graph.k=12")
     result = command("perturb", scan, *words, cwd=tmp_path)

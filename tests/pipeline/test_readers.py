@@ -251,7 +251,6 @@ def test_a_missing_file_and_an_unknown_format_are_refused(tmp_path):
         read_scan(tmp_path / "a.xyz")
 
 
-@pytest.mark.real_data
 def test_real_scans_of_every_format_are_read(real_data):
     expected = {
         "rellis/vel000104.bin": 37334,
@@ -262,7 +261,6 @@ def test_real_scans_of_every_format_are_read(real_data):
     assert {name: len(read_scan(real_data / name).points) for name in expected} == expected
 
 
-@pytest.mark.real_data
 def test_real_labels_are_read(real_data):
     labels = read_scan(real_data / "rellis/000104.bin", label_names={4: "tree"}).labels
     assert len(labels) == 131072

@@ -12,8 +12,6 @@ from fidpipe.stages.ground import remove_ground
 from runs import assert_same_tables, run
 from scenes import moved, rigid, write_bin
 
-pytestmark = [pytest.mark.slow, pytest.mark.real_data]
-
 AS_IT_IS = Settings(input=InputSettings(min_range_m=0, max_range_m=1e6), ground=GroundSettings(method="none"))
 
 
@@ -33,6 +31,7 @@ def thinned(real_data, tmp_path):
     return tmp_path / "kitti"
 
 
+@pytest.mark.exhaustive
 def test_rigidly_moved_object_points_are_identical(rellis_objects):
     result = evaluate_pair(rellis_objects, moved(rellis_objects, rigid(2, [0.03, 0.04, 0])), AS_IT_IS)
     np.testing.assert_array_equal(result.communities["real"].community_id, result.communities["sim"].community_id)
@@ -42,6 +41,7 @@ def test_rigidly_moved_object_points_are_identical(rellis_objects):
     assert result.metrics.eigenspectrum_distance.max() < 1e-5
 
 
+@pytest.mark.exhaustive
 def test_the_order_of_the_rows_of_a_scan_does_not_change_its_objects_much(rellis_objects):
     # Ids change with the order, and Louvain visits nodes by id: the partition may move, its quality may not.
     order = np.random.default_rng(0).permutation(len(rellis_objects))
@@ -49,6 +49,7 @@ def test_the_order_of_the_rows_of_a_scan_does_not_change_its_objects_much(rellis
     assert result.summary["match_rate"] > 0.7
 
 
+@pytest.mark.exhaustive
 def test_thinned_real_pairs_score_like_the_paper(thinned, tmp_path):
     outcome = run(thinned, tmp_path / "run", workers=2)
     assert not outcome.failures
@@ -70,6 +71,7 @@ def test_a_real_scan_against_itself_is_identical_through_the_whole_command(real_
     assert row["n_identical"] + row["n_too_small"] == row["n_matched"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("real", "sim", "words"),
     [
@@ -98,6 +100,7 @@ def test_objects_fixed_on_the_real_side_are_found_whatever_the_order_of_rows_and
     assert result.summary["covered_real_0p1m"] == result.summary["covered_sim_0p1m"] == 1.0
 
 
+@pytest.mark.exhaustive
 def test_what_a_simulator_loses_shows_with_objects_fixed_on_the_real_side(real_data, rng):
     points = read_scan(real_data / "rellis" / "vel000104.bin").points
     cdc = {}

@@ -198,7 +198,6 @@ def test_a_manifest_points_into_recordings(pointing):
     np.testing.assert_array_equal(read_scan(pairs[1].real).points, street(2).astype(np.float32))
 
 
-@pytest.mark.slow
 def test_a_run_over_frames_gives_the_numbers_of_a_run_over_files(pointing):
     files = pointing / "files"
     for side in ("real", "sim"):
@@ -234,7 +233,6 @@ def packets(real_data):
     return found
 
 
-@pytest.mark.real_data
 def test_bags_captures_and_packets_in_bags_hold_the_same_points(real_data, packets, tmp_path):
     folder = real_data / "velodyne_vlp32c"
     turns = [packets[0:77], packets[77:153], packets[153:229]]
@@ -247,7 +245,6 @@ def test_bags_captures_and_packets_in_bags_hold_the_same_points(real_data, packe
         assert {other.content_hash() for other in others} == {first.content_hash()}
 
 
-@pytest.mark.real_data
 def test_a_turn_of_a_capture_is_decoded_by_itself_as_in_its_stream(real_data):
     import velodyne_decoder as vd
 
@@ -258,7 +255,6 @@ def test_a_turn_of_a_capture_is_decoded_by_itself_as_in_its_stream(real_data):
         np.testing.assert_array_equal(read_scan(path).points, turn[:, :3])
 
 
-@pytest.mark.real_data
 def test_the_cloud_of_another_decoder_lies_on_the_same_surfaces(real_data):
     """one_sweep.pcd comes from the decoder of Autoware, which corrects angles otherwise: not one point is the same."""
     from scipy.spatial import cKDTree
@@ -271,7 +267,6 @@ def test_the_cloud_of_another_decoder_lies_on_the_same_surfaces(real_data):
     assert np.percentile(distance_m, 99) < 0.03
 
 
-@pytest.mark.real_data
 def test_a_capture_that_ends_in_a_packet_keeps_its_whole_turns(real_data, tmp_path):
     content = (real_data / "velodyne_vlp32c/sweeps.pcap").read_bytes()
     short = tmp_path / "short.pcap"
@@ -291,7 +286,6 @@ def test_a_capture_without_packets_is_refused(tmp_path, content):
         read_scan(path)
 
 
-@pytest.mark.real_data
 def test_a_capture_by_another_writer_is_read(packets, tmp_path, real_data):
     copy = write_pcap(tmp_path / "copy.pcap", packets)
     np.testing.assert_array_equal(

@@ -79,7 +79,6 @@ def words(page):
     return page.read_text("utf-8").partition('<script type="application/json"')[0]
 
 
-@pytest.mark.slow
 def test_the_report_is_one_page_and_six_figures_as_png_svg_and_pdf(written):
     assert written.page.name == "report.html"
     assert written.page.stat().st_size < 15e6
@@ -100,7 +99,6 @@ def test_the_report_is_one_page_and_six_figures_as_png_svg_and_pdf(written):
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
-@pytest.mark.slow
 def test_the_figure_of_objects_shows_points_of_both_sides(written):
     path = next(path for path in written.figures if path.name == "objects.png")
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
@@ -108,7 +106,6 @@ def test_the_figure_of_objects_shows_points_of_both_sides(written):
         assert close_to(picture, colour).sum() > 200, side
 
 
-@pytest.mark.slow
 def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right(by_reference, tmp_path):
     results = read_results(by_reference)
     path, *_ = draw_coverage(results, results.pairs.pair_id[0], tmp_path)
@@ -182,6 +179,7 @@ def test_every_object_of_the_table_has_its_coverage(run_of, request):
     assert len(rows) == len(objects) > 0
 
 
+@pytest.mark.exhaustive
 def test_open_asks_for_a_browser_and_says_where_the_page_is_if_there_is_none(copied_run, monkeypatch):
     asked = []
     monkeypatch.setattr("webbrowser.open", lambda url: asked.append(url) or len(asked) == 1)
@@ -192,7 +190,6 @@ def test_open_asks_for_a_browser_and_says_where_the_page_is_if_there_is_none(cop
     assert "no browser could be started" in found[1].output
 
 
-@pytest.mark.slow
 def test_no_name_ends_a_script_or_opens_a_tag(written):
     text = written.page.read_text("utf-8")
     assert "alert(1)" in text, "the names are there"
@@ -203,13 +200,12 @@ def test_no_name_ends_a_script_or_opens_a_tag(written):
     assert HOSTILE_CLASS in {row[2] for row in data["objects"]["rows"]}
 
 
-@pytest.mark.slow
 def test_the_page_asks_for_nothing_from_elsewhere(written):
     assert "default-src 'none'" in words(written.page).partition("<body>")[0]
     assert not re.search(r"(src|href)=[\"']?(https?:)?//", words(written.page))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are_gone(copied_run):
     stale = copied_run / "report" / "pair-gone.html"
     stale.parent.mkdir()
@@ -225,7 +221,7 @@ def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are
     assert sorted(path.name for path in copied_run.parent.iterdir()) == ["run"]
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own(copied_run, monkeypatch):
     write_report(copied_run, one_page_a_pair=True)
     notes = copied_run / "report" / "notes.txt"
@@ -242,7 +238,6 @@ def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own
     assert not (copied_run / "report.html").exists()
 
 
-@pytest.mark.slow
 def test_a_run_after_a_report_neither_removes_nor_trips_over_it(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1)
     run(dataset, tmp_path / "run")
@@ -255,7 +250,6 @@ def test_a_run_after_a_report_neither_removes_nor_trips_over_it(tmp_path):
     assert len(list((tmp_path / "run" / "figures").iterdir())) == 3 * len(FIGURES)
 
 
-@pytest.mark.slow
 def test_objects_carry_the_numbers_of_the_parquet(report_run, written):
     metrics = pd.read_parquet(report_run / "metrics").set_index(["pair_id", "real_id"])
     data = embedded(written.page.read_text("utf-8"))
@@ -374,7 +368,6 @@ def test_the_worst_stand_first_and_unmatched_objects_last(report_run):
     assert ranks.is_monotonic_decreasing
 
 
-@pytest.mark.slow
 def test_identical_sides_are_faithful(tmp_path):
     for side in ("real", "sim"):
         write_bin(tmp_path / "dataset" / side / "a.bin", street())
@@ -416,7 +409,6 @@ def test_pairs_chooses_by_name_and_says_when_nothing_matches(report_run):
         results.select("nothing*")
 
 
-@pytest.mark.slow
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
     found = command("report", tmp_path)
     assert found.returncode == 1
@@ -480,7 +472,6 @@ def test_charts_have_every_object_once_and_no_name_as_markup(report_run):
     assert "<img" not in json.dumps(charts)
 
 
-@pytest.mark.slow
 def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objects(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
@@ -489,7 +480,6 @@ def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objec
     assert {path.stem for path in made.figures} == FIGURES - {"objects"}
 
 
-@pytest.mark.slow
 def test_objects_without_a_score_are_in_no_quadrant(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["graph.edges=intersection", "graph.tau_m=0.01"]))

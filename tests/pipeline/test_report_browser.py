@@ -25,8 +25,6 @@ from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.history import read_history
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS, points_in
 
-pytestmark = pytest.mark.slow
-
 WIDTHS = (1280, 390)
 BLUE, VERMILLION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
 FARTHEST = "rgb(252,166,54)"  # the end of the light ramp
@@ -164,6 +162,7 @@ def test_the_page_opens_from_disk_without_a_complaint_or_a_request(browser, open
     assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
 
 
+@pytest.mark.exhaustive
 def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
     side = pixels(page, "scene")
     assert near(side, BLUE).sum() > 200
@@ -206,6 +205,7 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     assert (pixels(page, "scene") != picture).any(axis=2).sum() > 50, "the object is marked"
 
 
+@pytest.mark.exhaustive
 def test_a_chosen_object_has_its_numbers_points_and_spectra(page, run_folder):
     metrics = pd.read_parquet(run_folder / "metrics")
     for row in metrics[metrics.pair_id == FIRST_PAIR].head(2).itertuples():
@@ -242,6 +242,7 @@ def test_tables_sort_and_filter(page, run_folder):
     assert len(table(page, "pairs_table")) == len(HOSTILE_PAIRS)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
 def test_nothing_is_wider_than_the_window(page, width, dark):
@@ -254,18 +255,21 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
     assert complaints(page) == []
 
 
+@pytest.mark.exhaustive
 def test_each_scan_and_each_class_has_a_box_of_both_scores(page):
     for chart, n_groups in (("box_scan", len(HOSTILE_PAIRS)), ("box_class", 2)):
         assert len(page.find_elements("css selector", f"#{chart} path.box")) == 2 * n_groups
         assert [one.text for one in page.find_elements("css selector", f"#{chart} .legendtext")] == ["r_lambda", "CDC"]
 
 
+@pytest.mark.exhaustive
 def test_the_theme_can_be_chosen(page):
     before = pixels(page, "hist_cdc")
     choose(page, "theme", "dark")
     assert pixels(page, "hist_cdc").mean() < before.mean() - 100
 
 
+@pytest.mark.exhaustive
 def test_the_keyboard_reaches_the_objects(page):
     from selenium.webdriver import ActionChains, Keys
 
@@ -301,6 +305,7 @@ def buttons(browser):
     )
 
 
+@pytest.mark.exhaustive
 def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, run_folder, tmp_path):
     single = write_report(run_folder, one_page_a_pair=True, out=tmp_path / "single").page
     (tmp_path / "compare.html").write_text(compare_page(compare_runs([run_folder, run_folder])), encoding="utf-8")
@@ -318,6 +323,7 @@ def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, run_folder, 
         assert buttons(browser) == [{}, [""]], path
 
 
+@pytest.mark.exhaustive
 def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, run_folder, tmp_path):
     index = write_report(run_folder, one_page_a_pair=True, out=tmp_path).page
     resize(browser, WIDTHS[0])
@@ -338,6 +344,7 @@ def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, ru
     assert all(url.startswith(index.parent.as_uri()) for url in requests(browser))
 
 
+@pytest.mark.exhaustive
 def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
     names = page.execute_script("return JSON.parse(document.getElementById('report').textContent).names")
     for chart in ("quadrants", "polar"):
@@ -352,6 +359,7 @@ def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
     assert complaints(page) == []
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, run_folder, tmp_path, width, dark):
@@ -370,6 +378,7 @@ def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, 
     assert requests(browser) == [path.as_uri()]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_worst_changes_are_drawn_and_lead_into_both_reports(browser, by_reference, tmp_path, width):
     base, other = (shutil.copytree(by_reference, tmp_path / name) for name in ("base", "other"))
@@ -397,6 +406,7 @@ def test_the_worst_changes_are_drawn_and_lead_into_both_reports(browser, by_refe
     wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_history_draws_a_line_for_each_score_and_fits_the_window(browser, run_folder, tmp_path, width):
     path = tmp_path / "history.html"
@@ -411,6 +421,7 @@ def test_a_history_draws_a_line_for_each_score_and_fits_the_window(browser, run_
     assert requests(browser) == [path.as_uri()]
 
 
+@pytest.mark.exhaustive
 def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_reference, tmp_path):
     results = read_results(by_reference)
     pair_id = results.pairs.pair_id[0]
@@ -449,6 +460,7 @@ def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_ref
     assert complaints(browser) == []
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("pair", HOSTILE_PAIRS)
 def test_a_link_opens_the_page_at_an_object_of_any_pair(browser, page_path, pair):
     resize(browser, WIDTHS[0])
@@ -462,6 +474,7 @@ def test_a_link_opens_the_page_at_an_object_of_any_pair(browser, page_path, pair
     assert complaints(browser) == []
 
 
+@pytest.mark.exhaustive
 def test_a_changed_address_shows_its_object_and_says_what_is_not_there(page):
     def ask(ending):
         page.execute_script("location.hash = arguments[0]", ending)
@@ -480,6 +493,7 @@ def test_a_changed_address_shows_its_object_and_says_what_is_not_there(page):
     assert by_id(page, "object").get_attribute("value") == f"real {partner[1].strip(',')}"
 
 
+@pytest.mark.exhaustive
 def test_next_and_previous_move_camera_list_address_and_table(page):
     whole = camera_of(page)
     names = page.execute_script(
@@ -513,6 +527,7 @@ def test_next_and_previous_move_camera_list_address_and_table(page):
     assert camera_of(page) == pytest.approx(whole)
 
 
+@pytest.mark.exhaustive
 def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, run_folder):
     metrics = pd.read_parquet(run_folder / "metrics")
     row = metrics[(metrics.pair_id == FIRST_PAIR) & (metrics.n_keep > 20)].iloc[0]
@@ -547,6 +562,7 @@ def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, run
     assert drawn(page, "overlay", "own sim") == pytest.approx(as_lie)
 
 
+@pytest.mark.exhaustive
 def test_road_and_sensor_are_seen_and_road_can_be_left_out(page):
     assert drawn(page, "scene", "sensor").tolist() == [[0, 0, 0]]
     assert drawn(page, "scene", "forward")[1].tolist() == [4, 0, 0]
@@ -563,6 +579,7 @@ def test_road_and_sensor_are_seen_and_road_can_be_left_out(page):
     turn_on(page, "show_road")
 
 
+@pytest.mark.exhaustive
 def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(page, run_folder):
     results = read_results(run_folder)
     lone = PairTables(results, FIRST_PAIR).unmatched
@@ -578,6 +595,7 @@ def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(p
         assert len(drawn(page, "overlay", f"own {row.side}")) == row.n_points
 
 
+@pytest.mark.exhaustive
 def test_the_panel_stands_beside_the_view_or_below_it_on_a_phone(page):
     def place(name):
         return page.execute_script(
@@ -605,6 +623,7 @@ def filtered(browser, wanted):
     return table(browser, "objects_table"), browser.find_element("css selector", "#objects_table .note").text
 
 
+@pytest.mark.exhaustive
 def test_filters_know_columns_as_they_are_headed(page, run_folder):
     everything, _ = filtered(page, "")
     heading = {title.replace("\N{NO-BREAK SPACE}", " "): title for title in everything}
@@ -619,6 +638,7 @@ def test_filters_know_columns_as_they_are_headed(page, run_folder):
     assert set(filtered(page, HOSTILE_CLASS)[0]["class"]) == {HOSTILE_CLASS}, "a word may hold a sign of comparison"
 
 
+@pytest.mark.exhaustive
 def test_a_filter_on_no_column_says_so_and_which_there_are(page):
     everything, _ = filtered(page, "")
     found, said = filtered(page, "wall xyz > 3")
@@ -631,6 +651,7 @@ def test_a_filter_on_no_column_says_so_and_which_there_are(page):
     assert len(found) == len(everything)
 
 
+@pytest.mark.exhaustive
 def test_the_alignment_is_seen_without_scrolling_and_hover_tells_whole_names(page):
     for name in ("pairs_table", "objects_table"):
         right, edge = page.execute_script(
@@ -649,6 +670,7 @@ def test_the_alignment_is_seen_without_scrolling_and_hover_tells_whole_names(pag
         assert missing == []
 
 
+@pytest.mark.exhaustive
 def test_every_chart_has_a_text_alternative(page):
     charts = page.execute_script(
         "return [...document.querySelectorAll('.chart')].map((one) => [one.id, one.getAttribute('role'), "
@@ -663,6 +685,7 @@ def test_every_chart_has_a_text_alternative(page):
     assert all(re.search(r"\d", texts[name]) for name in drawn)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("width", WIDTHS)
 def test_no_label_of_a_chart_is_cut(page, width):
     resize(page, width)
@@ -677,6 +700,7 @@ def test_no_label_of_a_chart_is_cut(page, width):
     assert page.execute_script(n_scans) == len(HOSTILE_PAIRS)
 
 
+@pytest.mark.exhaustive
 def test_paper_is_light_and_shows_whole_tables_and_charts(page):
     resize(page, WIDTHS[0], dark=True)
     page.execute_script(
@@ -712,6 +736,7 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
     assert complaints(page) == []
 
 
+@pytest.mark.exhaustive
 def test_the_legend_of_a_score_says_over_which_range_it_is_coloured(page, run_folder):
     limits = score_limits(read_results(run_folder))
     for score in ("r_lambda", "cdc"):

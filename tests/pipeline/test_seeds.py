@@ -111,7 +111,7 @@ def test_python_gives_the_same_numbers_as_the_command(repeated, dataset):
     pd.testing.assert_frame_equal(found.drop(columns="pair_id"), written.drop(columns="pair_id"), check_exact=True)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_two_workers_give_the_same_table(dataset, repeated, tmp_path):
     run(dataset, tmp_path / "run", THREE, workers=2, policy=Policy(worth_splitting_s=0.0))
     assert_same_tables(tmp_path / "run", repeated[0])
@@ -129,7 +129,6 @@ def test_the_terminal_shows_the_spread(repeated):
         assert word in text
 
 
-@pytest.mark.slow
 def test_the_option_is_the_setting(again, dataset):
     done = command("run", dataset, "--out", again, "--workers", 1, "--seeds", 3)
     assert done.returncode == 0, done.stderr

@@ -127,7 +127,6 @@ def test_the_command_prints_notes_and_warnings_of_sides(tmp_path):
     assert told["warnings"] == ["by their times, the real sensor turns clockwise and the simulated one anticlockwise"]
 
 
-@pytest.mark.real_data
 def test_the_time_of_a_recorded_scan_is_that_of_its_last_point(real_data, tmp_path):
     bag = real_data / "velodyne_vlp32c/rosbag1.bag"
     (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\na,{bag}#0,{bag}#1\nb,{bag}#1,{bag}#2\n")

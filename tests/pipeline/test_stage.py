@@ -114,7 +114,6 @@ def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_pat
     assert_same_results(tmp_path / "run", whole)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("policy", [Policy(), ALL_SPLIT])
 def test_on_two_workers_they_give_the_same(whole, dataset, tmp_path, policy):
     run_with_toys(dataset, tmp_path / "run", workers=2, policy=policy)

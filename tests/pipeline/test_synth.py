@@ -90,7 +90,7 @@ def test_a_pair_made_alone_is_the_pair_of_the_set(dataset, tmp_path):
     assert {name: ours[name] for name in content(tmp_path)} == content(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_two_processes_make_the_same_dataset(dataset, tmp_path):
     make_dataset(tmp_path / "two", n_pairs=2, n_points=N_POINTS, workers=2)
     assert content(tmp_path / "two") == content(dataset)

@@ -140,7 +140,7 @@ def test_the_same_recipe_gives_the_same_bytes_and_another_seed_gives_others(twin
     assert all((sim(twins, name)[:50] != sim(tmp_path / "other", name)[:50]).all() for name in NAMES)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_two_processes_make_the_same_twins(twins, drive, tmp_path):
     make(tmp_path / "two", drive, workers=2)
     assert content(tmp_path / "two") == content(twins)
@@ -333,8 +333,7 @@ def test_a_broken_scan_gives_exit_code_3(drive, tmp_path):
     assert "000.bin: 7 bytes found" in done.stderr
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("sensor", ["recorded", "hdl64"])
 def test_a_kitti_drive_scanned_again_covers_what_was_seen(sensor, real_data, tmp_path):
     done = command("twin", real_data / "kitti_sequence", tmp_path / "out", "--pairs", "*[27]", "--sensor", sensor)

@@ -161,8 +161,7 @@ def test_a_transformed_and_mirrored_pair_has_the_tables_of_a_run(scans, tmp_path
     assert row["match_rate"] > 0.5
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_a_real_pair_has_the_tables_of_the_command(real_data):
     real, sim = (read_scan(real_data / "kitti_twin" / side / "000002.bin").points for side in SIDES)
     assert_same_as_the_command(real, sim, Settings())

@@ -180,7 +180,6 @@ def test_two_dense_clumps_a_link_apart_are_one_component_and_a_little_farther_tw
         assert len(np.unique(connected_points(points, 0.6))) == n_components + 1
 
 
-@pytest.mark.real_data
 def test_a_car_that_is_lost_from_a_real_pair_is_one_missing_piece_more(real_data):
     sides = []
     for side in ("real", "sim"):

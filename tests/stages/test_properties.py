@@ -65,7 +65,6 @@ def distinct(points, fewest=8):
     return points[rows]
 
 
-@pytest.mark.slow
 @settings(PROFILE, max_examples=300)
 @given(clouds(fewest=8), clouds(fewest=8), st.booleans(), st.sampled_from(SETTINGS))
 def test_every_pair_is_scored_within_bounds_or_refused_in_one_line(real, sim, is_alike, chosen):

@@ -173,8 +173,7 @@ def test_noise_is_a_bias_of_roughness_with_its_sign_and_a_side_without_planes_ha
     assert set(compare_roughness(real, few).values()) == set(compare_roughness(few, real).values()) == {None}
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_two_halves_of_a_real_scan_lie_as_far_apart_as_they_are_moved(real_data, rng):
     for name in ("000000", "000006"):
         scan = _objects(real_data / f"kitti_twin/real/{name}.bin")
@@ -183,8 +182,7 @@ def test_two_halves_of_a_real_scan_lie_as_far_apart_as_they_are_moved(real_data,
             assert offset(scan[half], scan[~half] + shift).shift_m[0] == pytest.approx(shift, abs=0.02)
 
 
-@pytest.mark.slow
-@pytest.mark.real_data
+@pytest.mark.exhaustive
 def test_five_real_pairs_show_an_offset_of_20_cm_and_noise_of_10_cm(real_data, rng):
     shifts, noises = [], []
     for path in sorted((real_data / "kitti_twin/real").glob("*.bin")):
