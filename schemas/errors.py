@@ -33,7 +33,3 @@ class RunError(FidpipeError):
 
 class DiskFullError(RunError):
     """No space is left where a run writes: nothing can go on, of whichever pair."""
-
-
-class OversizeError(ScanError, RunError):
-    """A file, of a scan or of a run, that asks for more memory than its length warrants."""

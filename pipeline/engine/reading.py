@@ -8,7 +8,7 @@ from typing import Any
 
 from ...schemas.settings import InputSettings
 from ..datasets.pairs import ScanPair
-from ..datasets.readers import is_foreign
+from ..datasets.readers import may_crash
 from ..inspect.scan_checks import PairFacts, inspect_pairs
 from .pool import Handle, Pool, WorkerDied
 from .time_limit import Clock, OutOfTimeError, TimeLimit
@@ -25,9 +25,9 @@ _DIED = (
 
 
 def wants_workers(pairs: Sequence[ScanPair]) -> bool:
-    """Whether files are to be read by workers: there are many, or readers of other packages, which may crash."""
+    """True if workers read the files: there are many, or a reader may crash."""
     paths = [path for pair in pairs for path in (pair.real, pair.sim) if path is not None]
-    return len(pairs) > _FEW_PAIRS or any(map(is_foreign, paths))
+    return len(pairs) > _FEW_PAIRS or any(map(may_crash, paths))
 
 
 def read_files(

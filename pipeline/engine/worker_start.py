@@ -1,6 +1,7 @@
-"""What a worker process of a local cluster begins with: all its imports, and Ctrl-C left to the one who started it."""
+"""Start of a worker process of a local cluster: its imports, Ctrl-C left to the command, and a limit on memory."""
 
 import signal
+from pathlib import Path
 from typing import Any
 
 import distributed.nanny
@@ -17,3 +18,18 @@ __all__ = ["distributed", "ot", "sklearn", "sknetwork", "worker"]
 def dask_setup(worker: Any) -> None:
     """Called by dask in each worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if worker.memory_manager.memory_limit:
+        limit_memory(worker.memory_manager.memory_limit)
+
+
+def limit_memory(n_bytes: int) -> None:
+    """Let this process take only so many bytes beyond those that it has: a file that asks for more fails alone."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (ImportError, OSError):  # not Linux: dask ends a worker that takes too much
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = pages * resource.getpagesize() + n_bytes
+    resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

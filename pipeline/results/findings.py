@@ -22,7 +22,7 @@ from ...stages.paper.claims import check_claims
 from ...stages.statistics.findings import MatchedObjects, SideObjects, summarise_objects
 from ..datasets.readers.scan import cause_of
 from ..storage.files import key_of
-from ..storage.tables import TableFolder, read_bounded
+from ..storage.tables import TableFolder, read_content
 
 #: Raised by hand whenever the numbers below come out otherwise from the same tables.
 _VERSION = 5
@@ -222,7 +222,7 @@ def read_columns(paths: Sequence[Path], columns: Sequence[str]) -> tuple[dict[st
     for start in range(0, len(paths), _FILES_AT_ONCE):  # a table of few rows is larger than they are
         some = paths[start : start + _FILES_AT_ONCE]
         try:
-            parts = [read_bounded(path, path.read_bytes(), list(columns)) for path in some]
+            parts = [read_content(path.read_bytes(), list(columns)) for path in some]
             chunks.append(pa.concat_tables(parts).combine_chunks())
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise RunError(f"{some[0].parent}: a table cannot be read ({cause_of(error)}); run it again") from error

@@ -7,7 +7,6 @@ wanted key, small facts, seconds by step, so that the tables are the truth and t
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import re
 import stat
@@ -23,9 +22,8 @@ import pyarrow.parquet as pq
 from pydantic import TypeAdapter
 
 from ...schemas.columns import CONSTANT
-from ...schemas.errors import OversizeError, RunError
+from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
-from .bounds import check_pages
 from .files import hash_file, key_of, write_whole
 
 _TOKEN = ".writer"
@@ -256,7 +254,7 @@ class TableFolder:
             if content is None:
                 raise self.damaged(name)
             same = [] if is_plain else [column for column in schema.same if column in wanted.names]
-            rows = read_bounded(path, content, columns, read_dictionary=same)
+            rows = read_content(content, columns, read_dictionary=same)
             if columns is None:
                 return schema.check(rows if is_plain else rows.cast(wanted))
             return rows.cast(plain_strings(wanted) if is_plain else wanted)
@@ -284,21 +282,14 @@ def plain_strings(schema: pa.Schema) -> pa.Schema:
     return pa.schema([field.with_type(pa.string()) if field.type == CONSTANT else field for field in schema])
 
 
-def read_bounded(path: Path, content: bytes, columns: list[str] | None = None, **options: Any) -> pa.Table:
-    """The rows of a Parquet file that was read, if it does not unpack to far more than it is long.
+def read_content(content: bytes, columns: list[str] | None = None, **options: Any) -> pa.Table:
+    """The rows of a Parquet file that was read.
 
     Parameters
     ----------
     options : of `pyarrow.parquet.ParquetFile`
-
-    Raises
-    ------
-    OversizeError
-        It would.
     """
-    check_pages(path, io.BytesIO(content), lambda name: columns is None or name in columns)
-    file = pq.ParquetFile(pa.BufferReader(content), **options)
-    return file.read(columns, use_threads=False)
+    return pq.ParquetFile(pa.BufferReader(content), **options).read(columns, use_threads=False)
 
 
 def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
@@ -322,7 +313,7 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         job, key, table = (footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table"))
         if footer.get(b"fidpipe.check") != key_of(key, job).encode():
             return None
-        rows = read_bounded(path, content, page_checksum_verification=True)
+        rows = read_content(content, page_checksum_verification=True)
         TABLES[table].check(rows)
         if _row_counts(metadata) != {rows.num_rows}:
             return None
@@ -330,7 +321,7 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         names = tuple(own["files"])
         stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
         record = job_record(own | {"key": key, "files": {name: asdict(stored)}})
-    except (OSError, ValueError, KeyError, TypeError, OversizeError, pa.ArrowException):
+    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
     return (record, names) if name in names else None
 

@@ -1,8 +1,11 @@
 """A pair whose reader crashes the interpreter, never ends or fills the memory: one that another package installed."""
 
+import os
 import re
+import struct
 import time
 
+import laspy
 import numpy as np
 import pytest
 
@@ -81,7 +84,7 @@ def installed(tmp_path_factory, monkeypatch):
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: fidpipe-trap\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text("[fidpipe.readers]\ntrap = fidpipe_trap\n")
     (folder / "fidpipe_trap.py").write_text(READER)
-    monkeypatch.setenv("PYTHONPATH", str(folder))
+    monkeypatch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +109,7 @@ DIED_READING = r"the worker process died while it read the files, and again when
 DIED_IN_STAGE = "stage ground, real: the worker process died, and again when the pair ran alone \\(.*out of memory"
 OUT_OF_TIME = f"not finished after {LIMIT_S} s of work in reading its files; a larger --pair-timeout gives it more"
 OUT_OF_TIME_IN_STAGE = f"not finished after {LIMIT_S} s of work in stage ground, real; a larger --pair-timeout"
+OUT_OF_MEMORY = r"cannot be read \(Unable to allocate|the worker process died"  # the limit of the worker, or dask's
 IN_LITTLE_MEMORY = ("--set", "machine.memory_gib=1.5")
 WITH_LIMIT = ("--pair-timeout", LIMIT_S)
 
@@ -117,8 +121,8 @@ TRIES = [
     ("hang", 2, WITH_LIMIT, OUT_OF_TIME_IN_STAGE),
     ("wait", 1, WITH_LIMIT, OUT_OF_TIME),
     ("wait", 2, WITH_LIMIT, OUT_OF_TIME_IN_STAGE),
-    ("fill_memory", 1, IN_LITTLE_MEMORY, DIED_READING),
-    ("fill_memory", 2, IN_LITTLE_MEMORY, DIED_IN_STAGE),
+    ("fill_memory", 1, IN_LITTLE_MEMORY, OUT_OF_MEMORY),
+    ("fill_memory", 2, IN_LITTLE_MEMORY, OUT_OF_MEMORY),
 ]
 
 
@@ -143,6 +147,25 @@ def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(dataset, undisturbe
         trap.unlink()
         trap.with_suffix(".readings").unlink(missing_ok=True)
     assert_resumes(dataset, out, undisturbed, start=own_process)
+
+
+@pytest.mark.exhaustive
+def test_a_damaged_laz_that_ends_its_reader_fails_alone_and_is_named(tmp_path):
+    data = write_dataset(tmp_path / "streets", 3)
+    (data / "real" / "001.bin").unlink()
+    las = laspy.LasData(laspy.LasHeader())
+    las.x, las.y, las.z = street().T
+    las.write(data / "real" / "001.laz")
+    content = bytearray((data / "real" / "001.laz").read_bytes())
+    (start,) = struct.unpack_from("<I", content, 96)
+    (table,) = struct.unpack_from("<q", content, start)
+    struct.pack_into("<I", content, table + 4, 2**32 - 1)  # chunks, for which lazrs takes memory before it reads them
+    (data / "real" / "001.laz").write_bytes(content)
+    started = Started("run", data, "--out", tmp_path / "run", "--workers", 2, *IN_LITTLE_MEMORY)
+    code, errors = started.end()
+    assert code == 3, errors
+    assert errors.count("pair 001: the worker process died") == 1
+    assert len(list((tmp_path / "run" / "metrics").glob("*.parquet"))) == 2
 
 
 @pytest.mark.exhaustive

@@ -25,12 +25,15 @@ class Target(NamedTuple):
     read : what is called with the folder of an input
     hot : beginning of the names of the files that are changed; of several one at a time
     words : of the format
+    in_worker : whether runs read it in workers under a limit on memory: an input may then end the process, or run into
+        the limit; the run names its pair
     """
 
     inputs: Callable[[], list[dict[str, bytes]]]
     read: Callable[[Path], object]
     hot: str = "a."
     words: tuple[bytes, ...] = ()
+    in_worker: bool = False
 
 
 def _scan(name):
@@ -276,6 +279,8 @@ _PLY_WORDS = (
     b"\nformat ",
 )
 _PCD_WORDS = (b"COUNT 1 1 1 1000000", b"POINTS 1000000000", b"DATA ascii", b"DATA binary_compressed", b"SIZE 8 8 8 8")
+_BAG_WORDS = (b"compression=lz4", b"compression=bz2", b"chunk_count=")
+_SQL_WORDS = (b"CREATE TABLE", b"CREATE VIEW", b"messages", b"topics")
 _YAML_WORDS = (b"- &a [*a, *a]\n", b"!!python/object:os.system", b"compression_mode: FILE\n", b"- ../../a.db3\n", b"? ")
 
 #: By name; each reads the file whose name begins with `a.`, or as `hot` says.
@@ -286,13 +291,13 @@ SCANS = {
     "pcd": Target(_pcd, _scan("a.pcd"), words=_PCD_WORDS),
     "ply": Target(_ply, _scan("a.ply"), words=_PLY_WORDS),
     "csv": Target(_csv, _scan("a.csv"), words=(b"x,y,z\n", b"NA", b"True", b"1j", b"2020-01-01", b'"\n"', b"x,x,x")),
-    "parquet": Target(_parquet, _scan("a.parquet")),
+    "parquet": Target(_parquet, _scan("a.parquet"), in_worker=True),
     "las": Target(_las("a.las"), _scan("a.las"), words=(b"LASF_Spec", b"laszip encoded")),
-    "laz": Target(_las("a.laz"), _scan("a.laz"), words=(b"LASF_Spec", b"laszip encoded")),
-    "bag": Target(_bag, _recording("a.bag"), words=(b"compression=lz4", b"compression=bz2", b"chunk_count=")),
-    "mcap": Target(_mcap, _recording("a.mcap"), words=(b"zstd", b"lz4", b"\x89MCAP0\r\n")),
-    "db3": Target(_db3, _recording("a.db3"), words=(b"CREATE TABLE", b"CREATE VIEW", b"messages", b"topics")),
-    "metadata.yaml": Target(_metadata, _recording("bag"), hot="bag/metadata", words=_YAML_WORDS),
+    "laz": Target(_las("a.laz"), _scan("a.laz"), words=(b"LASF_Spec", b"laszip encoded"), in_worker=True),
+    "bag": Target(_bag, _recording("a.bag"), words=_BAG_WORDS, in_worker=True),
+    "mcap": Target(_mcap, _recording("a.mcap"), words=(b"zstd", b"lz4", b"\x89MCAP0\r\n"), in_worker=True),
+    "db3": Target(_db3, _recording("a.db3"), words=_SQL_WORDS, in_worker=True),
+    "metadata.yaml": Target(_metadata, _recording("bag"), hot="bag/metadata", words=_YAML_WORDS, in_worker=True),
     "pcap": Target(_pcap, _recording("a.pcap")),
     "pcapng": Target(_pcapng, _recording("a.pcapng")),
     "label": Target(_labels, _scan("scan.bin"), hot="scan.label"),

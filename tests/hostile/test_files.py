@@ -13,18 +13,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from rosbags.highlevel import AnyReader
 
+import fidpipe
 from campaign import campaign
 from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names
-from fidpipe.pipeline.datasets.readers import frames_of, las, read_scan
-from fidpipe.pipeline.storage import bounds
-from fidpipe.schemas.errors import DatasetError, OversizeError, ScanError
-from recordings import CLOUD, cloud, typestore
-from seeds import _ROWS, POINTS, scan_files
+from fidpipe.pipeline.datasets.readers import frames_of, read_scan
+from fidpipe.schemas.errors import DatasetError, ScanError
+from seeds import POINTS, scan_files
 from targets import TARGETS
 
-PACKAGE = Path(bounds.__file__).resolve().parents[2]
+PACKAGE = Path(fidpipe.__file__).parent
 #: Inputs a reader in the short form, fewer where one takes long; `make fuzz` has the long form.
 N_INPUTS, SLOW = 100, {"run folder": 20}
 
@@ -142,28 +140,6 @@ def laz_parts(content):
     return content.index(b"laszip encoded") - 2 + 54, start + 8
 
 
-def test_a_laz_whose_points_are_packed_otherwise_is_refused(tmp_path):
-    content = whole("laz")
-    record, _ = laz_parts(content)
-    path = written(tmp_path, "a.laz", patched(content, record + 36, struct.pack("<H", 60000)))
-    with pytest.raises(ScanError, match="points of 20 bytes are packed as of 60000"):
-        read_scan(path)
-
-
-def test_a_laz_of_more_chunks_than_bytes_is_refused(tmp_path):
-    content = whole("laz")
-    (table,) = struct.unpack_from("<q", content, laz_parts(content)[1] - 8)
-    path = written(tmp_path, "a.laz", patched(content, table + 4, struct.pack("<I", 2**31)))
-    with pytest.raises(ScanError, match="2147483648 chunks of 5 points found"):
-        read_scan(path)
-
-
-@pytest.mark.parametrize("number", [9711, 25847, 63252])
-def test_points_of_a_laz_packed_as_no_laz_packs_them_are_refused(number):
-    """Items of other sizes than their kinds, chunks of no point, layers in what has none: lazrs ends the process."""
-    assert campaign("laz", 1, first=number)[0] == []
-
-
 def test_a_laz_in_one_piece_is_read(tmp_path):
     """The first kind of compressor has no chunks, and no table of them."""
     content = whole("laz")
@@ -195,21 +171,10 @@ def chunked_laz(n_chunks, n_listed):
     return patched(made, table + 4, struct.pack("<I", n_listed))
 
 
-def test_a_laz_of_fewer_chunks_than_its_points_fill_is_refused(tmp_path, monkeypatch):
+def test_a_panic_of_a_library_in_rust_is_one_line(tmp_path):
     assert len(read_scan(written(tmp_path, "a.laz", chunked_laz(3, 3))).points) == 3
     path = written(tmp_path, "b.laz", chunked_laz(3, 1))
-    with pytest.raises(ScanError, match="1 chunks of 1 points found"):
-        read_scan(path)
-    monkeypatch.setattr(las, "_check_packing", lambda *_: None)
     with pytest.raises(ScanError, match="not a whole LAS file .index out of bounds"):
-        read_scan(path)
-
-
-def test_a_laz_layer_longer_than_the_file_is_refused(tmp_path):
-    content = whole("laz", 2)  # point format 6, in layers
-    _, chunk = laz_parts(content)
-    path = written(tmp_path, "a.laz", patched(content, chunk + 30 + 4, struct.pack("<I", 2**32 - 1)))
-    with pytest.raises(ScanError, match="a chunk that ends at byte"):
         read_scan(path)
 
 
@@ -220,99 +185,8 @@ def test_runs_of_equal_values_in_parquet_are_bounded(tmp_path):
     column = pa.array(np.zeros(3_000_000))
     pq.write_table(pa.table(dict.fromkeys("xyz", column)), tmp_path / "a.parquet")
     assert (tmp_path / "a.parquet").stat().st_size < 50_000
-    with pytest.raises(OversizeError, match=r"would unpack to \d+ or more"):
+    with pytest.raises(ScanError, match=r"would unpack to \d+, at most"):
         read_scan(tmp_path / "a.parquet")
-
-
-@pytest.mark.parametrize("repeated", [1, 1_000_000])
-def test_a_long_text_that_is_stored_once_counts_as_often_as_it_occurs(tmp_path, repeated):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    n_rows = 1_000_000
-    texts = pa.array(["car", "x" * 100_000])
-    chosen = pa.array((np.arange(n_rows) < repeated).astype(np.int32))
-    columns = dict.fromkeys("xyz", np.random.default_rng(0).random(n_rows))
-    path = tmp_path / "a.parquet"
-    pq.write_table(pa.table({**columns, "label": pa.DictionaryArray.from_arrays(chosen, texts)}), path)
-    with path.open("rb") as stream:
-        if repeated == 1:
-            bounds.check_pages(path, stream)
-        else:
-            with pytest.raises(OversizeError, match=r"would unpack to 1000\d{8} or more"):
-                bounds.check_pages(path, stream)
-
-
-def test_a_page_that_claims_gigabytes_is_refused(tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    content = io.BytesIO()
-    columns = {name: pa.array(column) for name, column in zip("xyz", POINTS.T, strict=True)}
-    pq.write_table(pa.table(columns), content, compression="none", use_dictionary=False)
-    page = b"\x15\x00\x15" + bytes([len(POINTS) * 8 * 2 + 12])  # a page's head: kind 0, then its unpacked length
-    whole_file = content.getvalue()
-    place = 4
-    assert whole_file[place : place + 3] == page[:3]
-    huge = bytes([0xFE, 0xFF, 0xFF, 0xFF, 0x0F])  # 2^31 - 1
-    end = place + 3
-    while whole_file[end] & 0x80:
-        end += 1
-    with pytest.raises(OversizeError):
-        bounds.check_pages(tmp_path, *[io.BytesIO(whole_file[: place + 3] + huge + whole_file[end + 1 :])])
-
-
-@pytest.mark.parametrize("number", [35765, 35939, 40680])
-def test_a_damaged_footer_of_parquet_does_not_end_the_process(number):
-    assert campaign("parquet", 1, first=number)[0] == []
-
-
-@pytest.fixture
-def narrow(monkeypatch):
-    """Bounds so narrow that a small file passes them."""
-    monkeypatch.setattr(bounds, "MOST_UNPACKED_BYTES", 2**16)
-
-
-def chunks_of_nothing(path, kind):
-    """A bag whose chunk unpacks to a thousand times its length."""
-    types = typestore(is_ros1=path.suffix == ".bag")
-    rows = np.zeros(50_000, _ROWS.dtype)
-    if path.suffix == ".bag":
-        from rosbags.rosbag1 import Writer
-
-        bag, serialize = Writer(path), types.serialize_ros1
-        bag.set_compression(Writer.CompressionFormat[kind])
-    else:
-        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-
-        bag, serialize = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP), types.serialize_cdr
-        bag.set_compression(CompressionMode.STORAGE, CompressionFormat[kind])
-    with bag:
-        connection = bag.add_connection("/points", CLOUD, typestore=types)
-        bag.write(connection, 10**9, serialize(cloud(types, rows), CLOUD))
-    return path
-
-
-@pytest.mark.parametrize(("name", "kind"), [("a.bag", "BZ2"), ("a.bag", "LZ4"), ("a_mcap", "ZSTD")])
-def test_a_chunk_that_unpacks_to_very_much_is_refused(tmp_path, narrow, name, kind):
-    path = chunks_of_nothing(tmp_path / name, kind)
-    with pytest.raises(ScanError, match="would unpack to"):
-        read_scan(path)
-    with AnyReader([path], default_typestore=typestore(is_ros1=name == "a.bag")) as bag:  # as others in this process do
-        assert len(list(bag.messages())) == 1
-
-
-def test_a_bag_s_database_runs_nothing_of_its_own(tmp_path):
-    path = written(tmp_path, "a.db3", whole("db3"))
-    with closing(sqlite3.connect(path)) as db, db:
-        db.executescript(
-            "DROP TABLE message_definitions; CREATE VIEW message_definitions AS WITH RECURSIVE n(i) AS "
-            "(SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id, 'a' AS topic_type, 'ros2msg' AS encoding, "
-            "'' AS encoded_message_definition, '' AS type_description_hash FROM n;"
-        )
-    db.close()
-    with pytest.raises(ScanError, match="not a whole ROS bag"):
-        frames_of(path)
 
 
 @pytest.mark.parametrize("time", ["NULL", "'soon'", "-1", "1.5"])
@@ -337,19 +211,6 @@ def test_a_message_is_one_line_whatever_a_topic_is_called(tmp_path):
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_a_column_of_a_bag_that_makes_its_own_values_takes_no_memory(tmp_path):
-    path = written(tmp_path, "a.db3", whole("db3"))
-    with closing(sqlite3.connect(path)) as db, db:
-        db.executescript(
-            "ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, "
-            "timestamp INTEGER, data BLOB AS (zeroblob(1000000000)));"
-            "INSERT INTO messages(topic_id, timestamp) SELECT topic_id, timestamp FROM old;"
-        )
-    db.close()
-    with pytest.raises(ScanError, match="not a whole ROS bag"):
-        read_scan(Path(f"{path}#0"))
-
-
 def test_a_bag_names_files_of_its_own_folder_alone(tmp_path):
     files = TARGETS["metadata.yaml"].inputs()[1]
     for name, content in files.items():
@@ -367,7 +228,7 @@ def test_the_address_of_a_database_is_not_read_from_its_name(tmp_path):
     written(tmp_path, "secret.db3", whole("db3"))
     (tmp_path / "in").mkdir()
     path = written(tmp_path / "in", "..%2fsecret.db3", whole("db3"))
-    with pytest.raises(ScanError, match="a path without %"):
+    with pytest.raises(ScanError, match="expected a path without %"):
         frames_of(path)
 
 

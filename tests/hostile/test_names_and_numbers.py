@@ -15,7 +15,6 @@ from fidpipe.pipeline.datasets.pairs import check_rigid, read_dataset, read_labe
 from fidpipe.pipeline.datasets.readers.frames import Address, address_of
 from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
 from fidpipe.pipeline.results.gate import parse_word, read_criteria
-from fidpipe.pipeline.storage.bounds import _Thrift
 from fidpipe.pipeline.storage.tables import file_stem, table_name
 from fidpipe.pipeline.terminal import Terminal, shown
 from fidpipe.schemas.errors import FidpipeError
@@ -146,16 +145,6 @@ def test_any_columns_are_a_scan_or_are_refused(columns):
         return
     assert scan.points.dtype == np.float64
     assert scan.points.shape == (len(arrays["x"]), 3)
-
-
-@given(st.binary(max_size=200))
-def test_any_bytes_are_a_thrift_struct_or_are_refused(content):
-    reader = _Thrift(content)
-    try:
-        reader.struct()
-    except ValueError:
-        return
-    assert reader.place <= len(content)
 
 
 @pytest.mark.parametrize("opened", ["[" * 100_000, "{a=" * 100_000])

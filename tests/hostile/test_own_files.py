@@ -4,9 +4,6 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
@@ -17,9 +14,8 @@ from fidpipe.pipeline.datasets.writers import convert
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.sensor_files import read_sensor
-from fidpipe.pipeline.results.findings import read_columns
 from fidpipe.pipeline.results.floor import FLOOR_DATASET, FLOOR_RECIPE, read_recipe
-from fidpipe.schemas.errors import DatasetError, FidpipeError, OversizeError, RunError
+from fidpipe.schemas.errors import DatasetError, FidpipeError, RunError
 
 QUIET = Reporter(Console(quiet=True))
 TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
@@ -112,10 +108,3 @@ def test_names_of_labels_of_any_content_are_added_to_or_refused(tmp_path, names)
     with pytest.raises(DatasetError, match=r'labels\.toml: lines such as 4 = "tree" are wanted|labels.toml: 1 is'):
         convert(tmp_path / "scan.csv", tmp_path / "out" / "a.ply")
     assert (tmp_path / "out" / "labels.toml").read_text() == names
-
-
-def test_objects_of_a_run_that_unpack_to_very_much_are_refused(tmp_path):
-    path = tmp_path / "000.parquet"
-    pq.write_table(pa.table({"cdc": np.zeros(20_000_000, np.float32)}), path, compression="zstd")
-    with pytest.raises(OversizeError, match="would unpack to"):
-        read_columns([path], ["cdc"])

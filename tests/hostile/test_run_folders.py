@@ -19,13 +19,12 @@ from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import Check
 from fidpipe.pipeline.results.measures import Measures
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.storage import bounds
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER, _hash
 from fidpipe.pipeline.storage.record import read_run
 from fidpipe.pipeline.storage.tables import read_footer
 from fidpipe.pipeline.terminal import Terminal
-from fidpipe.schemas.errors import FidpipeError, OversizeError, RunError
+from fidpipe.schemas.errors import FidpipeError, RunError
 from runs import command, run
 
 ESCAPE = "\x1b]0;owned\x07\x1b[2J\u202eevil\x9b31m"
@@ -201,13 +200,6 @@ def test_a_table_of_objects_that_are_nowhere_is_refused(again, name, column, val
     if name != "matching/000.parquet":
         with pytest.raises(RunError, match=r"not in objects/|names a pair twice|cannot be read"):
             Measures(FinishedRun(again)).named("objects.cdc.q95")
-
-
-def test_a_table_that_unpacks_to_very_much_is_refused(again, monkeypatch):
-    monkeypatch.setattr(bounds, "MOST_UNPACKED_BYTES", 0)
-    monkeypatch.setattr(bounds, "MOST_UNPACKED_A_BYTE", 0.01)
-    with pytest.raises(OversizeError, match="would unpack to"):
-        FinishedRun(again)
 
 
 def test_no_name_steers_the_terminal():

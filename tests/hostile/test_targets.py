@@ -15,13 +15,14 @@ from targets import TARGETS
 
 ROOT = Path(fidpipe.__file__).parent
 #: What opens a file to be read: functions, and methods of whatever.
-FUNCTIONS = {"open", "BoundedFile", "BoundedPath", "read_bounded"}
+FUNCTIONS = {"open", "read_content"}
 METHODS = {"read_text", "read_bytes", "open", "fromfile", "loadtxt", "read_csv", "read_parquet", "ParquetFile"}
 OF_MODULES = {("np", "load"), ("pq", "read_table"), ("json", "load"), ("sqlite3", "connect"), ("tomllib", "load")}
 OF_MODULES |= {("np", "memmap"), ("yaml", "safe_load"), ("orjson", "load"), ("pickle", "load"), ("mmap", "mmap")}
 #: Modules that open what nobody else writes, or what another module has read before.
 NOT_ATTACKED = {
     "pipeline.engine.cluster": "its own code and shared file, to be compared with those of the user's other machines",
+    "pipeline.engine.worker_start": "/proc/self/statm",
     "pipeline.engine.time_limit": "notes of its own processes, in a folder that goes with them",
     "pipeline.cli.main": "/dev/null",
     "pipeline.cli.results": "a browser, for a page that it has made",

@@ -34,7 +34,6 @@ MOST_BYTES_A_BYTE = 100
 #: Address space beyond what the process has when it begins: what is asked for above that is refused by the system.
 MOST_ADDRESSES = 2**30
 
-_LOST_MEMORY = ("memoryerror", "bad_alloc", "bad alloc", "cannot allocate", "malloc of size", "unable to allocate")
 _NEVER = (
     "subprocess.",
     "os.system",
@@ -130,11 +129,8 @@ def fault_of(error):
         return "a message of many lines"
     cause = error
     while cause is not None:
-        text = f"{type(cause).__name__} {cause}".lower()
-        if any(sign in text for sign in _LOST_MEMORY):
-            return "memory ran out"
         is_caught_last = isinstance(error, ScanError) and ": cannot be read (" in str(error)
-        if is_caught_last and not isinstance(cause, FidpipeError | OSError):
+        if is_caught_last and not isinstance(cause, FidpipeError | OSError | MemoryError):
             return f"{type(cause).__name__} that nobody had expected"
         cause = cause.__cause__ or cause.__context__
     return ""
@@ -177,7 +173,10 @@ class Judge:
         if seconds > self.sums["slowest_s"]:
             self.sums["slowest_s"], self.sums["slowest"] = seconds, number
         self._base, self._peak = self._base or peak, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        if (grown := (self._peak - peak) * 1024) > MOST_BYTES + MOST_BYTES_A_BYTE * n_bytes:
+        if (
+            not self._target.in_worker
+            and (grown := (self._peak - peak) * 1024) > MOST_BYTES + MOST_BYTES_A_BYTE * n_bytes
+        ):
             fault = fault or f"{grown / 2**20:.0f} MiB of memory for {n_bytes} bytes"
         if seconds > MOST_SECONDS:
             fault = fault or f"{seconds:.1f} s"

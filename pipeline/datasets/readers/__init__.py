@@ -40,6 +40,9 @@ class Format(NamedTuple):
 #: What `pip install 'fidpipe[...]'` brings the libraries that are not everywhere.
 _EXTRAS = {"rosbags": "ros", "velodyne_decoder": "velodyne", "dpkt": "velodyne", "laspy": "las"}
 
+#: Formats whose libraries believe what a file says of its compressed parts.
+_COMPRESSED = frozenset({".laz", ".parquet", ".bag", ".db3", ".mcap", "/metadata.yaml"})
+
 #: A longer suffix is tried before a shorter one that it ends with. One that begins with / is a file in a folder.
 FORMATS = {
     ".pcd.bin": Format(".float32", _NUSCENES),
@@ -79,9 +82,10 @@ def suffix_of(path: Path) -> str | None:
     return next(by_name, None) or next((suffix for suffix in known if suffix[0] == "/" and _holds(file, suffix)), None)
 
 
-def is_foreign(path: Path) -> bool:
-    """Whether a reader of another package reads the file: one that may crash or never end, for all that is known."""
-    return suffix_of(path) in _other_formats()
+def may_crash(path: Path) -> bool:
+    """True if reading a file may crash or fill the memory: by another package, or because it is compressed."""
+    suffix = suffix_of(path)
+    return suffix in _COMPRESSED or suffix in _other_formats()
 
 
 def stem_of(path: Path) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from ....schemas.errors import ScanError
-from ...storage.bounds import BoundedFile
 from .scan import Scan, refused_unless, scan_from_columns
 
 _LONGEST_HEADER_BYTES, _MOST_COLUMNS = 2**20, 1000  # a column costs pandas a thousand bytes, whatever is in it
@@ -22,7 +21,7 @@ def read(path: Path) -> Scan:
     import pandas as pd
 
     with refused_unless(path, "a CSV table"):
-        with BoundedFile(path) as file:
+        with path.open("rb") as file:
             n_columns = file.readline(_LONGEST_HEADER_BYTES).count(b",") + 1
         if n_columns > _MOST_COLUMNS:
             raise ScanError(f"{path}: {n_columns} columns found, at most {_MOST_COLUMNS} are read")

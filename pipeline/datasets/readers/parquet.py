@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...storage.bounds import BoundedFile, check_pages
-from .scan import KNOWN_COLUMNS, Scan, check_names, refused_unless, scan_from_columns
+from .scan import KNOWN_COLUMNS, Scan, check_names, check_unpacked, refused_unless, scan_from_columns
 
+_VALUE_BYTES = 8
 _MOST_METADATA = 2**20  # names and lists in the footer
 
 
@@ -16,19 +16,18 @@ def read(path: Path) -> Scan:
     Raises
     ------
     ScanError
-        The file is not whole, a column is missing, a coordinate is no number, or it would unpack to far more than a
-        scan.
+        The file is not whole, a column is missing, a coordinate is not a number, or the footer promises far more rows
+        than a scan has.
     """
     import pyarrow.parquet as pq
 
     limits = {"thrift_string_size_limit": _MOST_METADATA, "thrift_container_size_limit": _MOST_METADATA}
-    with refused_unless(path, "a whole Parquet file"), BoundedFile(path) as stream:
-        check_pages(path, stream, lambda name: name.lower() in KNOWN_COLUMNS)
-        stream.seek(0)
+    with refused_unless(path, "a whole Parquet file"), path.open("rb") as stream:
         file = pq.ParquetFile(stream, pre_buffer=False, **limits)
         names = [field.name for field in file.schema_arrow]
         check_names(path, names)
         chosen = [name for name in names if name.lower() in KNOWN_COLUMNS]
+        check_unpacked(path, file.metadata.num_rows * len(chosen) * _VALUE_BYTES)
         table = file.read(chosen, use_threads=False)
         columns = {name: table.column(name).to_numpy() for name in chosen}
     return scan_from_columns(path, columns)

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.errors import ScanError
-from ...storage.bounds import BoundedFile, check_promise, check_unpacked
-from .scan import Scan, refused_unless, scan_from_columns
+from .scan import Scan, check_promise, check_unpacked, refused_unless, scan_from_columns
 
 _HEADER_LINES, _MOST_COLUMNS = 10, 1000
 
@@ -25,7 +24,7 @@ def read(path: Path) -> Scan:
 
     with refused_unless(path, "a whole PCD file"):
         _check_head(path)
-        with BoundedFile(path) as file:
+        with path.open("rb") as file:
             cloud = PointCloud.from_fileobj(file)
     rows = np.atleast_1d(cloud.pc_data)
     if len(rows) != cloud.metadata.points:
@@ -40,7 +39,7 @@ def _check_head(path: Path) -> None:
     from pypcd4.pypcd4 import MetaData
 
     lines: list[str] = []
-    with BoundedFile(path) as file:
+    with path.open("rb") as file:
         for line in file:  # as pypcd4 reads them
             text = line.decode().strip()
             lines += [text] * bool(text and not text.startswith("#"))

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ...storage.bounds import BoundedFile
 from .scan import Scan, refused_unless, scan_from_columns
 
 
@@ -21,7 +20,7 @@ def read(path: Path) -> Scan:
     from trimesh.exchange.ply import load_ply
 
     with refused_unless(path, "a whole PLY file with vertices"):
-        with BoundedFile(path) as file:
+        with path.open("rb") as file:
             vertex = load_ply(file, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
         n_points, rows = vertex["length"], vertex["data"]
         columns = {name: np.asarray(rows[name]).reshape(n_points) for name in vertex["properties"]}

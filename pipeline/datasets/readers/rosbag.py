@@ -5,12 +5,10 @@ A frame is a message of sensor_msgs/PointCloud2, or of velodyne_msgs/VelodyneSca
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import replace
 from functools import cache, lru_cache
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from ...storage.bounds import BoundedPath, Unpacker
 from .frames import Address, frame_number
 from .scan import Scan, refused_unless, scan_from_columns
 
@@ -33,12 +30,6 @@ _DEFINITIONS = {
 }
 _ROS2_PACKET = "builtin_interfaces/Time stamp\nuint8[1206] data\n"
 _NUMBERS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # PointField.INT8 is 1, and so on
-
-#: Steps of SQLite's machine that a bag's database may take: of tables these are some ten a row.
-_MOST_STEPS, _MOST_STEPS_A_BYTE, _STEPS_AT_ONCE = 10**7, 100, 10**5
-_SHORTEST_LIMIT = 10**5  # of a statement of rosbags or a cell
-
-_UNPACKER: ContextVar[Unpacker] = ContextVar("what unpacks the bag that is open")
 
 
 def read(address: Address) -> Scan:
@@ -109,93 +100,11 @@ def _opened(file: Path) -> Iterator[Any]:
     from rosbags.rosbag2 import Reader as Ros2Reader
 
     reader = Ros1Reader if _is_ros1(file) else Ros2Reader
-    with refused_unless(file, "a whole ROS bag"), _bounded(file), reader(BoundedPath(file)) as bag:
+    files = [str(each.absolute()) for each in (file.iterdir() if file.is_dir() else [file])]
+    if wrong := [name for name in files if name.endswith(".db3") and any(sign in name for sign in "%?#")]:
+        raise ScanError(f"{wrong[0]}: expected a path without %, ? and #, which SQLite reads as parts of an address")
+    with refused_unless(file, "a whole ROS bag"), reader(file) as bag:
         yield bag
-
-
-@contextmanager
-def _bounded(file: Path) -> Iterator[None]:
-    """Around the use of rosbags, which unpacks whatever a chunk asks for and runs whatever a database is made of."""
-    import apsw
-
-    _bound_unpacking()
-    n_bytes = sum(n_bytes for n_bytes, _ in _marks(file))
-    most_steps = _MOST_STEPS + _MOST_STEPS_A_BYTE * n_bytes
-    names = [str(each.absolute()) for each in (file.iterdir() if file.is_dir() else [file]) if each.suffix == ".db3"]
-    if wrong := [name for name in names if any(sign in name for sign in "%?#")]:
-        raise ScanError(f"{wrong[0]}: a path without %, ? and # is wanted, which SQLite reads as parts of an address")
-
-    def bound(connection: Any) -> None:
-        steps = count(_STEPS_AT_ONCE, _STEPS_AT_ONCE)
-        connection.limit(apsw.SQLITE_LIMIT_LENGTH, max(n_bytes, _SHORTEST_LIMIT))
-        connection.set_authorizer(_allows)
-        connection.set_progress_handler(lambda: next(steps) > most_steps, _STEPS_AT_ONCE)
-
-    token = _UNPACKER.set(Unpacker(file, n_bytes))
-    apsw.connection_hooks.append(bound)
-    try:
-        yield
-    finally:
-        apsw.connection_hooks.remove(bound)
-        _UNPACKER.reset(token)
-
-
-def _allows(action: int, what: str | None, name: str | None, _: str | None, view: str | None) -> int:
-    """Whether a statement on a bag's database may run: reads of its tables, nothing that the file defines."""
-    import apsw
-
-    allowed = {apsw.SQLITE_SELECT, apsw.SQLITE_READ}
-    is_known = action == apsw.SQLITE_FUNCTION and str(name).lower() in ("count", "min", "max")
-    is_known |= (action, what) == (apsw.SQLITE_PRAGMA, "table_info")
-    return int(apsw.SQLITE_OK if view is None and (action in allowed or is_known) else apsw.SQLITE_DENY)
-
-
-@cache
-def _bound_unpacking() -> None:
-    """Puts bounded unpacking in the place of that of rosbags."""
-    import bz2
-    from types import SimpleNamespace
-
-    from lz4.frame import LZ4FrameFile
-    from rosbags.rosbag1 import reader as ros1
-    from rosbags.rosbag2 import reader as ros2
-    from rosbags.rosbag2 import storage_mcap
-
-    zstd = ros2.zstd
-
-    @contextmanager
-    def opened(stream: Any, mode: str) -> Iterator[Any]:
-        with zstd.open(stream, mode) as file:
-
-            def read(size: int) -> bytes:
-                content: bytes = file.read(size)
-                _UNPACKER.get().count(len(content))
-                return content
-
-            yield SimpleNamespace(read=read)
-
-    def unpacking(kind: Any, usual: Callable[..., Any]) -> Callable[..., Any]:
-        return _while_open(lambda content, *_: _UNPACKER.get()(content, kind), usual)
-
-    for unpackers, name, kind in (
-        (ros1.decompressors, "bz2", bz2.BZ2File),
-        (ros1.decompressors, "lz4", LZ4FrameFile),
-        (storage_mcap.DECOMPRESSORS, "lz4", LZ4FrameFile),
-        (storage_mcap.DECOMPRESSORS, "zstd", zstd.ZstdFile),
-    ):
-        unpackers[name] = unpacking(kind, unpackers[name])
-    ros2.zstd = SimpleNamespace(
-        open=_while_open(opened, zstd.open), decompress=unpacking(zstd.ZstdFile, zstd.decompress)
-    )
-
-
-def _while_open(bounded: Callable[..., Any], usual: Callable[..., Any]) -> Callable[..., Any]:
-    """`bounded` while a bag is open here, else `usual`: what else uses rosbags in this process keeps what it has."""
-
-    def either(*arguments: Any) -> Any:
-        return bounded(*arguments) if _UNPACKER.get(None) else usual(*arguments)
-
-    return either
 
 
 def _is_ros1(file: Path) -> bool:

@@ -29,6 +29,10 @@ KNOWN_COLUMNS = frozenset(("x", "y", "z", *_INTENSITY, *_LABEL, *_INSTANCE, *_IN
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
+#: What a compressed file may unpack to: so many bytes, and so many more for each byte that it is long.
+MOST_UNPACKED_BYTES = 64 * 2**20
+MOST_UNPACKED_A_BYTE = 100
+
 #: Tags of CARLA from 0.9.14 on: carla/rpc/ObjectLabel.h, `CityObjectLabel`.
 CARLA_TAGS = dict(
     enumerate(
@@ -159,6 +163,35 @@ def refused_unless(path: Path, wanted: str) -> Iterator[None]:
         if not (isinstance(error, Exception) or is_panic) or (isinstance(error, OSError) and error.errno is not None):
             raise
         raise ScanError(f"{path}: not {wanted} ({cause_of(error)})") from error
+
+
+def check_promise(path: Path, n_points: int, point_bytes: float) -> None:
+    """Raise `ScanError` if a header promises more points than the file can hold, before memory is taken for them.
+
+    Parameters
+    ----------
+    point_bytes : that a point takes in the file, at least
+    """
+    n_bytes = path.stat().st_size
+    if n_points < 0 or n_points * point_bytes > n_bytes:
+        promised = n_points if abs(n_points) < 10**30 else "10^30 and more"
+        fault = f"the header says {promised} points, in {n_bytes} bytes; the file is truncated or wrong"
+        raise ScanError(f"{path}: {fault}")
+
+
+def check_unpacked(path: Path, n_unpacked: int) -> None:
+    """Raise `ScanError` if a header promises to unpack to far more than a scan.
+
+    Parameters
+    ----------
+    n_unpacked : bytes, as the header has it
+    """
+    n_bytes = path.stat().st_size
+    if n_unpacked > (most := MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes):
+        raise ScanError(
+            f"{path}: {n_bytes} bytes would unpack to {n_unpacked}, at most {most} are read; the file is wrong, or "
+            "made to fill the memory; if it is right, write it without compression and dictionaries"
+        )
 
 
 def cause_of(error: object) -> str:

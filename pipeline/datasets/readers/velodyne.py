@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from ...storage.bounds import BoundedFile
 from .frames import Address, frame_number
 from .scan import Scan, refused_unless, scan_from_columns
 
@@ -99,7 +98,7 @@ def _packets(
     """Data packets between two places of a capture: bytes from and to, when each came in seconds, and its content."""
     import dpkt
 
-    with BoundedFile(file) as stream:
+    with file.open("rb") as stream:
         capture = dpkt.pcap.UniversalReader(stream)
         outermost = dpkt.sll.SLL if capture.datalink() == _LINUX_COOKED else dpkt.ethernet.Ethernet
         if start is not None:
