@@ -17,8 +17,8 @@ SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache_
 FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-# As many processes as cores; a file of tests stays in one of them, the slow ones come first.
-AT_ONCE := --numprocesses auto --dist loadfile --no-loadscope-reorder
+# As many processes as cores; a file of tests stays in one of them, until another one has nothing left to do.
+AT_ONCE := --numprocesses auto --dist worksteal
 TESTED := -m "not exhaustive"
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 

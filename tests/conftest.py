@@ -8,16 +8,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Libraries read these when they are loaded, so the imports come after.
 import shutil
 import time
-from functools import cache
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 import pytest
 
-from reports import finished_run, reference_run
-from runs import run
-from scenes import write_dataset
+from scenarios import Shared
 
 #: Days in which CI runs each exhaustive test once.
 N_SLICES = 12
@@ -60,46 +57,35 @@ def real_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def report_run(tmp_path_factory) -> Path:
+def scenario(request, tmp_path_factory) -> Shared:
+    """The folders of shared finished runs by their names in `scenarios`; not to be written to."""
+    base = tmp_path_factory.getbasetemp()
+    return Shared(base.parent if hasattr(request.config, "workerinput") else base)
+
+
+@pytest.fixture(scope="session")
+def report_run(scenario) -> Path:
     """A small finished run whose pairs and classes have hostile names; not to be written to."""
-    return finished_run(tmp_path_factory.mktemp("report"))
+    return scenario("labelled") / "run"
 
 
 @pytest.fixture(scope="session")
-def by_reference(tmp_path_factory) -> Path:
+def by_reference(scenario) -> Path:
     """A small finished run whose objects the real side fixes; not to be written to."""
-    return reference_run(tmp_path_factory.mktemp("reference"))
-
-
-@pytest.fixture(scope="session")
-def streets(tmp_path_factory):
-    """Folders of small pairs by their number and points a thing, each made once; not to be written to."""
-    return cache(lambda n_pairs, n: write_dataset(tmp_path_factory.mktemp("data") / "streets", n_pairs, n))
-
-
-@pytest.fixture(scope="session")
-def runs_of_streets(tmp_path_factory):
-    """Finished runs of these by their folder, each made once; not to be written to."""
-
-    @cache
-    def finished(dataset):
-        out = tmp_path_factory.mktemp("runs") / "streets"
-        run(dataset, out)
-        return out
-
-    return finished
+    return scenario("reference") / "run"
 
 
 @pytest.fixture(scope="module")
-def dataset(request, streets) -> Path:
+def dataset(request, scenario) -> Path:
     """Two small pairs, or as many and as large ones as the module says by N_PAIRS and N_POINTS."""
-    return streets(getattr(request.module, "N_PAIRS", 2), getattr(request.module, "N_POINTS", 150))
+    module = request.module
+    return scenario("plain", getattr(module, "N_PAIRS", 2), getattr(module, "N_POINTS", 150)) / "streets"
 
 
 @pytest.fixture(scope="module")
-def finished(dataset, runs_of_streets) -> Path:
+def finished(dataset) -> Path:
     """The finished run of these; not to be written to."""
-    return runs_of_streets(dataset)
+    return dataset.with_name("run")
 
 
 @pytest.fixture

@@ -31,8 +31,6 @@ from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.perturbations import Perturbation
 from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, no_temporary_files, own_process, run, some_of
 
-pytestmark = pytest.mark.xdist_group("cluster")
-
 TESTS = Path(broken_jobs.__file__).parent
 _TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])
 N_PAIRS = 6

@@ -50,12 +50,9 @@ def shown(*words, code=0):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(scenario):
     """Three streets, their run, and their floor."""
-    folder = tmp_path_factory.mktemp("floor")
-    run(write_dataset(folder / "streets", 3), folder / "run")
-    floor(folder / "streets", folder / "floor")
-    return folder
+    return scenario("floor")
 
 
 def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
@@ -207,11 +204,11 @@ def test_excess_is_paired_by_name_and_areas_are_over_objects(folder):
     assert (own.of, own.n, own.n_floor) == ("objects", len(values), len(floor_values))
 
 
-def test_a_floor_is_a_run_as_any_other_and_has_no_excess_over_itself(folder):
+def test_a_floor_is_a_run_as_any_other_and_has_no_excess_over_itself(folder, tmp_path):
     assert set(run_status(folder / "floor").stages["metrics"]) == {"done"}
     own = excess_over(FinishedRun(folder / "floor"), folder / "floor")
     assert {score.excess for score in own.scores.values()} == {0}
-    shown("gate", folder / "floor", "--max", "pairs.changed=0", "--out", folder / "gate")
+    shown("gate", folder / "floor", "--max", "pairs.changed=0", "--out", tmp_path)
 
 
 def test_a_wrong_floor_is_refused_and_both_are_named(folder, tmp_path):

@@ -22,12 +22,8 @@ N_PAIRS = 3
 
 
 @pytest.fixture(scope="module")
-def incomplete(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("incomplete")
-    data = write_dataset(folder / "streets", 3)
-    (data / "sim" / "001.bin").write_bytes(b"")
-    run(data, folder / "run", pattern="00[01]")
-    return folder / "run"
+def incomplete(scenario):
+    return scenario("failed") / "run"
 
 
 def judged(folder, *words):

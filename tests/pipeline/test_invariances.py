@@ -135,31 +135,24 @@ def test_a_rigid_motion_of_both_sides_changes_no_score(scene, angle_deg, shift_m
             assert other[name] == pytest.approx(value, rel=1e-4, abs=1e-5), name
 
 
-@pytest.fixture(scope="module")
-def undisturbed(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "run"
-    run(dataset, out)
-    return out
-
-
 @tried(5)
 @given(order=st.permutations(["000", "001", "002"]))
-def test_the_order_of_pairs_changes_no_table(dataset, undisturbed, order):
+def test_the_order_of_pairs_changes_no_table(dataset, finished, order):
     with tempfile.TemporaryDirectory() as folder:
         here = Path(shutil.copytree(dataset, Path(folder) / "streets"))
         lines = [f"{name},real/{name}.bin,sim/{name}.bin\n" for name in order]
         (here / "pairs.csv").write_text("".join(["pair_id,real,sim\n", *lines]))
         run(here, Path(folder) / "run")
-        assert_same_tables(Path(folder) / "run", undisturbed)
+        assert_same_tables(Path(folder) / "run", finished)
 
 
 @pytest.mark.exhaustive
 @tried(6)
 @given(n_workers=st.integers(1, 9))
-def test_the_number_of_workers_changes_no_table(dataset, undisturbed, n_workers):
+def test_the_number_of_workers_changes_no_table(dataset, finished, n_workers):
     with tempfile.TemporaryDirectory() as folder:
         run(dataset, Path(folder) / "run", pool=pools.WatchedPool(n_workers))
-        assert_same_tables(Path(folder) / "run", undisturbed)
+        assert_same_tables(Path(folder) / "run", finished)
 
 
 def stopped_at(n, is_written):
@@ -180,7 +173,7 @@ def stopped_at(n, is_written):
 
 @tried(6)
 @given(stops=st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=3))
-def test_a_run_that_is_stopped_again_and_again_ends_in_the_same_tables(dataset, undisturbed, stops):
+def test_a_run_that_is_stopped_again_and_again_ends_in_the_same_tables(dataset, finished, stops):
     with tempfile.TemporaryDirectory() as folder:
         out, n_stopped = Path(folder) / "run", 0
         for n, is_written in stops:
@@ -192,5 +185,5 @@ def test_a_run_that_is_stopped_again_and_again_ends_in_the_same_tables(dataset, 
                     n_stopped += 1
         assert n_stopped
         run(dataset, out)
-        assert_same_tables(out, undisturbed)
+        assert_same_tables(out, finished)
         assert no_temporary_files(out)

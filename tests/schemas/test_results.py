@@ -6,16 +6,12 @@ import pytest
 
 from fidpipe.schemas.record import RunRecord
 from fidpipe.schemas.results import Findings, ScoreSummary
-from runs import run
-from scenes import write_dataset
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory):
+def record(finished):
     """What `run.json` of a small run holds."""
-    folder = tmp_path_factory.mktemp("results")
-    run(write_dataset(folder / "streets", 2), folder / "run")
-    return json.loads((folder / "run" / "run.json").read_text())
+    return json.loads((finished / "run.json").read_text())
 
 
 def test_a_record_that_is_read_and_written_again_is_the_same_to_the_byte(record):

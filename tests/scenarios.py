@@ -1,0 +1,95 @@
+"""Finished runs that many tests share. Each is made once, by the worker that needs it first; no test writes to one.
+
+A scenario is a folder with its dataset in `streets` and the run of it in `run`.
+"""
+
+import csv
+import shutil
+
+import numpy as np
+from filelock import FileLock
+from rich.console import Console
+
+from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.generate.floor_run import run_floor
+from fidpipe.schemas.settings import Settings, load
+from reports import HOSTILE_CLASS, HOSTILE_PAIRS
+from runs import run
+from scenes import box, drifted, street, write_bin, write_dataset
+
+
+def plain(folder, n_pairs=3, n=150):
+    """Small streets under the default settings."""
+    run(write_dataset(folder / "streets", n_pairs, n), folder / "run")
+
+
+def labelled(folder):
+    """Four small labelled pairs under the hostile names, and a fifth one that fails."""
+    dataset = folder / "streets"
+    rows = []
+    for i, name in enumerate((*HOSTILE_PAIRS, "broken <b>pair</b>")):
+        real = street(seed=10 * i)
+        sides = {"real": real, "sim": drifted(real, seed=i, keep=0.9 - 0.1 * i)}
+        for side, points in sides.items():
+            write_bin(dataset / side / f"{i}.bin", points)
+            labels = np.where(points[:, 0] > 0, 1, 2).astype("<u4")
+            labels.tofile(dataset / side / f"{i}.label")
+        rows.append([name, f"real/{i}.bin", f"sim/{i}.bin"])
+    (dataset / "sim" / "4.bin").write_bytes(b"")
+    (dataset / "labels.toml").write_text(f"1 = '{HOSTILE_CLASS}'\n2 = 'wall'\n")
+    with (dataset / "pairs.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([["pair_id", "real", "sim"], *rows])
+    run(dataset, folder / "run")
+
+
+def reference(folder):
+    """Two pairs under the preset `reference`; of a pole three points are simulated, and a box is invented."""
+    for i in range(2):
+        real = street(seed=10 * i)
+        invented = box([14, 14, 1], [1, 1, 1], 40, i)
+        write_bin(folder / "streets" / "real" / f"{i}.bin", real)
+        write_bin(folder / "streets" / "sim" / f"{i}.bin", np.vstack([drifted(real, seed=i), real[-3:], invented]))
+    run(folder / "streets", folder / "run", load(None, ["graph.k=20"], preset="reference"))
+
+
+def failed(folder):
+    """Three pairs, the second one without a simulated point and the third one not asked for."""
+    data = write_dataset(folder / "streets", 3)
+    (data / "sim" / "001.bin").write_bytes(b"")
+    run(data, folder / "run", pattern="00[01]")
+
+
+def extras(folder):
+    """Two pairs with all baselines and further seeds."""
+    run(
+        write_dataset(folder / "streets", 2), folder / "run", load(None, ["metrics.baselines=all", "stability.seeds=2"])
+    )
+
+
+def floor(folder):
+    """Three streets with their run, and their floor in `floor`."""
+    plain(folder)
+    run_floor(
+        folder / "streets", folder / "floor", Settings(), Reporter(Console(quiet=True)), machines=Machines(workers=1)
+    )
+
+
+SCENARIOS = {make.__name__: make for make in (plain, labelled, reference, failed, extras, floor)}
+
+
+class Shared:
+    """Scenarios in a folder that all workers of a test session see."""
+
+    def __init__(self, root):
+        self._root = root
+
+    def __call__(self, name, *sizes):
+        """The folder of a scenario, which is made if no worker has made it; `sizes` as its function takes them."""
+        folder = self._root / "-".join(map(str, ("scenario", name, *sizes)))
+        with FileLock(f"{folder}.lock"):
+            if not (folder / "whole").exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                SCENARIOS[name](folder, *sizes)
+                (folder / "whole").touch()
+        return folder
