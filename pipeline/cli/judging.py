@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from . import completion
 from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder
-from .output import print_json, print_view
+from .output import print_json, print_text, print_view
+
+if TYPE_CHECKING:
+    from ..report.view import Table, View
 
 
 def gate(
@@ -67,7 +69,7 @@ def gate(
 
     fidpipe gate runs/dataset --floor runs/dataset-floor --max excess.cdc.mean=0.1
     """
-    from ..report.terminal.gate import gate_checks, gate_view, junit_xml
+    from ..report.views.gate_view import gate_checks, gate_view, junit_xml
     from ..results.gate import judge_run, parse_word, read_criteria
     from ..storage.record import dumps
 
@@ -157,11 +159,9 @@ def compare(
 
     fidpipe compare runs/build4? --history --html history.html    how has the simulator developed?
     """
-    from rich.console import Group
-
     from ..report.page.compare import compare_page
-    from ..report.terminal.compare import compare_csv, compare_markdown, compare_view
-    from ..report.terminal.gate import base_view, junit_xml
+    from ..report.views.compare_view import compare_records, compare_view
+    from ..report.views.gate_view import base_view, junit_xml
     from ..results.compare import MOST_RUNS, compare_runs
     from ..results.gate import FAIL_ON, judge_comparison
     from ..storage.files import write_whole
@@ -193,10 +193,10 @@ def compare(
     results = [judge_comparison(each, fail_on) for each in comparisons] if fail_on else []
     if output == "json":
         print_json([each.as_dict() for each in results or comparisons])
-    elif output:
-        sys.stdout.write((compare_markdown if output == "markdown" else compare_csv)(comparisons))
     else:
-        print_view(Group(compare_view(comparisons, with_all=all_), *map(base_view, results)))
+        full = all_ or output == "markdown"
+        view = [part for each in comparisons for part in compare_view(each, with_all=full)]
+        _print(output, [*view, *(part for each in results for part in base_view(each))], compare_records(comparisons))
     if results:
         suites = {f"{one.comparison.other} against {one.comparison.base}": one.checks for one in results}
         folder = out or runs[-1]
@@ -246,7 +246,7 @@ def verify(
 
 def _history(runs: list[Path], page: Path | None, output: str, **options: bool) -> None:
     from ..report.page.compare import history_page
-    from ..report.terminal.history import history_csv, history_markdown, history_view
+    from ..report.views.history_view import history_records, history_view
     from ..results.history import read_history
     from ..storage.files import write_whole
 
@@ -255,10 +255,18 @@ def _history(runs: list[Path], page: Path | None, output: str, **options: bool) 
         write_whole(page, history_page(history).encode())
     if output == "json":
         print_json(history.as_dict())
-    elif output:
-        sys.stdout.write((history_markdown if output == "markdown" else history_csv)(history))
     else:
-        print_view(history_view(history))
+        _print(output, history_view(history), history_records(history))
+
+
+def _print(output: str, view: View, records: Table) -> None:
+    """Prints a view in the terminal or as Markdown, or its records as CSV."""
+    from ..report.render import csv_table, markdown
+
+    if output:
+        print_text(markdown(view) if output == "markdown" else csv_table(records))
+    else:
+        print_view(view)
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:

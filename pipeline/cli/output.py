@@ -15,19 +15,20 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pydantic import JsonValue
-    from rich.console import RenderableType
 
     from ...schemas.results import JsonObject
+    from ..report.view import View
 
 
-def print_view(view: RenderableType) -> None:
+def print_view(view: View) -> None:
     """Prints a view: as wide as the terminal, unwrapped into a file or a pipe."""
+    from ..report.render import terminal
     from ..terminal import Terminal
 
-    Terminal(soft_wrap=not sys.stdout.isatty()).print(view)
+    Terminal(soft_wrap=not sys.stdout.isatty()).print(terminal(view))
 
 
-def print_outcome(result: RenderableType | JsonObject, failures: Mapping[str, str]) -> None:
+def print_outcome(result: View | JsonObject, failures: Mapping[str, str]) -> None:
     """Prints what a command has made and ends it: `typer.Exit`, with the code for failed pairs if there are any.
 
     Parameters

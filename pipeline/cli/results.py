@@ -63,19 +63,20 @@ def show(
             "--markdown and --csv are of a run, a pair or an object; leave out --paper, --all and --floor"
         )
 
-    from ..report.terminal import show as views
+    from ..report.render import csv_table, markdown
+    from ..report.views.show_view import show_json, show_records, show_view
     from ..results.finished import FinishedRun
     from ..results.floor import excess_over
 
     finished = FinishedRun(run)
-    if as_markdown or as_csv:
-        print_text(views.as_text(finished, pair, object_, as_csv=as_csv))
-        return
     excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
-    if as_json:
-        print_json(views.as_json(finished, pair, object_, excess, paper=paper))
+    if as_csv:
+        print_text(csv_table(show_records(finished, pair, object_)))
+    elif as_json:
+        print_json(show_json(finished, pair, object_, excess, paper=paper))
     else:
-        print_view(views.as_view(finished, pair, object_, excess, paper=paper, with_all=all_))
+        view = show_view(finished, pair, object_, excess, paper=paper, with_all=all_)
+        print_text(markdown(view)) if as_markdown else print_view(view)
 
 
 def report(

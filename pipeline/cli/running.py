@@ -80,7 +80,7 @@ def check(
     """
     from ...schemas.settings import load
     from ..inspect.scan_checks import check_dataset
-    from ..report.terminal.status import check_json, check_view
+    from ..report.views.check_view import check_json, check_view
 
     found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
     print_json(check_json(found)) if as_json else print_view(check_view(found))
@@ -159,7 +159,7 @@ def run(
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..jobs import stages_under
-    from ..report.terminal.run import outcome_view
+    from ..report.views.run_view import outcome_view
     from ..run import run_dataset
 
     stage_names = [stage.name for stage in stages_under(in_force)]
@@ -252,7 +252,7 @@ def floor(
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..generate.floor_run import run_floor
-    from ..report.terminal.run import outcome_view
+    from ..report.views.run_view import outcome_view
 
     outcome = run_floor(
         dataset,
@@ -282,7 +282,7 @@ def status(
 
     fidpipe status runs/dataset --timings        where the time of a pair goes
     """
-    from ..report.terminal.status import status_view
+    from ..report.views.status_view import status_view
     from ..results.status import run_status
 
     print_view(status_view(run_status(run), with_timings=timings))

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import pandas as pd
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
-
 from ...schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ...schemas.paper import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ...stages.generate.perturbations import Perturbation
 from ...stages.paper.parameter_choice import RULE
 from ...stages.paper.sweep_claims import judge_claims
 from ...stages.paper.sweeps import OWN_METRICS, Mean, Means, react, strongest_levels
-from ..report.terminal.layout import mean_and_spread, number, plain_table
+from ..report.view import Note, Part, Table, View, mean_and_spread, number
 from .ablate import PARAMETERS, AblateOutcome, choose, influences
 from .experiment import ExperimentOutcome
 from .perturb import PerturbOutcome
@@ -36,7 +33,7 @@ _NARROW_LEVELS = {
     "hallucination": "added\n{:.0%}",
     "density": "dens.\nx {:g}",
 }
-_VERDICTS = {True: ("yes", "green"), False: ("NO", "red"), None: ("not decided", "yellow")}
+_VERDICTS = {True: "yes", False: "NO", None: "not decided"}
 _ROUNDING = 1e-12
 #: What r_lambda is made of, and what else moves.
 _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
@@ -52,10 +49,10 @@ _OBJECT_SCORES = ("r_lambda", "max_eigenvalue_shift", "laplacian_change", "align
 _ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_SCORES))
 
 
-def perturb_view(outcome: PerturbOutcome) -> RenderableType:
+def perturb_view(outcome: PerturbOutcome) -> View:
     """The paper's Table I beside ours, the objects, which metric reacts to what, and the claims."""
     means, levels = outcome.means, outcome.levels
-    parts: list[RenderableType] = []
+    parts: list[Part] = []
     if outcome.scans:
         if any(means.get(None, level, "match_rate").n for level in levels):
             parts.append(_table_i(outcome, means))
@@ -65,38 +62,38 @@ def perturb_view(outcome: PerturbOutcome) -> RenderableType:
         if len(react(means, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
         claims = [
-            (claim.claim, claim.paper, claim.here, Text(*_VERDICTS[claim.holds]))
+            (claim.claim, claim.paper, claim.here, _VERDICTS[claim.holds])
             for claim in judge_claims(means, levels)
         ]
         if claims:
             headings = ("claim", "paper", "here", "holds")
-            parts.append(plain_table("What the paper says of them", headings, claims, words=range(4)))
+            parts.append(Table("What the paper says of them", headings, claims, words=range(4)))
     results = "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (one row per repeat), perturb.png"
-    return Group(*parts, *_last_lines(outcome, results))
+    return [*parts, *_last_lines(outcome, results)]
 
 
-def ablate_view(outcome: AblateOutcome) -> RenderableType:
+def ablate_view(outcome: AblateOutcome) -> View:
     """A table for each setting, what moves the scores, and the choice."""
-    parts: list[RenderableType] = []
+    parts: list[Part] = []
     if outcome.rows.num_rows:
         rows = outcome.rows.to_pandas()
         parts += [_parameter_table(outcome, rows, name) for name in PARAMETERS if len(outcome.values[name]) > 1]
         parts += _influence_tables(outcome)
-        parts += [Text("The choice", style="bold"), Text(f"Rule: {RULE}.")]
-        parts += [Text(f"  {verdict.name.removesuffix('_m')}: {verdict.words}") for verdict in choose(outcome)]
+        parts += [Note("The choice", "bold"), Note(f"Rule: {RULE}.")]
+        parts += [Note(f"  {verdict.name.removesuffix('_m')}: {verdict.words}") for verdict in choose(outcome)]
         note = "A small r_lambda can also come of a bad alignment (a large change): read it beside shift and change.\n"
-        parts.append(Text(note))
+        parts.append(Note(note))
     results = "ablate_summary.parquet (means over pairs), ablate/ (one row per pair and choice of settings), ablate.png"
-    return Group(*parts, *_last_lines(outcome, results))
+    return [*parts, *_last_lines(outcome, results)]
 
 
-def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Text]:
+def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Note]:
     """How many failures were told of, jobs, and which files of the folder hold what."""
     n_failed = len(outcome.failures)
     return [
-        *([Text(f"{n_failed} failed, as told above; see also failures in run.json", style="red")] if n_failed else []),
-        Text(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
-        Text(f"results: {outcome.folder}/{results}"),
+        *([Note(f"{n_failed} failed, as told above; see also failures in run.json", "red")] if n_failed else []),
+        Note(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
+        Note(f"results: {outcome.folder}/{results}"),
     ]
 
 
@@ -106,13 +103,8 @@ def _level_table(
     """One row per level, a line after each kind; only the names of the levels are not broken into lines."""
     levels = outcome.levels
     rows = [(_LEVELS[level.kind].format(level), *cells(level)) for level in levels]
-    table = plain_table(title, ("altered by", *columns), rows)
-    for column in table.columns:
-        column.no_wrap = column is table.columns[0]
     last = {level.kind: i for i, level in enumerate(levels)}
-    for i in last.values():
-        table.rows[i].end_section = True
-    return table
+    return Table(title, ("altered by", *columns), rows, fixed=(0,), ruled=last.values())
 
 
 def _table_i(outcome: PerturbOutcome, means: Means) -> Table:
@@ -125,18 +117,16 @@ def _table_i(outcome: PerturbOutcome, means: Means) -> Table:
     title = f"Whole scan, {', '.join(outcome.scans)}: mean ± std over {n} repeats; in grey the paper's Table I"
     headings = labels(TABLE_I_SCORES)
     table = _level_table(title, [name for heading in headings for name in (heading, "paper")], outcome, cells)
-    for ours, paper, heading in zip(table.columns[1::2], table.columns[2::2], headings, strict=True):
-        ours.min_width, paper.style = len(heading.split()[-1]), "bright_black"
-    return table
+    return replace(table, faint=range(2, len(table.headings), 2))
 
 
 def _chosen_table(outcome: PerturbOutcome) -> Table:
-    rows = (
+    rows = [
         (chosen.name, chosen.pair_id, chosen.community_id, chosen.n_points, chosen.range_m, chosen.why)
         for chosen in outcome.objects
-    )
+    ]
     columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
-    return plain_table("The chosen objects", columns, rows, words=(0, 1, 5), digits={4: 1})
+    return Table("The chosen objects", columns, rows, words=(0, 1, 5), digits={4: 1})
 
 
 def _object_table(outcome: PerturbOutcome, means: Means, column: str) -> Table:
@@ -167,9 +157,8 @@ def _reaction_table(outcome: PerturbOutcome) -> Table:
         most = _NARROW_LEVELS[reaction.most.kind].partition("\n")[0] if reaction.most else ""
         rows.append((reaction.metric, *map(_number, reaction.values), most))
     title = "Which metric reacts to what: means over the objects at the strongest level of each kind"
-    table = plain_table(title, ("metric", *levels, "most to"), rows, words=(0, len(levels) + 1))
-    table.rows[len(OWN_METRICS) - 1].end_section = True
-    return table
+    words = (0, len(levels) + 1)
+    return Table(title, ("metric", *levels, "most to"), rows, words, ruled=(len(OWN_METRICS) - 1,))
 
 
 def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> Table:
@@ -186,12 +175,9 @@ def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> T
     paper = f"; the paper chose {CHOSEN[name]:g}" if name in CHOSEN else ""
     title = f"{_PARAMETERS[name]}; mean ± std over {n_pairs} pairs, * in force{paper}"
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
-    table = plain_table(title, columns, cells, words=(), digits={1: 0, 2: 0})
-    table.columns[1].min_width = 7
-    for column in table.columns[1:3]:
-        column.no_wrap = False
-    table.rows[points.index(outcome.base)].style = "bold"
-    return table
+    fixed = (0, *range(3, len(columns)))
+    base = points.index(outcome.base)
+    return Table(title, columns, cells, words=(), digits={1: 0, 2: 0}, fixed=fixed, bold=(base,))
 
 
 def _influence_tables(outcome: AblateOutcome) -> list[Table]:
@@ -205,7 +191,7 @@ def _influence_tables(outcome: AblateOutcome) -> list[Table]:
         rows.append((setting, score, influence.range_of_means, influence.std_over_pairs, verdict, paper))
     title = "How far a setting moves a score, beside how far the pairs differ"
     columns = ("setting", "score", "moved by", "std over pairs", "verdict", "the paper")
-    return [plain_table(title, columns, rows, words=(0, 1, 4, 5))] if rows else []
+    return [Table(title, columns, rows, words=(0, 1, 4, 5))] if rows else []
 
 
 def _spread(score: Mean | PaperMean) -> str:

@@ -1,18 +1,15 @@
-"""What was computed again of a run, in the terminal: what was compared of each table, and each number that is wrong."""
+"""The verification of a run: what was compared of each table, and each number that is wrong."""
 
 from __future__ import annotations
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
-from ..report.terminal.layout import plain_table
+from ..report.view import Note, Table, View
 from .comparisons import Mismatch
 from .verify import Verification
 
 _UNKNOWN = "stages/literal does not have it, and it is not declared as not compared"
 
 
-def verify_view(result: Verification) -> RenderableType:
+def verify_view(result: Verification) -> View:
     """One row a table, what could not be compared, each mismatch in a line of its own, and the verdict."""
     rows = [
         (table.table, f"{table.n_numbers:,}", f"{table.largest:.1e}" if table.largest else "0", table.where or "-")
@@ -27,13 +24,14 @@ def verify_view(result: Verification) -> RenderableType:
     if result.unknown:
         verdict += f"; not verified: {len(result.unknown)} of their columns"
     columns = ("table", "numbers", "largest difference", "where")
-    return Group(
-        plain_table(f"{result.run}: {drawn} computed again, seed {result.seed}", columns, rows, words=(0, 3)),
-        *(Text(f"not compared: {what}", style="dim") for what in result.not_compared),
-        *(Text(f"nothing recomputes: {name}: {_UNKNOWN}", style="yellow") for name in result.unknown),
-        *(Text(f"wrong: {_in_words(mismatch)}", style="red") for mismatch in result.mismatches),
-        Text(verdict, style="green" if result.passed else "red"),
-    )
+    title = f"{result.run}: {drawn} computed again, seed {result.seed}"
+    return [
+        Table(title, columns, rows, words=(0, 3)),
+        *(Note(f"not compared: {what}", "dim") for what in result.not_compared),
+        *(Note(f"nothing recomputes: {name}: {_UNKNOWN}", "yellow") for name in result.unknown),
+        *(Note(f"wrong: {_in_words(mismatch)}", "red") for mismatch in result.mismatches),
+        Note(verdict, "green" if result.passed else "red"),
+    ]
 
 
 def _in_words(mismatch: Mismatch) -> str:

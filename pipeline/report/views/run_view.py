@@ -1,4 +1,4 @@
-"""What the terminal shows of a run at its end: pairs, scores, findings, baselines, and how stable the scores are."""
+"""A run: its first answer, pairs, scores, findings, baselines, stability of the scores, and the paper's claims."""
 
 from __future__ import annotations
 
@@ -6,10 +6,6 @@ from collections.abc import Container, Sequence
 from operator import attrgetter
 from pathlib import Path
 from shlex import quote
-
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
 
 from ....schemas.columns import Row
 from ....schemas.metrics import (
@@ -27,16 +23,15 @@ from ....schemas.record import SURFACE_STATES, BaselineSummary, RunRecord, SeedS
 from ....schemas.results import Claim, ClassFindings, Findings, Overview, Unmatched
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
-from ....stages.paper.claim_rules import FAILS, HOLDS, UNDECIDED
 from ...inspect.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...results.floor import RunExcess
 from ...results.overview import independence
 from ...run import RunOutcome
 from ...storage.record import unmatched_worst
-from .floor import excess_view
-from .layout import mean_and_spread, number, percent, plain_table
-from .overview import FirstAnswer, run_line
+from ..view import Note, Table, View, mean_and_spread, number, percent
+from .answer_view import answer_view
+from .floor_view import HEADLINES, excess_view
 
 _MOST_PAIRS = 20
 _MOST_CLASSES = 8
@@ -44,10 +39,9 @@ _MOST_CLASSES = 8
 _BOXES = ("cdc", "r_lambda")
 #: The scores whose spread over seeds is shown of each pair; all headline scores would not fit.
 _SEED_SCORES = HEADLINE_SCORES[:4]
-_COLOURS = {HOLDS: "green", FAILS: "red", UNDECIDED: "yellow"}
 
 
-def outcome_view(outcome: RunOutcome) -> RenderableType:
+def outcome_view(outcome: RunOutcome) -> View:
     """The end of a run: failures, baselines and spread over seeds if computed, and the first answer."""
     record = outcome.record
     seconds = record.wall_s["total"]
@@ -68,7 +62,7 @@ def summary_view(
     *,
     with_all: bool = False,
     took: str = "",
-) -> RenderableType:
+) -> View:
     """Failures and warnings, then the first answer; with `with_all` all tables of the run before it.
 
     Parameters
@@ -78,52 +72,43 @@ def summary_view(
     excess : the run over a floor
     took : time and reused jobs of a run that just ended
     """
-    answer = FirstAnswer(folder, record, overview, excess, with_all, took) if overview else Text(run_line(record, took))
-    return Group(
+    return [
         *(_all_tables(rows, record) if with_all else ()),
-        *_asked_for(record),
-        *([excess_view(excess), Text()] if excess else ()),
+        *(baselines_view(record.baselines) if record.baselines else ()),
+        *(seeds_view(record.seeds) if record.seeds else ()),
+        *([*excess_view(excess, HEADLINES), Note("")] if excess else ()),
         *_failures_parts(folder, rows, told),
         *_frames_parts(rows, record),
-        answer,
-    )
+        *answer_view(folder, record, overview, excess, with_all=with_all, took=took),
+    ]
 
 
-def _asked_for(record: RunRecord) -> list[RenderableType]:
-    """The baselines and the spread over seeds, where they were asked for."""
-    baselines = [baselines_view(record.baselines)] if record.baselines else []
-    return [*baselines, *([seeds_view(record.seeds)] if record.seeds else [])]
-
-
-def _all_tables(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
+def _all_tables(rows: Sequence[Row], record: RunRecord) -> View:
     """The pairs of a run, and what they say together."""
     if record.findings is None:
         return []
-    headings, *sides = coverage_rows(record)
-    title = "Surface (mean and std over pairs; the rest is missing or invented)"
-    scored = [row for row in rows if row["status"] == "scored"]
     return [
-        Text(preset_line(record)),
-        _pairs_table(scored, _MOST_PAIRS),
-        _dataset_table(record),
-        plain_table(title, headings, sides),
-        *map(Text, (surface_line(record), *unmatched_lines(record), "")),
-        *([_surface_groups(record.overview)] if record.overview else ()),
+        Note(preset_line(record)),
+        _pairs_table([row for row in rows if row["status"] == "scored"], _MOST_PAIRS),
+        dataset_table(record, HEADLINE_SCORES),
+        coverage_table(record),
+        *map(Note, (surface_line(record), *unmatched_lines(record), "")),
+        *([surface_table(record.overview)] if record.overview else ()),
         *_findings_parts(record.findings),
     ]
 
 
-def _surface_groups(overview: Overview) -> Table:
+def surface_table(overview: Overview) -> Table:
     """Missing and invented surface by range and by class."""
     rows = [
         (own.name, own.n_real, percent(own.missing_share), own.n_sim, percent(own.invented_share))
         for own in overview.surface
     ]
     title = "Surface by range and class (object points without a counterpart within 0.3 m)"
-    return plain_table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
+    return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
-def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> list[RenderableType]:
+def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> View:
     """How many pairs failed, and why; of those that were told of already only where it can be read again."""
     failures = [row for row in rows if row["status"] == "failed"]
     if not failures:
@@ -132,29 +117,27 @@ def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> 
     count, n_told = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
     which = "" if n_told == len(failures) else f"{n_told} of them "
     above = f", {which}as told above; again with: fidpipe show {quote(str(folder))}"
-    parts: list[RenderableType] = [Text(f"{count}{above if n_told else ''}{':' if new else ''}", style="red")]
-    parts += [Text(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
+    parts = [Note(f"{count}{above if n_told else ''}{':' if new else ''}", "red")]
+    parts += [Note(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
     if len(new) > _MOST_PAIRS:
-        parts.append(Text(f"  and {len(new) - _MOST_PAIRS} more, see pairs.parquet"))
+        parts.append(Note(f"  and {len(new) - _MOST_PAIRS} more, see pairs.parquet"))
     return parts
 
 
-def _frames_parts(rows: Sequence[Row], record: RunRecord) -> list[RenderableType]:
+def _frames_parts(rows: Sequence[Row], record: RunRecord) -> View:
     suspects = record.frames or {}
-    return [Text(f"warning: {frames_summary(suspects, len(rows))}", style="yellow")] if suspects else []
+    return [Note(f"warning: {frames_summary(suspects, len(rows))}", "yellow")] if suspects else []
 
 
-def claims_view(findings: Findings | None) -> RenderableType:
+def claims_view(findings: Findings | None) -> View:
     """The paper's claims, one per line with the 95 % interval, then the rule by which each is judged."""
     claims = findings.claims if findings else ()
     rows = [
-        (i, one.claim, one.paper, one.here, *_interval_cells(one), Text(one.verdict, style=_COLOURS[one.verdict]))
+        (i, one.claim, one.paper, one.here, *_interval_cells(one), one.verdict)
         for i, one in enumerate(claims, 1)
     ]
-    headings = ("", "claim", "paper", "here", "estimate and\n95 % interval", "pairs", "verdict")
-    table = plain_table("The paper's claims", headings, rows, words=range(7))
-    table.columns[1].min_width = 14
-    table.columns[4].no_wrap = True
+    headings = ("", "claim", "paper", "here", "estimate", "95 % interval", "pairs", "verdict")
+    table = Table("The paper's claims", headings, rows, words=(0, 1, 2, 3, 7))
     undecided: dict[str, list[str]] = {}
     for i, one in enumerate(claims, 1):
         if one.why:
@@ -165,19 +148,19 @@ def claims_view(findings: Findings | None) -> RenderableType:
         *independence(findings),
         *(f"not decided: {', '.join(numbers)}: {why}" for why, numbers in undecided.items()),
     ]
-    rules = (Text(f"{i:>3}  {one.rule}") for i, one in enumerate(claims, 1))
-    return Group(table, *map(Text, lines), Text("By which rule:"), *rules)
+    rules = (f"{i:>3}  {one.rule}" for i, one in enumerate(claims, 1))
+    return [table, *map(Note, (*lines, "By which rule:", *rules))]
 
 
-def _interval_cells(claim: Claim) -> tuple[str, int]:
+def _interval_cells(claim: Claim) -> tuple[str, str, int]:
     if claim.low is None or claim.high is None:
-        return "-", claim.n_pairs
+        return "-", "-", claim.n_pairs
     digits = 3 if max(abs(claim.low), abs(claim.high)) < 10 else 1
-    cells = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
-    return "{}\n{} to {}".format(*cells), claim.n_pairs
+    estimate, low, high = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
+    return estimate, f"{low} to {high}", claim.n_pairs
 
 
-def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
+def baselines_view(rows: Sequence[BaselineSummary]) -> View:
     """Mean and deviation over pairs of each baseline, of matched objects and of whole scans, and seconds per pair."""
     by_name = {(row.baseline, row.level): row for row in rows}
     cells = []
@@ -185,38 +168,36 @@ def baselines_view(rows: Sequence[BaselineSummary]) -> RenderableType:
         values = (cell for level in (OF_OBJECTS, OF_SCAN) for cell in _baseline_cells(by_name.get((name, level))))
         cells.append((METRIC[name].heading, unit_words(METRIC[name].unit), *values))
     columns = ("baseline", "unit", "objects", "s", "whole scans", "s")
-    table = plain_table("Baselines (mean and standard deviation over pairs)", columns, cells, words=(0, 1))
-    table.columns[0].no_wrap = True
     total_s = sum(row.seconds or 0.0 for row in rows)
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its two scans.",
         f"s: seconds per pair, beside the first number of a method; all together {total_s:.1f}",
         *(f"{row.baseline} is null for {row.n_null} of {row.n + row.n_null} {row.level}" for row in rows if row.n_null),
     )
-    return Group(table, *map(Text, lines))
+    table = Table("Baselines (mean and standard deviation over pairs)", columns, cells, words=(0, 1))
+    return [table, *map(Note, lines)]
 
 
-def seeds_view(seeds: SeedSummary) -> RenderableType:
+def seeds_view(seeds: SeedSummary) -> View:
     """Spread over seeds beside spread over pairs, and mean and deviation over seeds of each pair."""
     spreads = [(metric_of(name).label, *vars(seeds.dataset[name]).values()) for name in HEADLINE_SCORES]
     headings = ("std over\npairs", "std over\nseeds", "repeatability\n(one pair)", "repeatability\n(all pairs)")
     title = f"How stable the scores are ({seeds.n_seeds} seeds, {seeds.n_pairs} pairs)"
-    dataset = plain_table(title, ("score", "mean", *headings), spreads)
+    dataset = Table(title, ("score", "mean", *headings), spreads)
     chosen, title = list(seeds.pairs.items()), "Pairs (mean ± standard deviation over seeds)"
     if len(chosen) > _MOST_PAIRS:
         chosen = sorted(chosen, key=lambda pair: -(pair[1]["match_rate"].std or 0.0))[:_MOST_PAIRS]
         title = f"The {_MOST_PAIRS} pairs whose match rate depends most on the seed (mean ± standard deviation)"
-    rows = (
+    rows = [
         (pair_id, *(mean_and_spread(scores[name].mean, scores[name].std) for name in _SEED_SCORES))
         for pair_id, scores in chosen
-    )
-    pairs = plain_table(title, ("pair", *labels(_SEED_SCORES)), rows)
-    pairs.columns[0].min_width = 6
+    ]
+    pairs = Table(title, ("pair", *labels(_SEED_SCORES)), rows)
     lines = (
         "repeatability limit (ISO 5725): two results under seeds of their own, of one pair or the means of all pairs,",
         "that differ by less may do so by chance alone (95 %); a simulator is better only if it is so by more",
     )
-    return Group(dataset, *map(Text, lines), pairs)
+    return [dataset, *map(Note, lines), pairs]
 
 
 def _pairs_table(scored: Sequence[Row], most: int) -> Table:
@@ -226,35 +207,32 @@ def _pairs_table(scored: Sequence[Row], most: int) -> Table:
         title = f"The {most} pairs with the lowest match rate (means over matched objects)"
     headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *narrow_labels(HEADLINE_SCORES))
     counts = ("n_matched", "n_missing", "n_hallucinated")
-    rows = ([row[column] for column in ("pair_id", *counts, *HEADLINE_SCORES)] for row in scored)
-    table = plain_table(title, headings, rows)
-    table.columns[0].min_width = 6
-    for column in table.columns[1 : 1 + len(counts)]:
-        column.no_wrap = False
-    return table
+    rows = [[row[column] for column in ("pair_id", *counts, *HEADLINE_SCORES)] for row in scored]
+    return Table(title, headings, rows)
 
 
-def _dataset_table(record: RunRecord) -> Table:
-    """Means over pairs, of how many pairs they are, and the means with unmatched objects counted as worst."""
-    summary = record.summary
+def dataset_table(record: RunRecord, columns: Sequence[str]) -> Table:
+    """Means over pairs, the number of pairs, and the means with unmatched objects counted as worst."""
     rows = []
-    for column in HEADLINE_SCORES:
-        metric, score = metric_of(column), summary[column]
-        worst = summary.get(unmatched_worst(metric.column))
+    for column in columns:
+        metric, score = metric_of(column), record.summary[column]
+        worst = record.summary.get(unmatched_worst(metric.column))
         pairs = f"{score.n_pairs} of {record.pairs.scored}"
-        rows.append((metric.label, score.mean, score.std, pairs, worst.mean if worst else "", metric.reading))
+        reading = metric.reading or metric.meaning
+        rows.append((metric.label, score.mean, score.std, pairs, worst.mean if worst else "", reading))
     title = "Dataset (mean and standard deviation over pairs; pairs without a match have no object scores)"
     headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it")
-    return plain_table(title, headings, rows, words=(0, 5))
+    return Table(title, headings, rows, words=(0, 5))
 
 
-def coverage_rows(record: RunRecord) -> list[list[str]]:
-    """Headings, then one row per side: which share of its surface the other side has, mean and deviation over pairs."""
-    rows = [["share of", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES)]]
+def coverage_table(record: RunRecord) -> Table:
+    """Share of each side's surface that the other side has, mean and deviation over pairs."""
+    rows = []
     for side, words in (("real", "real points with a simulated one"), ("sim", "simulated points with a real one")):
         scores = (record.summary[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)
-        rows.append([words, *(mean_and_spread(score.mean, score.std) for score in scores)])
-    return rows
+        rows.append((words, *(mean_and_spread(score.mean, score.std) for score in scores)))
+    headings = ("share of", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES))
+    return Table("Surface (mean and std over pairs; the rest is missing or invented)", headings, rows)
 
 
 def surface_line(record: RunRecord) -> str:
@@ -300,22 +278,22 @@ def preset_line(record: RunRecord) -> str:
     return f"preset {record.preset} ({PRESET_OBJECTS[record.preset]}){differing}"
 
 
-def _findings_parts(findings: Findings) -> list[RenderableType]:
+def _findings_parts(findings: Findings) -> View:
     """Distributions, ranges, classes and four scans, as the paper's section "Real experiments" tells them."""
     rank, ratio = findings.rank_correlation, findings.density_ratio
     return [
         _distributions(findings),
-        Text(
+        Note(
             f"Rank correlation of CDC and r_lambda: Spearman {number(rank.spearman, 2)}, "
             f"Kendall {number(rank.kendall, 2)} (near 0: each tells what the other does not)"
         ),
-        Text(
+        Note(
             f"Points, simulated / real: {number(ratio.min, 2)} to {number(ratio.max, 2)}, median "
             f"{number(ratio.median, 2)}; below 1/4 in {percent(ratio.share_below_quarter)}, "
             f"above 4 in {percent(ratio.share_above_four)} of the objects\n"
         ),
         _bands(findings),
-        *([_classes(findings)] if findings.classes else []),
+        *(_classes(findings) if findings.classes else ()),
         _scans(findings),
     ]
 
@@ -323,41 +301,40 @@ def _findings_parts(findings: Findings) -> list[RenderableType]:
 def _distributions(findings: Findings) -> Table:
     values = attrgetter("min", "q05", "q25", "median", "q75", "q95", "max", "std", "cv")
     headings = ("score", "min", "5 %", "25 %", "median", "75 %", "95 %", "max", "std", "std/mean")
-    rows = ((METRIC[name].label, *values(getattr(findings.distributions, name))) for name in DISTRIBUTED)
+    rows = [(METRIC[name].label, *values(getattr(findings.distributions, name))) for name in DISTRIBUTED]
     title = f"Objects (the {findings.n_matched} that both sides have, of all pairs together)"
-    return plain_table(title, headings, rows)
+    return Table(title, headings, rows)
 
 
 def _bands(findings: Findings) -> Table:
     ranges = findings.range_m
-    rows = (
+    rows = [
         (f"{band.from_m:.0f} {'and more' if band.to_m is None else f'to {band.to_m:.0f}'}", *_unmatched(band))
         for band in ranges.bands
-    )
-    return plain_table(
+    ]
+    title = (
         f"By range (median range of matched objects {number(ranges.median_matched, 1)} m, of unmatched ones "
-        f"{number(ranges.median_unmatched, 1)} m)",
-        ("range (m)", "real", "missing", "sim", "hallucinated"),
-        rows,
+        f"{number(ranges.median_unmatched, 1)} m)"
     )
+    return Table(title, ("range (m)", "real", "missing", "sim", "hallucinated"), rows)
 
 
-def _classes(findings: Findings) -> RenderableType:
+def _classes(findings: Findings) -> View:
     classes, title = findings.classes, "By class (of the real object where both sides have it)"
     if len(classes) > _MOST_CLASSES:
         title = f"The {_MOST_CLASSES} most frequent of {len(classes)} classes (of the real object where both have it)"
-    rows = (
+    rows = [
         (own.label, *_unmatched(own), own.n_matched, *(_mean_of(own, score) for score in DISTRIBUTED))
         for own in classes[:_MOST_CLASSES]
-    )
-    table = plain_table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
+    ]
+    table = Table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
     fewer = [
         f"{own.label} {METRIC[score].label} of {own.of_score(score).n}"
         for own in classes[:_MOST_CLASSES]
         for score in DISTRIBUTED
         if own.of_score(score).n != own.n_matched
     ]
-    return Group(table, *([Text(f"* some objects are too small for the score: {', '.join(fewer)}\n")] if fewer else ()))
+    return [table, *([Note(f"* some objects are too small for the score: {', '.join(fewer)}\n")] if fewer else ())]
 
 
 def _mean_of(own: ClassFindings, score: str) -> str:
@@ -374,7 +351,7 @@ def _scans(findings: Findings) -> Table:
     quartiles = [heading for name in _BOXES for heading in (f"{METRIC[name].label} 25 %", "50 %", "75 %")]
     values = attrgetter("pair", "timestamp_s", "cdc.n", *(f"{n}.{q}" for n in _BOXES for q in ("q25", "median", "q75")))
     headings, digits = ("pair", "time (s)", "objects", *quartiles), {1: 0, **dict.fromkeys(range(3, 9), 2)}
-    return plain_table(f"{len(scans.scans)} scans {kind}", headings, map(values, scans.scans), digits=digits)
+    return Table(f"{len(scans.scans)} scans {kind}", headings, [*map(values, scans.scans)], digits=digits)
 
 
 def _unmatched(group: Unmatched) -> tuple[object, ...]:

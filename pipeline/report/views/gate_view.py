@@ -1,4 +1,4 @@
-"""A judged run or comparison in the terminal, and as JUnit XML for CI.
+"""A judged run or comparison, and JUnit XML for CI.
 
 The XML is written with the standard library: it is three elements deep, and what a library would add is a dependency.
 """
@@ -9,43 +9,38 @@ import re
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
 from ...results.gate import BaseResult, Check, GateResult, Judged
-from .layout import plain_table
+from ..view import Note, Table, View
 
 #: What XML 1.0 cannot hold, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-_VERDICTS = {True: Text("pass", style="green"), False: Text("FAIL", style="red")}
 
 
-def gate_view(result: GateResult) -> RenderableType:
-    """Each criterion with value, bound and verdict; then what failed and why it is wanted."""
+def gate_view(result: GateResult) -> View:
+    """Each criterion with value, bound and verdict; then what failed, with the reason for the criterion."""
     rows = [
-        (judged.criterion.name, judged.criterion.measure, _value(judged), _bound(judged), _VERDICTS[judged.passed])
-        for judged in result.judged
+        (own.criterion.name, own.criterion.measure, _value(own), _bound(own), "pass" if own.passed else "FAIL")
+        for own in result.judged
     ]
-    failed = [judged for judged in result.judged if not judged.passed]
+    failed = [own for own in result.judged if not own.passed]
     verdict = f"{len(failed)} of {len(result.judged)} criteria failed" if failed else "all criteria are met"
-    columns = ("criterion", "measure", "value", "bound", "verdict")
-    return Group(
-        plain_table(f"Gate of {result.run}", columns, rows, words=(0, 1)),
-        *(Text(f"note: {note}", style="yellow") for note in result.notes),
-        *(Text(f"failed: {_in_words(judged)}", style="red") for judged in failed),
-        Text(verdict, style="red" if failed else "green"),
-    )
+    return [
+        Table(f"Gate of {result.run}", ("criterion", "measure", "value", "bound", "verdict"), rows, words=(0, 1)),
+        *(Note(f"note: {note}", "yellow") for note in result.notes),
+        *(Note(f"failed: {_in_words(own)}", "red") for own in failed),
+        Note(verdict, "red" if failed else "green"),
+    ]
 
 
-def base_view(result: BaseResult) -> RenderableType:
+def base_view(result: BaseResult) -> View:
     """What failed against the base, and the verdict."""
     failed = result.failed
     outcome = f"{len(failed)} of {len(result.checks)} checks failed" if failed else "passed"
-    return Group(
-        *(Text(f"failed: {check.name}: {check.found}", style="red") for check in failed),
-        *[Text(f"note: {result.note}", style="yellow")] * bool(result.note),
-        Text(f"gate on {' or '.join(result.fail_on)}: {outcome}", style="red" if failed else "green"),
-    )
+    return [
+        *(Note(f"failed: {check.name}: {check.found}", "red") for check in failed),
+        *[Note(f"note: {result.note}", "yellow")] * bool(result.note),
+        Note(f"gate on {' or '.join(result.fail_on)}: {outcome}", "red" if failed else "green"),
+    ]
 
 
 def gate_checks(result: GateResult) -> list[Check]:
@@ -81,7 +76,7 @@ def _counts(checks: Sequence[Check]) -> dict[str, str]:
 
 def _in_words(judged: Judged) -> str:
     criterion = judged.criterion
-    here = judged.why if judged.value is None else f"{criterion.measure} is {_value(judged)}, wanted {_bound(judged)}"
+    here = judged.why if judged.value is None else f"{criterion.measure} is {_value(judged)}, expected {_bound(judged)}"
     return f"{criterion.name}: {here}{f' ({criterion.reason})' if criterion.reason else ''}"
 
 

@@ -1,0 +1,120 @@
+"""The first answer of a run: surface, pieces, causes, worst places, scores, trust, and the next step."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from ....schemas.metrics import metric_of
+from ....schemas.record import RunRecord
+from ....schemas.results import Overview
+from ...results.floor import RunExcess
+from ..view import Answers, Note, View, number, percent, shortened
+
+#: Causes, places and cautions that are shown without --all.
+_FEW = 5, 3, 2
+_PAIR = 16
+_SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
+_COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
+#: Cautions that are shown above the answer.
+_SHOWN_ABOVE = ("failed", "frames")
+
+
+def answer_view(
+    folder: Path,
+    record: RunRecord,
+    overview: Overview | None,
+    excess: RunExcess | None = None,
+    *,
+    with_all: bool = False,
+    took: str = "",
+) -> View:
+    """The first answer of a run; its first line alone if no pair is scored.
+
+    Parameters
+    ----------
+    overview : of the record, or over a floor (`over_floor`)
+    excess : the run over a floor, whose coverage is shown
+    with_all : all causes, places and cautions
+    took : time and reused jobs of a run that just ended
+    """
+    line = Note(run_line(record, took), "bold")
+    if overview is None:
+        return [line]
+    n_causes, n_places, n_cautions = (None, None, None) if with_all else _FEW
+    causes = [(f"{i}  {own.words}", own.detail, own.setting) for i, own in enumerate(overview.causes[:n_causes], 1)]
+    pieces = overview.pieces[:n_places]
+    names = shortened({own.pair_id for own in pieces}, _PAIR)
+    trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]
+    if not with_all:
+        trust.append(f"more: {shlex.join(['fidpipe', 'show', str(folder), '--all'])}")
+    following = ["check", record.dataset] if record.frames else ["report", str(folder), "--open"]
+    sections = {
+        "  surface": [(surface_words(record, excess), "", "")],
+        "  pieces": [(pieces_words(record), "", "")],
+        "Fix first": causes or [("nothing beyond the differences between two measurements of a scene", "", "")],
+        "Worst places": [(f"{names[own.pair_id]}  {own.words}", "", own.fate_words) for own in pieces],
+        "Objects": [(scores_words(record), "", "")],
+        "Last run": [(change_words(record), "", "")] if record.previous else [],
+        "Trust": [(words, "", "") for words in trust],
+        "Next": [(shlex.join(["fidpipe", *following]), "", "")],
+    }
+    return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
+
+
+def run_line(record: RunRecord, took: str = "") -> str:
+    """Dataset, pairs, time and preset of a run."""
+    pairs = record.pairs
+    n, n_all = pairs.scored, pairs.scored + pairs.failed + pairs.to_do
+    of_all = f" of {n_all}" if n < n_all else ""
+    differing = f", but {' '.join(record.departures)}" if record.departures else ""
+    name = Path(record.dataset).name
+    return f"{name}: {n}{of_all} pair{'s' * (n_all != 1)}{took}, preset {record.preset}{differing}"
+
+
+def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
+    """Share of each side's surface that the other side has, with the floor's."""
+    real, sim = (percent(record.summary[column].mean) for column in _COVERED)
+    floor = excess and ", ".join(percent(excess.scores[column].floor) for column in _COVERED)
+    return (
+        f"{real} of the real surface is simulated within 0.3 m, {sim} of the simulated surface is real"
+        f"{f' (floor {floor})' if floor else ''}"
+    )
+
+
+def pieces_words(record: RunRecord) -> str:
+    """Missing and invented pieces per pair."""
+    missing, invented = (record.summary[f"n_{kind}_pieces"].mean for kind in ("missing", "invented"))
+    return f"{number(missing, 1)} missing and {number(invented, 1)} invented per pair"
+
+
+def headline_scores(record: RunRecord) -> tuple[str, ...]:
+    """Columns of `pairs`: the object scores that a run is described by; *found* if the real side fixes the objects."""
+    return ("match_rate" if record.preset == "paper" else "found", *_SCORES)
+
+
+def scores_words(record: RunRecord) -> str:
+    """The object scores; those of the paper next to them under its preset."""
+    words = []
+    for column in headline_scores(record):
+        paper = metric_of(column).paper if record.preset == "paper" else None
+        value = number(record.summary[column].mean, 2)
+        words.append(f"{metric_of(column).label} {value}{f' (paper {paper.mean:.2f})' if paper else ''}")
+    return "   ".join(words)
+
+
+def change_words(record: RunRecord) -> str:
+    """Changes since the results that this run replaced in its folder; "" if it replaced none."""
+    last = record.previous
+    if last is None:
+        return ""
+    moved = [
+        f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}"
+        for column in (*_COVERED, *headline_scores(record))
+        if (now := record.summary[column].mean) is not None
+        and (before := last.means.get(column)) is not None
+        and abs(now - before) >= 5e-3
+    ]
+    more = len(last.changes) - 1
+    why = "".join(last.changes[:1]) + (f" and {more} more changes" if more > 0 else "")
+    return f"{', '.join(moved) or 'no score moved'}{f' ({why})' if why else ''}; chance: fidpipe compare"

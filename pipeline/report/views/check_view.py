@@ -1,0 +1,95 @@
+"""What would be read of a dataset, and what is wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from pydantic import JsonValue
+
+from ....schemas.columns import SIDES
+from ....schemas.results import JsonObject
+from ....stages.inspect.sensor import sensor_lines
+from ...engine.costs import CostModel
+from ...inspect.scan_checks import DatasetCheck, ScanFacts
+from ...inspect.sensor_checks import SensorCheck
+from ...storage.files import free_bytes, megabytes
+from ..view import Note, Table, View
+
+RUNS = Path("runs")  #: where runs lie unless --out says otherwise
+
+
+def check_json(dataset: DatasetCheck) -> JsonObject:
+    """The same for programs: what was learnt of each scan by pair and side (null: it is missing), and what is wrong."""
+    pairs: list[JsonValue] = [
+        {"pair_id": pair.pair_id, **{side: _scan_json(sides.get(side)) for side in SIDES}}
+        for pair, sides in dataset.pairs
+    ]
+    return {
+        "dataset": str(dataset.folder),
+        "pairs": pairs,
+        "notes": [*dataset.notes],
+        "warnings": [*dataset.warnings],
+        "faults": [*dataset.faults],
+        "sensors": asdict(dataset.sensors),
+        "disk_bytes": _disk_bytes(dataset),
+    }
+
+
+def check_view(dataset: DatasetCheck) -> View:
+    """The pairs of a dataset with points, extents and dropped points, then warnings and faults."""
+    rows: list[tuple[object, ...]] = []
+    for pair, sides in dataset.pairs:
+        for side in SIDES:
+            facts, name = sides.get(side), pair.pair_id if side == "real" else ""
+            if facts is None or facts.fault:
+                rows.append((name, side, None, None, "", "cannot be used" if facts else "missing"))
+                continue
+            extent = "  ".join(f"{high - low:.1f}" for low, high in zip(facts.low, facts.high, strict=True))
+            dropped = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in facts.dropped.items() if n)
+            rows.append((name, side, facts.n_raw, facts.n_clean, extent, dropped or "none"))
+    columns = ("pair", "side", "points", "clean", "extent x y z (m)", "dropped")
+    n_faulty = len({text.split(":")[0] for text in dataset.faults})
+    verdict = f"{len(dataset.pairs) - n_faulty} of {len(dataset.pairs)} pairs can be evaluated"
+    return [
+        Table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
+        *_sensor_lines(dataset.sensors),
+        *map(Note, dataset.notes),
+        *(Note(f"warning: {text}", "yellow") for text in dataset.warnings),
+        *(Note(f"fault: {text}", "red") for text in dataset.faults),
+        _space_needed(_disk_bytes(dataset)),
+        Note(verdict, "red" if dataset.faults else "green"),
+    ]
+
+
+def _sensor_lines(sensors: SensorCheck) -> list[Note]:
+    """Sensors of both sides, their differences, and scans of other sensors."""
+    names = {"real": "real sensor", "sim": "simulated sensor"}
+    n_pairs = len(sensors.pair_ids)
+    pairs = f"pair{'s' * (n_pairs > 1)} {', '.join(sensors.pair_ids)}" if n_pairs < 4 else f"{n_pairs} pairs"
+    lines = [Note(f"Sensors (estimated from {pairs})", "bold")] if sensors.sides else []
+    for side, facts in sensors.sides.items():
+        lines += [Note(names[side]), *(Note(f"  {line}") for line in sensor_lines(facts))]
+    lines += [Note(f"differs: {text}", "yellow") for text in sensors.differences]
+    return [*lines, *(Note(f"warning: {text}", "yellow") for text in sensors.unlike)]
+
+
+def _scan_json(facts: ScanFacts | None) -> JsonObject | None:
+    if facts is None:
+        return None
+    names = ("n_raw", "n_clean", "dropped", "low", "high", "azimuth_gap_deg", "fault")
+    return {name: getattr(facts, name) for name in names}
+
+
+def _disk_bytes(dataset: DatasetCheck) -> int:
+    """What the tables of a run may take."""
+    return CostModel().disk_bytes(sum(facts.n_raw for _, sides in dataset.pairs for facts in sides.values()))
+
+
+def _space_needed(need: int) -> Note:
+    """What the tables of a run may take, and what is free where runs lie by default."""
+    free = free_bytes(RUNS)
+    text = f"a run needs about {megabytes(need)} on disk"
+    if free is not None and need > free:
+        return Note(f"warning: {text}; {megabytes(free)} are free here, give it another --out", "yellow")
+    return Note(text if free is None else f"{text}; {megabytes(free)} are free here")

@@ -1,0 +1,192 @@
+"""A pair of a finished run, or an object of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ....schemas.columns import SIDES, Row
+from ....schemas.metrics import COVERAGE_REACHES, METRIC, narrow_labels, reach_words
+from ....stages.coverage import surface_state
+from ...results.finished import ObjectFacts, PairFacts
+from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
+from ..view import Note, Table, View, number, percent
+
+#: Columns of `metrics` in the order in which an object shows them: r_lambda stands beside what it is made of.
+_OBJECT_SCORES = (
+    *("cdc", "r_lambda", "max_eigenvalue_shift", "laplacian_change", "r_gap", "gap_real", "gap_sim"),
+    *("eigenspectrum_distance", "alignment_rms_m", "centroid_distance_m"),
+)
+_MATCHED_SCORES = ("cdc", "r_lambda", "r_gap", "centroid_distance_m", "alignment_rms_m")
+_COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
+_MOST_UNCOVERED = 10
+_MOST_ALIGNMENTS = 3
+#: Columns of `objects` and `coverage`: place and shape, and how much of it the other side has.
+_OBJECT_COLUMNS = (
+    *("n_points", "range_m", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
+    *("linearity", "planarity", "scattering", "label", *_COVERED, "median_distance_m"),
+)
+
+
+def pair_view(facts: PairFacts) -> View:
+    """The counts of a pair and its surfaces, its matched objects worst first, and those that only one side has."""
+    row = facts.pair
+    if row["status"] != "scored":
+        return [Note(f"pair {row['pair_id']} failed: {row['reason']}", "red")]
+    title = (
+        f"Pair {row['pair_id']}: match rate {number(row['match_rate'])}; {row['n_matched']} objects on both sides, "
+        f"{row['n_missing']} missing, {row['n_hallucinated']} hallucinated"
+    )
+    names = ("side", "points read", "clean", "not ground", "ground below (m)", "objects")
+    keys = ("n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}")
+    counts = [(side, *(row[key.format(side)] for key in keys)) for side in SIDES]
+    within = [f"within {reach_words(reach)}" for reach in COVERAGE_REACHES]
+    shares = [(side, *(row[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)) for side in SIDES]
+    return [
+        Table(title, names, counts, digits={4: 2}),
+        Table("Surface (share of the object points with one of the other side)", ("side", *within), shares),
+        _matched(facts),
+        *alignment_warning(facts.objects),
+        Note(""),
+        _least_covered(facts),
+        _unmatched(facts),
+    ]
+
+
+def _matched(facts: PairFacts) -> Table:
+    scores = narrow_labels(_MATCHED_SCORES)
+    headings = ("class", "real", "sim", "range\n(m)", "points\nreal", "\nsim", *scores, "real covered", "sim covered")
+    columns = ("label", "real_id", "sim_id", "range_m", "n_real", "n_sim", *_MATCHED_SCORES)
+    rows = [
+        [*({**each.real, **each.scores}[column] for column in columns), *(own["covered_0p3m"] for own in sides)]
+        for each in facts.objects
+        for sides in [[own for own in (each.real, each.sim) if own]]
+        if each.real and each.scores
+    ]
+    title = "Objects that both sides have, largest r_lambda first"
+    return Table(title, headings, rows, digits={3: 1, 9: 2, 10: 2}, wide=(11, 12))
+
+
+def _unmatched(facts: PairFacts) -> Table:
+    names = ("n_points", "cz", "covered_0p3m")
+    rows = [
+        (own["label"], each.status, f"{side}:{own['community_id']}", own["range_m"], *(own[name] for name in names))
+        + (surface_state(own["covered_0p3m"]),)
+        for each in facts.objects
+        if each.scores is None
+        for side, own in [_only(each)]
+    ]
+    headings = ("class", "status", "object", "range\n(m)", "points", "height of\ncentroid (m)", "within\n0.3 m", "surface")
+    return Table("Objects that only one side has", headings, rows, words=(0, 1, 7), digits={3: 1, 5: 1})
+
+
+def _least_covered(facts: PairFacts) -> Table:
+    """The matched objects of which the other side has least."""
+    both = [(each.real, each.sim) for each in facts.objects if each.scores and each.real and each.sim]
+    least = sorted(both, key=lambda sides: sides[0]["covered_0p3m"] + sides[1]["covered_0p3m"])[:_MOST_UNCOVERED]
+    rows = [
+        (
+            real["label"],
+            real["community_id"],
+            sim["community_id"],
+            *(own[name] for own in (real, sim) for name in _COVERED),
+        )
+        for real, sim in least
+    ]
+    within = [reach_words(reach) for reach in COVERAGE_REACHES]
+    headings = ("class", "real", "sim", f"real within\n{within[0]}", *(f"\n{own}" for own in within[1:]))
+    headings += (f"sim within\n{within[0]}", *(f"\n{own}" for own in within[1:]))
+    title = f"Surface of the matched objects, least within {reach_words('0p3m')} of the other side first"
+    if len(both) > len(least):
+        title += f" ({len(least)} of {len(both)})"
+    return Table(title, headings, rows, digits=dict.fromkeys(range(3, 9), 2))
+
+
+def _only(facts: ObjectFacts) -> tuple[str, Row]:
+    """The side that has an unmatched object, and the object."""
+    return next((side, own) for side, own in zip(SIDES, (facts.real, facts.sim), strict=True) if own)
+
+
+def pair_records(facts: PairFacts) -> Table:
+    """One row per object of a pair: what it is, its place, how much is covered, and its scores."""
+    scores = ("n_keep", *_OBJECT_SCORES)
+    headings = ("pair_id", "status", "label", "real_id", "sim_id", "range_m", "n_real", "n_sim")
+    rows = []
+    for each in facts.objects:
+        real, sim, own = each.real or {}, each.sim or {}, each.scores or {}
+        place = real or sim
+        rows.append(
+            [
+                *(
+                    facts.pair["pair_id"],
+                    each.status,
+                    place["label"],
+                    real.get("community_id"),
+                    sim.get("community_id"),
+                ),
+                *(place["range_m"], real.get("n_points"), sim.get("n_points")),
+                *(real.get("covered_0p3m"), sim.get("covered_0p3m"), *map(own.get, scores), own.get("reason")),
+            ]
+        )
+    return Table("", (*headings, "covered_real_0p3m", "covered_sim_0p3m", *scores, "reason"), rows)
+
+
+def object_view(pair_id: str, facts: ObjectFacts) -> View:
+    """Place and shape of an object on both sides, then its scores."""
+    sides, scores = (facts.real, facts.sim), facts.scores
+    rows = [(name, *(own and own[name] for own in sides)) for name in _OBJECT_COLUMNS]
+    rows.insert(0, ("object", *(own and own["community_id"] for own in sides)))
+    table = Table(f"Object of pair {pair_id}: {facts.status}", ("", "real", "simulated"), rows)
+    if scores is None:
+        return [table, *map(Note, _alone_lines(facts))]
+    title = f"Scores ({scores['status']}, on {scores['n_keep']} aligned nodes)"
+    values = [(METRIC[name].label, scores[name], METRIC[name].reading) for name in _OBJECT_SCORES]
+    score_table = Table(title, ("score", "value", "how to read it"), values, words=(0, 2), digits={1: 4})
+    reason = [Note(f"null scores: {scores['reason']}")] if scores["reason"] else []
+    return [table, score_table, *reason, *alignment_warning([facts])]
+
+
+def object_records(facts: ObjectFacts) -> Table:
+    """One row for each column of an object, on each side, and one for each score."""
+    rows: list[tuple[object, ...]] = [
+        (name, *(own and own[name] for own in (facts.real, facts.sim)), None)
+        for name in ("community_id", *_OBJECT_COLUMNS)
+    ]
+    rows += [(name, None, None, value) for name, value in (facts.scores or {"status": facts.status}).items()]
+    return Table("", ("", "real", "simulated", "score"), rows)
+
+
+def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
+    """Objects whose r_lambda stands on a bad alignment, worst first; no note if none does."""
+    scored = [
+        (each.real["community_id"], each.scores["alignment_rms_m"], _diagonal_m(each.real))
+        for each in objects
+        if each.real and each.scores and each.scores["r_lambda"] is not None
+    ]
+    bad = sorted((one for one in scored if alignment_is_bad(one[1], one[2])), key=lambda one: -one[1])
+    if not bad:
+        return []
+    named = ", ".join(f"real:{i} ({rms:.1f} m apart, {size:.1f} m large)" for i, rms, size in bad[:_MOST_ALIGNMENTS])
+    more = ", ..." * (len(bad) > _MOST_ALIGNMENTS)
+    text = (
+        f"warning: r_lambda of {len(bad)} of {len(scored)} objects stands on a bad alignment ({BAD_ALIGNMENT_WORDS}), "
+        f"which alone lowers it: {named}{more}"
+    )
+    return [Note(text, "yellow")]
+
+
+def _diagonal_m(own: Row) -> float:
+    return math.hypot(*(own[f"extent_{axis}"] for axis in "xyz"))
+
+
+def _alone_lines(facts: ObjectFacts) -> list[str]:
+    """Why an unmatched object has no scores, and whether its surface is on the other side."""
+    side, own = _only(facts)
+    side, other = {"real": ("real", "simulated"), "sim": ("simulated", "real")}[side]
+    why = f"only the {side} side has this object, so that it has no scores"
+    if facts.real and facts.sim:
+        n_sim = facts.sim["n_points"] or "no"
+        why = f"{n_sim} points of this object are simulated, too few to match it, so that it has no scores"
+    covered, state = own["covered_0p3m"], surface_state(own["covered_0p3m"])
+    place = {"there": "there, only divided differently", "partly": "there in part"}.get(state, state)
+    return [why, f"its surface is {place}: {percent(covered)} of its points have a {other} one within 0.3 m"]

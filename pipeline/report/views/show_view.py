@@ -1,0 +1,64 @@
+"""What `fidpipe show` shows: a finished run, a pair of it, or an object of a pair."""
+
+from __future__ import annotations
+
+from pydantic import JsonValue
+
+from ....schemas.results import JsonObject
+from ...results.finished import FinishedRun, object_facts, pair_facts, run_facts
+from ...results.floor import RunExcess
+from ...results.overview import over_floor
+from ..view import Note, Table, View
+from .floor_view import pair_excess_table
+from .pair_view import object_records, object_view, pair_records, pair_view
+from .run_view import claims_view, summary_view
+
+
+def show_view(
+    run: FinishedRun,
+    pair: str | None,
+    name: str | None,
+    excess: RunExcess | None = None,
+    *,
+    paper: bool = False,
+    with_all: bool = False,
+) -> View:
+    """A run, a pair of it, or the object `name` of a pair.
+
+    Parameters
+    ----------
+    excess : of run or pair over a floor, to be shown as well
+    paper : the paper's claims instead
+    with_all : all tables of the run
+    """
+    if paper:
+        return claims_view(run.record.findings)
+    if pair is not None and name is not None:
+        return object_view(pair, object_facts(run, pair, name))
+    if pair is not None:
+        notes = [Note(f"note: {note}", "yellow") for note in (run.record.notes or {}).get(pair, ())]
+        return [*pair_view(pair_facts(run, pair)), *notes, *([pair_excess_table(excess, pair)] if excess else ())]
+    overview = over_floor(run, excess.floor) if excess else run.record.overview
+    return summary_view(run.folder, run.rows, run.record, overview, excess=excess, with_all=with_all)
+
+
+def show_json(
+    run: FinishedRun, pair: str | None, name: str | None, excess: RunExcess | None = None, *, paper: bool = False
+) -> JsonValue:
+    """The same as plain values."""
+    over: JsonObject = {} if excess is None else {"excess": excess.as_dict()}
+    if paper:
+        return [claim.as_dict() for claim in run.record.claims]
+    if pair is not None and name is not None:
+        return {"pair_id": pair, **object_facts(run, pair, name).as_dict()}
+    return (run_facts(run) if pair is None else pair_facts(run, pair).as_dict()) | over
+
+
+def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
+    """The same for programs that read tables: one row per pair, object or value."""
+    if pair is None:
+        columns = list(run.rows[0])
+        return Table("", columns, [[row[column] for column in columns] for row in run.rows])
+    if name is None:
+        return pair_records(pair_facts(run, pair))
+    return object_records(object_facts(run, pair, name))
