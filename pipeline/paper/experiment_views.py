@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import pandas as pd
+
 from ...schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ...schemas.paper import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ...stages.generate.perturbations import Perturbation
@@ -62,8 +63,7 @@ def perturb_view(outcome: PerturbOutcome) -> View:
         if len(react(means, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
         claims = [
-            (claim.claim, claim.paper, claim.here, _VERDICTS[claim.holds])
-            for claim in judge_claims(means, levels)
+            (claim.claim, claim.paper, claim.here, _VERDICTS[claim.holds]) for claim in judge_claims(means, levels)
         ]
         if claims:
             headings = ("claim", "paper", "here", "holds")

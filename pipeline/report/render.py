@@ -160,13 +160,13 @@ def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:
 
 def _in_markdown(part: Part) -> str:
     if isinstance(part, Note):
-        text = part.text.strip()
+        text = shown(part.text.strip().removeprefix("note: "))
         return f"**{text}**" if "bold" in part.style else f"- {text}" if part.style and text else text
     if isinstance(part, Answers):
         return "\n\n".join(
             f"{heading.strip()}: {lines[0]}" if len(lines) == 1 else "\n".join([f"{heading.strip()}:\n", *lines])
             for heading, items in part.sections
-            for lines in [["- " * (len(items) > 1) + "; ".join(filter(None, item)) for item in items]]
+            for lines in [["- " * (len(items) > 1) + shown("; ".join(filter(None, item))) for item in items]]
         )
     rule = [":---" if i in part.words else "---:" for i in range(len(part.headings))]
     headings = [" ".join(heading.split()) for heading in part.headings]

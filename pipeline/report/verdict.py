@@ -9,25 +9,21 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from pydantic import TypeAdapter
-from scipy.spatial import KDTree
 
-from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.metrics import metric_of
 from ...schemas.record import RunRecord
-from ...schemas.results import Cause, Piece
+from ...schemas.results import Cause
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
 from ..results.overview import over_floor
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
-from ..storage.record import unmatched_worst
-from .camera import Camera, box_around, inside, object_address
-from .results import PairTables, RunResults
-from .terminal.layout import mean_and_spread, number, percent
-from .terminal.overview import change_words, headline_scores, pieces_words, surface_words
-from .terminal.run import coverage_rows, surface_line, unmatched_lines
+from .pictures import Picture, draw_piece
+from .results import RunResults
+from .view import Note, View, number, sentence
+from .views.answer_view import change_words, headline_scores, pieces_words, surface_words
+from .views.run_view import coverage_table, dataset_table, surface_line, surface_table, unmatched_lines
 
 _SCORES = (
     *("match_rate", "found", "cdc_mean", "r_lambda_mean", "max_eigenvalue_shift_mean", "laplacian_change_mean"),
@@ -35,8 +31,6 @@ _SCORES = (
 )
 #: Causes on the first screen.
 _MOST_CAUSES = 6
-#: Surroundings of a piece in its picture.
-_AROUND_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -52,22 +46,6 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """One of the largest pieces: its words, the address of its object in 3D, and a drawing of its surroundings.
-
-    layers : SVG paths of points: "others" in grey, then those of each side that the other side lacks
-    bar, bar_m : a bar of some metres as the scale
-    """
-
-    link: str
-    title: str
-    what: str
-    layers: dict[str, str]
-    bar: float
-    bar_m: float
-
-
-@dataclass(frozen=True)
 class Verdict:
     """The first screen.
 
@@ -76,8 +54,7 @@ class Verdict:
     is_met, good_enough : True if the acceptance criteria of the last gate are met, None without any; sentences
     warning : that scans seem to lie in another frame, which makes all numbers wrong; "" if none does
     change : since the results that this run replaced
-    scores, coverage, groups : tables of the section that follows: headings, then rows
-    unmatched, surface : surface behind unmatched objects; displacement and roughness
+    details : the section that follows: scores, surface, its displacement, what is behind the unmatched objects
     """
 
     sentence: str
@@ -90,11 +67,7 @@ class Verdict:
     warning: str
     change: str
     trust: list[str]
-    scores: list[list[str]]
-    unmatched: str
-    surface: str
-    coverage: list[list[str]]
-    groups: list[list[str]]
+    details: View
 
 
 def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
@@ -104,26 +77,25 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)
-    groups = [["", "real points", "missing", "simulated points", "invented"]]
-    for own in overview.surface:
-        shares = percent(own.missing_share), percent(own.invented_share)
-        groups.append([own.name, f"{own.n_real:,}", shares[0], f"{own.n_sim:,}", shares[1]])
     return Verdict(
-        sentence=_sentence(surface_words(record, excess)),
-        pieces=_sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
+        sentence=sentence(surface_words(record, excess)),
+        pieces=sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
         causes=overview.causes[:_MOST_CAUSES],
-        worst=[_picture(results, piece) for piece in overview.pieces],
+        worst=[draw_piece(results, piece) for piece in overview.pieces],
         numbers=[_tile(column, record, excess) for column in headline_scores(record)],
         is_met=is_met,
         good_enough=good_enough,
         warning=" ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
-        change=_sentence(change_words(record)) if record.previous else "",
-        trust=[_sentence(one.words) for one in overview.trust if one.kind not in ("frames", "failed")],
-        scores=_score_rows(record),
-        unmatched=" ".join(map(_sentence, unmatched_lines(record))),
-        surface=_sentence(surface_line(record)),
-        coverage=coverage_rows(record),
-        groups=groups,
+        change=sentence(change_words(record)) if record.previous else "",
+        trust=[sentence(one.words) for one in overview.trust if one.kind not in ("frames", "failed")],
+        details=[
+            dataset_table(record, _SCORES),
+            Note("Unmatched as worst: each missing and each invented object counted with the worst value."),
+            coverage_table(record),
+            Note("Real points that are not covered are missing surface, simulated ones invented surface."),
+            surface_table(overview),
+            *map(Note, (*unmatched_lines(record), surface_line(record))),
+        ],
     )
 
 
@@ -136,11 +108,6 @@ def limits_in_words() -> str:
         "not the paper's: each side about half a metre from the other on average, and the upper end of what is usual "
         "for a twin that was meshed from scans"
     )
-
-
-def _sentence(text: str) -> str:
-    """A line of the terminal as a sentence; r_lambda and the like keep their names."""
-    return f"{text}." if text.startswith("r_") else f"{text[0].upper()}{text[1:]}."
 
 
 def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:
@@ -162,7 +129,7 @@ def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | 
     if not unmet:
         return True, [f"Yes: {met}, and those on the run itself (complete, no pair failed, nothing changed since)."]
     why = [f"{one.criterion.name}: {one.why or number(one.value)}" for one in unmet[:3]]
-    return False, [f"No: {met}.", *map(_sentence, why)]
+    return False, [f"No: {met}.", *map(sentence, why)]
 
 
 _CRITERIA = TypeAdapter(list[Criterion])
@@ -194,50 +161,4 @@ def _tile(column: str, record: RunRecord, excess: RunExcess | None) -> Tile:
         good=f"{'1' if metric.higher_is_better else '0'} is best",
         reading=f"{metric.reading}{count}",
         references=references,
-    )
-
-
-def _score_rows(record: RunRecord) -> list[list[str]]:
-    """Headings, then for each score mean and deviation over pairs, how many, and the mean with unmatched as worst."""
-    rows = [["score", "mean ± std", "pairs", "unmatched as worst", "how to read it"]]
-    for column in _SCORES:
-        metric, score = metric_of(column), record.summary[column]
-        worst = record.summary.get(unmatched_worst(metric.column))
-        mean = mean_and_spread(score.mean, score.std)
-        pairs = f"{score.n_pairs} of {record.pairs.scored}"
-        rows.append([metric.label, mean, pairs, number(worst.mean) if worst else "", metric.reading or metric.meaning])
-    return rows
-
-
-def _picture(results: RunResults, piece: Piece) -> Picture:
-    """The box around a piece: in colour the points that the other side lacks, everything else in grey."""
-    tables = PairTables(results, piece.pair_id)
-    clouds = tables.clouds
-    everything = {side: np.concatenate([clouds[side].points, tables.road[side]]) for side in SIDES}
-    reach_m = float(str(results.run.record.settings["pieces"]["reach_m"]))
-    row = next(
-        row
-        for row in results.run.read_table("pieces", piece.pair_id).to_pylist()
-        if (row["side"], row["piece_id"]) == (piece.side, piece.piece_id)
-    )
-    centre, extents = np.array([row["cx"], row["cy"], row["cz"]]), np.array(piece.extents_m)
-    moved = np.array([row[f"moved_{axis}_m"] or 0.0 for axis in "xyz"])
-    ends = np.stack([centre, centre + moved])
-    low, high = ends.min(axis=0) - extents, ends.max(axis=0) + extents
-    own, alone = clouds[piece.side], {}
-    for side, other in (SIDES, SIDES[::-1]):
-        points = clouds[side].points[inside(clouds[side].points, low, high)]
-        alone[side] = points[KDTree(everything[other]).query(points)[0] > reach_m]
-    low, high = box_around(np.concatenate([*alone.values()]))
-    low, high = low - _AROUND_M, high + _AROUND_M
-    around = np.concatenate([points[inside(points, low, high)] for points in everything.values()])
-    communities = own.community[inside(own.points, *box_around(alone[piece.side]))]
-    camera = Camera(low, high)
-    return Picture(
-        link=object_address(piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}"),
-        title=piece.words,
-        what=f"{piece.fate_words}; pair {piece.pair_id}, {piece.n_points:,} points",
-        layers={"others": camera.path(around), **{side: camera.path(points) for side, points in alone.items()}},
-        bar=camera.bar_m * camera.scale,
-        bar_m=camera.bar_m,
     )

@@ -11,7 +11,7 @@ import pytest
 from fidpipe.pipeline.cli.output import print_view
 from fidpipe.pipeline.engine.costs import CostModel
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
-from fidpipe.pipeline.report.terminal import status
+from fidpipe.pipeline.report.views import check_view
 from fidpipe.pipeline.storage.ledger import Ledger
 from fidpipe.schemas.errors import DiskFullError
 from fidpipe.schemas.settings import Settings
@@ -111,8 +111,8 @@ def test_check_says_how_much_a_run_needs_and_what_is_free(dataset):
 
 
 def test_check_warns_where_a_run_does_not_fit(dataset, monkeypatch, capsys):
-    monkeypatch.setattr(status, "free_bytes", lambda path: 1000)
-    print_view(status.check_view(check_dataset(dataset, Settings())))
+    monkeypatch.setattr(check_view, "free_bytes", lambda path: 1000)
+    print_view(check_view.check_view(check_dataset(dataset, Settings())))
     assert "warning: a run needs about 1.2 MB on disk; 0.0 MB are free here, give it another --out" in (
         capsys.readouterr().out
     )

@@ -12,9 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fidpipe.pipeline.report.terminal.gate import junit_xml
-from fidpipe.pipeline.report.terminal.layout import csv_table, plain_table
+from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.verdict import _last_criteria
+from fidpipe.pipeline.report.view import Table
+from fidpipe.pipeline.report.views.gate_view import junit_xml
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import Check
 from fidpipe.pipeline.results.measures import Measures
@@ -205,7 +206,7 @@ def test_a_table_of_objects_that_are_nowhere_is_refused(again, name, column, val
 def test_no_name_steers_the_terminal():
     out = io.StringIO()
     console = Terminal(file=out, width=100, force_terminal=True, color_system="truecolor")
-    console.print(plain_table("title", ("pair", "value"), [(ESCAPE, 1.0)]))
+    console.print(terminal([Table("title", ("pair", "value"), [(ESCAPE, 1.0)])]))
     console.print(f"pair {ESCAPE}", markup=False, style="red")
     for sign in ("\x1b]", "\x1b[2J", "\x07", "\u202e", "\x9b"):
         assert sign not in out.getvalue()
@@ -223,7 +224,7 @@ def test_no_message_steers_the_terminal(tmp_path):
 
 def test_no_cell_begins_a_formula():
     names = ["=cmd|' /C calc'!A0", "+1+1", "-1+1", "@sum(A1)", "\t=1", "-5", "+2.5", "plain"]
-    text = csv_table(["pair"], [[name] for name in names])
+    text = csv_table(Table("", ["pair"], [[name] for name in names]))
     cells = [line.strip('"') for line in text.splitlines()[1:]]
     assert cells == ["'=cmd|' /C calc'!A0", "'+1+1", "'-1+1", "'@sum(A1)", "\\u0009=1", "-5", "+2.5", "plain"]
 

@@ -12,7 +12,8 @@ import fidpipe
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.baselines import summarise_baselines
-from fidpipe.pipeline.report.terminal.run import baselines_view
+from fidpipe.pipeline.report.render import terminal
+from fidpipe.pipeline.report.views.run_view import baselines_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.tables import JobRecord
 from fidpipe.schemas.record import BaselineSummary
@@ -217,7 +218,7 @@ def test_no_stage_of_the_scores_depends_on_their_settings():
 def test_the_terminal_shows_each_baseline_with_its_time(compared):
     shown = io.StringIO()
     rows = [BaselineSummary.from_dict(row) for row in compared[1].record.as_dict()["baselines"]]
-    Console(width=100, file=shown).print(baselines_view(rows))
+    Console(width=100, file=shown).print(terminal(baselines_view(rows)))
     text = shown.getvalue()
     for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h"):
         assert name in text

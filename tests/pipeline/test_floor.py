@@ -19,7 +19,7 @@ from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.report.page.page import write_report
-from fidpipe.pipeline.report.terminal.compare import remarks
+from fidpipe.pipeline.report.views.compare_view import remarks
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.floor import excess_over
@@ -276,7 +276,7 @@ def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, 
     assert covered.floor == pytest.approx(1 - floor_mean)
     below = [score.name for score in found.scores if score.beyond_floor is False and score.towards]
     assert below
-    (line,) = [line for line in remarks(found) if line.startswith("no more than the floor")]
+    (line,) = [note.text for note in remarks(found) if "no more than the floor" in note.text]
     assert all(name in line for name in below)
     assert replace(covered, floor=2.0).beyond_floor is False
     page = tmp_path / "page.html"

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.report.terminal.gate import gate_checks, junit_xml
+from fidpipe.pipeline.report.views.gate_view import gate_checks, junit_xml
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import Criterion, judge_run, parse_word, read_criteria
 from fidpipe.pipeline.results.measures import Measures
@@ -211,7 +211,7 @@ def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp
     suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
     assert (suite.get("tests"), suite.get("failures")) == ("5", "1")
     failure = suite.find("testcase[@name='r_lambda.mean <= 0']/failure")
-    assert "wanted <= 0" in failure.get("message")
+    assert "expected <= 0" in failure.get("message")
 
 
 def test_a_run_goes_on_in_a_folder_with_the_files_of_a_gate(tmp_path):

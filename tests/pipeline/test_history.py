@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.page.compare import history_page
-from fidpipe.pipeline.report.terminal.history import history_csv, history_decision, history_remarks, history_view
+from fidpipe.pipeline.report.render import csv_table, terminal
+from fidpipe.pipeline.report.views.history_view import history_decision, history_records, history_remarks, history_view
 from fidpipe.pipeline.results.history import read_history
 from fidpipe.schemas.errors import RunError
 from reports import embedded
@@ -57,7 +58,7 @@ def test_verdicts_are_against_the_first_run_and_against_the_one_before(runs):
     assert worse.low <= worse.mean <= worse.high
     assert back.low == back.mean == back.high
     assert history_decision(found).startswith("run 3 against run 1: 1 pair that run 1 has scored fail now; ")
-    assert any("of the 3 comparisons" in line for line in history_remarks(found))
+    assert any("of the 3 comparisons" in line.text for line in history_remarks(found))
 
 
 def test_runs_stand_as_given_or_by_date(runs):
@@ -75,7 +76,7 @@ def test_runs_stand_as_given_or_by_date(runs):
 def test_eight_runs_with_long_names_fit_80_columns(runs):
     console = Console(width=80, highlight=False)
     with console.capture() as capture:
-        console.print(history_view(read_history([runs[0], *[runs[1]] * 6, runs[2]], independent=True)))
+        console.print(terminal(history_view(read_history([runs[0], *[runs[1]] * 6, runs[2]], independent=True))))
     lines = capture.get().splitlines()
     assert max(map(len, lines)) <= 80
     assert sum("…" in line and line.endswith("1603597909") for line in map(str.rstrip, lines)) == 6, "one line a run"
@@ -85,7 +86,7 @@ def test_eight_runs_with_long_names_fit_80_columns(runs):
 
 def test_csv_and_json_hold_every_step(runs):
     found = read_history(runs, independent=True)
-    rows = list(csv.DictReader(io.StringIO(history_csv(found))))
+    rows = list(csv.DictReader(io.StringIO(csv_table(history_records(found)))))
     assert len(rows) == 3 * len(found.families)
     assert float(rows[0]["mean"]) == found.families[0].steps[0].mean
     told = json.loads(json.dumps(found.as_dict()))

@@ -11,11 +11,13 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.report.render import csv_table, markdown, terminal
 from fidpipe.pipeline.report.results import read_results
-from fidpipe.pipeline.report.terminal.layout import csv_table, markdown_table, plain_table, shortened
-from fidpipe.pipeline.report.terminal.run import outcome_view
-from fidpipe.pipeline.report.terminal.show import as_view, pair_view
 from fidpipe.pipeline.report.verdict import verdict_of
+from fidpipe.pipeline.report.view import Table, shortened
+from fidpipe.pipeline.report.views.pair_view import pair_view
+from fidpipe.pipeline.report.views.run_view import outcome_view
+from fidpipe.pipeline.report.views.show_view import show_view
 from fidpipe.pipeline.results.findings import ObjectRows, SideRows
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.overview import Tally
@@ -44,7 +46,7 @@ def finished(tmp_path_factory):
 
 def text_of(view, width=80):
     console = Console(file=StringIO(), width=width)
-    console.print(view)
+    console.print(terminal(view))
     return console.file.getvalue()
 
 
@@ -168,7 +170,7 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     again = run(data, folder).record
     assert (again.previous, again.overview) == (after.previous, after.overview)
     moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
-    for shown in (text_of(as_view(FinishedRun(folder), None, None), 300), verdict_of(read_results(folder)).change):
+    for shown in (text_of(show_view(FinishedRun(folder), None, None), 300), verdict_of(read_results(folder)).change):
         assert moved in shown
         assert "(1 pair of other scans); chance: fidpipe compare" in shown
     other = run(data, folder, Settings.model_validate({"matching": {"delta_m": 3.0}})).record
@@ -208,14 +210,14 @@ def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_
     assert "r_lambda" in text
     assert "(paper 0.37)" in text, "under preset paper"
     assert "2 independent pairs: too few for a verdict (6)" in text
-    assert "2 pairs, preset paper" in text_of(as_view(FinishedRun(folder), None, None)).splitlines()[0]
+    assert "2 pairs, preset paper" in text_of(show_view(FinishedRun(folder), None, None)).splitlines()[0]
 
 
 @pytest.mark.parametrize("name", [None, NUSCENES[0]])
 def test_no_line_is_wider_than_80_columns_with_long_names_and_labels(finished, name):
     run_ = FinishedRun(finished[1])
     for with_all in (False, True):
-        shown = text_of(as_view(run_, name, None, with_all=with_all))
+        shown = text_of(show_view(run_, name, None, with_all=with_all))
         assert max(map(len, shown.splitlines())) <= 80
         assert "…" in shown, "some name was shortened"
     if name is None:
@@ -230,17 +232,14 @@ def test_short_names_stay_as_they_are_and_shortened_ones_differ():
     short = shortened(names, 8)
     assert len(set(short.values())) == 3
     assert all(len(own) < 61 for own in short.values())
-    wide = text_of(plain_table("t", ["pair", "n"], [[NUSCENES[0], 1]]), 120)
+    wide = text_of([Table("t", ["pair", "n"], [[NUSCENES[0], 1]])], 120)
     assert NUSCENES[0] in wide
 
 
 def test_markdown_and_csv_hold_what_a_name_may_hold():
-    rows = [["a|b\nc", None, 0.5], ['=1,"', 2, None]]
-    assert markdown_table(["pair", "n", "CDC"], rows).splitlines()[2:] == [
-        "| a\\|b\\u000ac |  | 0.500 |",
-        '| =1," | 2 |  |',
-    ]
-    assert csv_table(["pair", "n", "CDC"], rows) == 'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n'
+    table = Table("", ["pair", "n", "CDC"], [["a|b\nc", None, 0.5], ['=1,"', 2, None]])
+    assert markdown([table]).splitlines()[2:] == ["| a\\|b\\u000ac | - | 0.500 |", '| =1," | 2 | - |']
+    assert csv_table(table) == 'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n'
 
 
 def test_a_pair_warns_where_r_lambda_stands_on_a_bad_alignment(finished):

@@ -37,9 +37,11 @@ from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data, page_words
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, views_of, write_report
 from fidpipe.pipeline.report.page.render import render
+from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.results import PairTables, read_results
-from fidpipe.pipeline.report.terminal.run import summary_view
 from fidpipe.pipeline.report.verdict import verdict_of
+from fidpipe.pipeline.report.view import Note, Table
+from fidpipe.pipeline.report.views.run_view import summary_view
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
@@ -131,7 +133,8 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ru
     folder = request.getfixturevalue(run_of)
     matching, covered = pd.read_parquet(folder / "matching"), coverage_of(folder).covered_0p3m
     pairs = pd.read_parquet(folder / "pairs.parquet").query("status == 'scored'")
-    said = verdict_of(read_results(folder)).unmatched
+    details = verdict_of(read_results(folder)).details
+    said = " ".join(part.text for part in details if isinstance(part, Note))
     for status, side in (("missing", "real"), ("hallucinated", "sim")):
         alone = matching[matching.status == status]
         shares = covered.loc[[(row.pair_id, side, row[f"{side}_id"]) for _, row in alone.iterrows()]]
@@ -139,20 +142,22 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ru
         total = len(alone) / len(pairs)
         assert total > 0
         if absent == total:
-            assert f"The {total:.1f} {status} objects a pair are all absent" in said
+            assert f"the {total:.1f} {status} objects a pair are all absent" in said
         else:
-            assert f"Of {total:.1f} {status} objects a pair, {there:.1f} are there" in said
-            assert f"{total - there - absent:.1f} partly, {absent:.1f} absent." in said
+            assert f"of {total:.1f} {status} objects a pair, {there:.1f} are there" in said
+            assert f"{total - there - absent:.1f} partly, {absent:.1f} absent" in said
 
 
 def test_the_verdict_has_coverage_displacement_and_roughness_over_pairs(by_reference):
     pairs = pd.read_parquet(by_reference / "pairs.parquet")
     verdict = verdict_of(read_results(by_reference))
+    surface = next(part.text for part in verdict.details if isinstance(part, Note) and "displaced" in part.text)
     vector = ", ".join(f"{axis} {pairs[f'shift_{axis}_m'].mean():.3f}" for axis in "xyz")
-    assert f"displaced by {vector} m (mean over pairs; mean length {pairs.shift_m.mean():.3f} m)" in verdict.surface
-    assert f"median roughness is {pairs.roughness_sim_m.mean():.3f} m, that of the real one" in verdict.surface
-    headings, real, sim = verdict.coverage
-    assert headings[1:] == ["within 0.1 m", "within 0.3 m", "within 1 m"]
+    assert f"displaced by {vector} m (mean over pairs; mean length {pairs.shift_m.mean():.3f} m)" in surface
+    assert f"median roughness is {pairs.roughness_sim_m.mean():.3f} m, that of the real one" in surface
+    coverage = next(part for part in verdict.details if isinstance(part, Table) and part.headings[0] == "share of")
+    real, sim = coverage.rows
+    assert list(coverage.headings[1:]) == ["within 0.1 m", "within 0.3 m", "within 1 m"]
     for side, row in (("real", real), ("sim", sim)):
         for cell, reach in zip(row[1:], ("0p1m", "0p3m", "1m"), strict=True):
             column = pairs[f"covered_{side}_{reach}"]
@@ -309,11 +314,11 @@ def test_object_scores_say_of_how_many_pairs_they_are_and_what_they_are_with_unm
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
     n_unmatched = pairs.n_missing + pairs.n_hallucinated
     worst = (pairs.cdc_mean.fillna(0) * pairs.n_matched + 2 * n_unmatched) / (pairs.n_matched + n_unmatched)
-    headings, *rows = verdict_of(read_results(report_run)).scores
-    of = {row[0]: dict(zip(headings, row, strict=True)) for row in rows}
+    scores = verdict_of(read_results(report_run)).details[0]
+    of = {row[0]: dict(zip(scores.headings, row, strict=True)) for row in scores.cells}
     assert of["CDC"]["pairs"] == f"{pairs.cdc_mean.count()} of {len(pairs)}"
-    assert of["CDC"]["unmatched as worst"] == f"{worst.mean():.3f}"
-    assert of["match rate"]["unmatched as worst"] == ""
+    assert of["CDC"]["unmatched\nas worst"] == f"{worst.mean():.3f}"
+    assert of["match rate"]["unmatched\nas worst"] == ""
     assert f"<td>{worst.mean():.3f}</td>" in written.page.read_text("utf-8")
 
 
@@ -354,7 +359,7 @@ def test_a_class_says_of_how_many_objects_a_mean_is_where_some_have_no_score(rep
     findings = run.record.findings.model_copy(update={"classes": (fewer, *others)})
     console = Console(file=StringIO(), width=400)
     record = run.record.model_copy(update={"findings": findings})
-    console.print(summary_view(report_run, run.rows, record, record.overview, with_all=True))
+    console.print(terminal(summary_view(report_run, run.rows, record, record.overview, with_all=True)))
     assert f"{first.r_lambda_mean:.3f}*" in console.file.getvalue()
     assert f"{first.label} r_lambda of {first.n_matched - 1}" in console.file.getvalue()
 

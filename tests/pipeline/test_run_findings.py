@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from fidpipe.pipeline.report.terminal.run import summary_view
+from fidpipe.pipeline.report.render import terminal
+from fidpipe.pipeline.report.views.run_view import summary_view
 from fidpipe.pipeline.results import findings as findings_of_run
 from fidpipe.pipeline.results.status import run_status
 from runs import command, run
@@ -138,7 +139,8 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
     console = Console(file=StringIO(), width=300)
-    console.print(summary_view(outcome.folder, [first], outcome.record, outcome.record.overview, with_all=True))
+    view = summary_view(outcome.folder, [first], outcome.record, outcome.record.overview, with_all=True)
+    console.print(terminal(view))
     (line,) = (line for line in console.file.getvalue().splitlines() if "geometry: 0 the same points" in line)
     assert f"{n_scored - 1} of {n_scored} " in line
     assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line

@@ -10,7 +10,8 @@ from rich.console import Console
 
 import fidpipe
 from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.report.terminal.run import seeds_view
+from fidpipe.pipeline.report.render import terminal
+from fidpipe.pipeline.report.views.run_view import seeds_view
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.metrics import SEEDED_SCORES
@@ -122,7 +123,9 @@ def test_two_workers_give_the_same_table(dataset, repeated, tmp_path):
 
 def test_the_terminal_shows_the_spread(repeated):
     shown = io.StringIO()
-    Console(width=80, file=shown).print(seeds_view(SeedSummary.from_dict(repeated[1].record.as_dict()["seeds"])))
+    Console(width=80, file=shown).print(
+        terminal(seeds_view(SeedSummary.from_dict(repeated[1].record.as_dict()["seeds"])))
+    )
     text = shown.getvalue()
     assert "How stable the scores are (3 seeds, 2 pairs)" in text
     for word in ("match rate", "r_lambda", "repeatability limit", "000", "001"):

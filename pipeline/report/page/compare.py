@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from ...results.compare import Comparison
 from ...results.families import MARKS_NOTE
 from ...results.finished import FinishedRun
-from ...results.followed import worst_changes
+from ...results.followed import ObjectChange, worst_changes
 from ...results.history import History
-from ..camera import FRAME
+from ...storage.tables import file_stem
 from ..charts import change_chart, history_chart
-from ..terminal.compare import (
-    GROUPS_NOTE,
+from ..pictures import FRAME, draw_change, object_address
+from ..view import Table, shortened, signed
+from ..views.compare_view import (
     OBJECTS_NOTE,
     cause_table,
     chance,
     changed,
-    class_heading,
     decision,
     family_table,
-    group_table,
-    kind_table,
     object_table,
+    object_view,
     remarks,
     score_table,
 )
-from ..terminal.floor import both_excesses_table
-from ..terminal.history import arrowed, history_decision, history_remarks
-from ..terminal.layout import number, shortened, signed
-from .pictures import draw_change, report_link
+from ..views.floor_view import both_excesses_table
+from ..views.history_view import arrowed, history_view
+from .page import PAGE, PAGES
 from .render import render
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
@@ -61,67 +61,72 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
         sections=[_section(one, start) for one in comparisons],
         method=method,
         arrows=MARKS_NOTE,
-        groups_note=GROUPS_NOTE,
         frame=FRAME,
     )
 
 
 def history_page(history: History) -> str:
     """The page of runs in a row: the decision, the runs, their scores, and a line for each score."""
-    folders = [str(run.folder) for run in history.runs]
-    names, narrow = (
-        [short[folder] for folder in folders] for short in (shortened(folders, 24), shortened(folders, 14))
-    )
-    rows: list[list[Any]] = [["score", *(f"{i}: {name}" for i, name in enumerate(narrow, start=1))]]
-    for score in history.families:
-        cells = [(number(step.mean), step.since_first, step.since_last) for step in score.steps]
-        cells[1] = (*cells[1][:2], "")  # the first run is the one before
-        rows.append([arrowed(score), *cells])
-    runs = [["run", "folder", "made (UTC)", "scored pairs", "failed pairs"]]
-    for i, run in enumerate(history.runs, start=1):
-        runs.append([str(i), str(run.folder), run.written[:16].replace("T", " "), str(run.n_scored), str(run.n_failed)])
+    names = shortened(folders := [str(run.folder) for run in history.runs], 24)
+    charts = [history_chart(score, [names[folder] for folder in folders]) for score in history.families]
+    title, *parts = history_view(history)
     return render(
         "history.html",
-        {"charts": {f"history_{i}": history_chart(score, names) for i, score in enumerate(history.families)}},
-        decision=history_decision(history),
-        remarks=history_remarks(history),
-        runs=runs,
-        scores=rows,
+        {"charts": {f"history_{i}": chart for i, chart in enumerate(charts)}},
+        title=title,
+        parts=parts,
         names=[arrowed(score) for score in history.families],
-        n_pairs=len(history.pairs),
-        arrows=MARKS_NOTE,
     )
 
 
 def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
-    """What the page says of one run against the base: `comparison` itself, and tables as headings and rows of texts."""
+    """One run against the base: `comparison` itself, its tables, pictures of the worst changes, and links."""
     objects = changed(comparison)
     leading = [family.scores[0] for family in comparison.families]
     pairs = comparison.pairs[:MOST_PAIRS]
-    changes = [[name, *(signed(score.of_pairs[name]) for score in leading)] for name in pairs]
     runs = [FinishedRun(folder) for folder in (comparison.base, comparison.other)]
-    links = [[report_link(run.folder, one, start) for run in runs] for one in objects[:MOST_OBJECTS]]
+    links = [[_report_link(run.folder, one, start) for run in runs] for one in objects[:MOST_OBJECTS]]
+    worst = worst_changes(comparison.objects)
+    first = f" (the first {MOST_OBJECTS} of {len(objects)})" if len(objects) > MOST_OBJECTS else ""
+    pairs_title = (
+        f"Pairs (the first {MOST_PAIRS} of {len(comparison.pairs)})" if len(comparison.pairs) > MOST_PAIRS else "Pairs"
+    )
     return {
         "comparison": comparison,
         "decision": decision(comparison),
         "chance": chance(comparison),
         "families": family_table(comparison),
-        "causes": cause_table(comparison),
-        "remarks": remarks(comparison),
+        "causes": [cause_table(comparison)] if comparison.causes else [],
         "scores": score_table(comparison),
-        "excess": both_excesses_table(*comparison.excess) if comparison.excess else [],
-        "pictures": [draw_change(one, runs[0], runs[1], start) for one in worst_changes(comparison.objects)],
+        "remarks": remarks(comparison),
+        "pictures": [
+            (one, draw_change(one, runs, [_report_link(run.folder, one, start) for run in runs])) for one in worst
+        ],
         "without_report": [
             run.folder for run, own in zip(runs, zip(*links, strict=True), strict=False) if not any(own)
         ],
-        "kinds": kind_table(comparison),
-        "groups": [
-            (what, group_table(what, own))
-            for what, own in ((class_heading(comparison), comparison.by_class), ("range", comparison.by_range))
-            if own
+        "more": [
+            *([both_excesses_table(*comparison.excess)] if comparison.excess else ()),
+            *object_view(comparison),
         ],
-        "n_objects": len(objects),
-        "objects": object_table(objects[:MOST_OBJECTS]),
+        "objects": object_table(f"Objects that have changed{first}", objects[:MOST_OBJECTS]),
         "links": links,
-        "pairs": [["pair (change)", *(score.name for score in leading)], *changes],
+        "pairs": Table(
+            pairs_title,
+            ("pair (change)", *(score.name for score in leading)),
+            [(name, *(signed(score.of_pairs[name]) for score in leading)) for name in pairs],
+        ),
     }
+
+
+def _report_link(run: Path, change: ObjectChange, start: Path) -> str:
+    """The address of an object in its run's report, relative to a folder; "" if the run has no report."""
+    pages = (run / PAGE, run / PAGES / f"pair-{file_stem(change.pair_id)}.html")
+    page = next((page for page in pages if page.exists()), None)
+    if page is None:
+        return ""
+    address = object_address(change.pair_id, f"real {change.real_id}")
+    try:
+        return f"{quote(os.path.relpath(page.resolve(), start.resolve()))}{address}"
+    except ValueError:  # another drive
+        return f"{page.resolve().as_uri()}{address}"

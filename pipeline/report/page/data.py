@@ -16,13 +16,13 @@ from ...results.floor import RunExcess
 from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits
 from ..alternatives import text_alternatives
-from ..camera import FRAME
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, on_page
+from ..pictures import FRAME
 from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults
-from ..terminal.floor import EXCESS_NOTE, excess_notes, excess_table, excess_title
-from ..terminal.run import preset_line
 from ..verdict import limits_in_words, verdict_of
+from ..views.floor_view import excess_view
+from ..views.run_view import preset_line
 from .pair import FACTS, FAR_M, MATCHED_COLUMNS, UNMATCHED_COLUMNS
 
 #: More rows would make the page slow; the table then says what part it shows.
@@ -94,12 +94,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
         "alternatives": text_alternatives(results),
-        "floor": excess
-        and {
-            "title": excess_title(excess),
-            "rows": excess_table(excess),
-            "notes": [EXCESS_NOTE, *excess_notes(excess)],
-        },
+        "floor": excess_view(excess) if excess else [],
         "sensors": _sensors(results),
         "settings": record.settings,
         "versions": {

@@ -19,6 +19,7 @@ from plotly.offline import get_plotlyjs
 from ...terminal import shown
 from ..charts import TEMPLATE
 from ..look import THEMES, shortened
+from ..view import sentence
 
 
 def render(template: str, report: dict[str, Any], plotly_source: str = "", **words: Any) -> str:
@@ -42,7 +43,13 @@ def _environment() -> Environment:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-    environment.filters |= {"shown": shown, "shortened": shortened, "fixed": _fixed, "plain": _in_words}
+    environment.filters |= {
+        "shown": shown,
+        "sentence": sentence,
+        "shortened": shortened,
+        "fixed": _fixed,
+        "plain": _in_words,
+    }
     environment.globals |= {"themes": THEMES, "asset": _asset, "code": _code, "plotly": lambda: Markup(get_plotlyjs())}
     return environment
 

@@ -10,7 +10,7 @@ from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, overall
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
 from ...results.sectors import N_SECTORS
-from ..view import Note, Table, View, number, percent, shortened, signed
+from ..view import Note, Part, Table, View, number, percent, signed
 from .floor_view import both_excesses_table, excess_notes
 
 _MOST_OBJECTS = 5
@@ -37,7 +37,7 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
     with_all : also every score, and the real objects by class, by range and one by one
     """
     kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
-    first: View = [
+    first: list[Part] = [
         Note(decision(comparison), f"bold {_COLOURS.get(comparison.decision, '')}"),
         Note(f"{comparison.other} against {comparison.base}: {chance(comparison)}"),
         *[family_table(comparison)] * bool(comparison.families),
@@ -192,22 +192,24 @@ def score_table(comparison: Comparison) -> Table:
     change is more than they alone make; with a floor, whether it is more than a second measurement makes.
     """
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
+    with_seeds = any(score.seed_noise is not None for score in comparison.scores)
+    with_floor = any(score.floor is not None for score in comparison.scores)
     rows = [
         (
             *(family.name, f"{score.name} {score.mark}", score.difference.n_pairs, score.difference.before),
             *(score.difference.after, _interval(score.difference), _p(score.p)),
             f"({score.verdict})" if score.why else score.verdict,
-            beyond[score.beyond_seeds].format(number(score.seed_noise)),
-            beyond[score.beyond_floor].format(number(score.floor)),
+            *[beyond[score.beyond_seeds].format(number(score.seed_noise))] * with_seeds,
+            *[beyond[score.beyond_floor].format(number(score.floor))] * with_floor,
         )
         for family in comparison.families
         for score in family.scores
     ]
     have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in comparison.scores)
     headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    beyonds = ("more than seeds make", "more than the floor")
+    beyonds = ["more than seeds make"] * with_seeds + ["more than the floor"] * with_floor
     title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
-    wide = {0, 8, 9} | {2} * have_all
+    wide = (0, 8, 9, 2) if have_all else (0, 8, 9)
     return Table(title, (*headings, *beyonds), rows, words=(0, 1, 7), wide=wide)
 
 

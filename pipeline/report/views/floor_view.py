@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ....schemas.metrics import SHIFT_COLUMNS, metric_of
 from ...results.floor import RunExcess, ScoreExcess
-from ..view import Note, Table, View, number, signed
+from ..view import Note, Table, View, signed
 
 _EXCESS_NOTE = (
     "Floor: what a perfect simulator scores, a second measurement of each real scan. Excess: score minus floor of "
@@ -45,9 +45,7 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
 
 def pair_excess_table(excess: RunExcess, pair_id: str) -> Table:
     """The headline scores of one pair over its floor."""
-    rows = [
-        (metric_of(own.column).label, own.mean, own.floor, signed(own.excess)) for own in _known(excess, HEADLINES)
-    ]
+    rows = [(metric_of(own.column).label, own.mean, own.floor, signed(own.excess)) for own in _known(excess, HEADLINES)]
     title = f"Pair {pair_id} over the floor {excess.floor} ({excess.recipe.words})"
     return Table(title, ("score", "score", "floor", "excess"), rows)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ....stages.statistics.comparison import CONFIDENCE, LEAST_PAIRS
 from ...results.families import MARKS_NOTE
 from ...results.history import FamilyHistory, History, Step
-from ..view import Note, Table, View, number, shortened
+from ..view import Note, Table, View, number
 
 _MARKS = {"better": "+", "worse": "-", "mixed": "±", "same": "=", "undecided": "."}
 _MARKS_NOTE = (
@@ -16,9 +16,8 @@ _MARKS_NOTE = (
 
 def history_view(history: History) -> View:
     """The decision, the runs, and the means of their scores, each with a mark for both verdicts below."""
-    names = shortened((str(run.folder) for run in history.runs), 40)
     runs = [
-        (str(i), run.written[:16].replace("T", " "), run.n_scored, run.n_failed, names[str(run.folder)])
+        (str(i), run.written[:16].replace("T", " "), run.n_scored, run.n_failed, str(run.folder))
         for i, run in enumerate(history.runs, start=1)
     ]
     rows: list[tuple[str, ...]] = []
@@ -60,7 +59,7 @@ def history_remarks(history: History) -> list[Note]:
     ]
     if history.n_blocks < LEAST_PAIRS:
         lines.append(
-            f"{history.n_blocks} independent pairs are too few for intervals and verdicts, {LEAST_PAIRS} are expected; "
+            f"{history.n_blocks} independent pairs are too few for intervals and verdicts, {LEAST_PAIRS} are needed; "
             "only moves to the worse far beyond the noise are named"
         )
     if history.left_out:

@@ -70,13 +70,24 @@ def _matched(facts: PairFacts) -> Table:
 def _unmatched(facts: PairFacts) -> Table:
     names = ("n_points", "cz", "covered_0p3m")
     rows = [
-        (own["label"], each.status, f"{side}:{own['community_id']}", own["range_m"], *(own[name] for name in names))
-        + (surface_state(own["covered_0p3m"]),)
+        (
+            *(own["label"], each.status, f"{side}:{own['community_id']}", own["range_m"]),
+            *(*(own[name] for name in names), surface_state(own["covered_0p3m"])),
+        )
         for each in facts.objects
         if each.scores is None
         for side, own in [_only(each)]
     ]
-    headings = ("class", "status", "object", "range\n(m)", "points", "height of\ncentroid (m)", "within\n0.3 m", "surface")
+    headings = (
+        "class",
+        "status",
+        "object",
+        "range\n(m)",
+        "points",
+        "height of\ncentroid (m)",
+        "within\n0.3 m",
+        "surface",
+    )
     return Table("Objects that only one side has", headings, rows, words=(0, 1, 7), digits={3: 1, 5: 1})
 
 

@@ -132,12 +132,9 @@ def _frames_parts(rows: Sequence[Row], record: RunRecord) -> View:
 def claims_view(findings: Findings | None) -> View:
     """The paper's claims, one per line with the 95 % interval, then the rule by which each is judged."""
     claims = findings.claims if findings else ()
-    rows = [
-        (i, one.claim, one.paper, one.here, *_interval_cells(one), one.verdict)
-        for i, one in enumerate(claims, 1)
-    ]
-    headings = ("", "claim", "paper", "here", "estimate", "95 % interval", "pairs", "verdict")
-    table = Table("The paper's claims", headings, rows, words=(0, 1, 2, 3, 7))
+    rows = [(i, one.claim, one.paper, one.here, *_interval_cells(one), one.verdict) for i, one in enumerate(claims, 1)]
+    headings = ("", "claim", "paper", "here", "estimate and\n95 % interval", "pairs", "verdict")
+    table = Table("The paper's claims", headings, rows, words=range(7), fixed=(4,))
     undecided: dict[str, list[str]] = {}
     for i, one in enumerate(claims, 1):
         if one.why:
@@ -152,12 +149,12 @@ def claims_view(findings: Findings | None) -> View:
     return [table, *map(Note, (*lines, "By which rule:", *rules))]
 
 
-def _interval_cells(claim: Claim) -> tuple[str, str, int]:
+def _interval_cells(claim: Claim) -> tuple[str, int]:
     if claim.low is None or claim.high is None:
-        return "-", "-", claim.n_pairs
+        return "-", claim.n_pairs
     digits = 3 if max(abs(claim.low), abs(claim.high)) < 10 else 1
     estimate, low, high = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
-    return estimate, f"{low} to {high}", claim.n_pairs
+    return f"{estimate}\n{low} to {high}", claim.n_pairs
 
 
 def baselines_view(rows: Sequence[BaselineSummary]) -> View:
