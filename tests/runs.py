@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import hashlib
 import io
-import shutil
 import signal
 import subprocess
 import sys
@@ -156,14 +155,6 @@ def rewrite(folder, name, change):
         digest = hashlib.sha256(content.getvalue()).hexdigest()
         record.files[name] = StoredFile(status.st_size, digest, status.st_mtime_ns, status.st_ctime_ns)
         store.ledger.put_job(record)
-
-
-def run_twice(dataset, tmp_path_factory, settings):
-    """A plain run, and a copy of it to which something was added later; the outcome of that."""
-    runs = tmp_path_factory.mktemp("runs")
-    run(dataset, runs / "plain")
-    later = shutil.copytree(runs / "plain", runs / "later")
-    return runs / "plain", later, run(dataset, later, settings)
 
 
 def read_only(folder):

@@ -1,0 +1,229 @@
+"""Baselines and further seeds, which a run computes on demand: their tables, their record, and how long they stay."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+import fidpipe
+from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.jobs.baselines import summarise_baselines
+from fidpipe.pipeline.results.status import run_status
+from fidpipe.pipeline.storage.tables import JobRecord
+from fidpipe.schemas.errors import SettingsError
+from fidpipe.schemas.metrics import SEEDED_SCORES
+from fidpipe.schemas.settings import load
+from fidpipe.schemas.tables import BASELINES, SEEDS
+from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, command, marks, run
+
+BASELINE_WORD, SEED_WORD = "metrics.baselines=all", "stability.seeds=2"
+BOTH = load(None, [BASELINE_WORD, SEED_WORD])
+EXTRAS = ("baselines", "seeds")
+
+
+@pytest.fixture(scope="module")
+def folder(scenario):
+    return scenario("extras")
+
+
+@pytest.fixture(scope="module")
+def dataset(folder):
+    return folder / "streets"
+
+
+@pytest.fixture(scope="module")
+def finished(folder):
+    """The run of two pairs with both extras; not to be written to."""
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def record(finished):
+    return json.loads((finished / "run.json").read_text())
+
+
+def extras(out):
+    """The tables of both extras by stage and pair."""
+    return {(stage, path.stem): pq.read_table(path) for stage in EXTRAS for path in (out / stage).glob("*.parquet")}
+
+
+def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, finished, tmp_path):
+    out = tmp_path / "run"
+    run(dataset, out)
+    assert not {"baselines", "seeds"} & (json.loads((out / "run.json").read_text()).keys() | set(out.iterdir()))
+    before = marks(out)
+    outcome = run(dataset, out, BOTH)
+    assert (outcome.n_made, outcome.n_reused) == (2 * 2, 2 * JOBS_PER_PAIR)
+    assert not changed_files(out, before)
+    assert_same_tables(out, finished)
+    assert extras(out) == extras(finished)
+    assert run(dataset, out, BOTH).n_made == 0
+    assert [run_status(out).stages[stage] for stage in EXTRAS] == [{"done": 2}] * 2
+
+
+@pytest.mark.exhaustive
+def test_two_workers_give_the_same_tables(dataset, finished, tmp_path):
+    run(dataset, tmp_path / "run", BOTH, workers=2, policy=Policy(worth_splitting_s=0.0))
+    assert_same_tables(tmp_path / "run", finished)
+    assert extras(tmp_path / "run") == extras(finished)
+
+
+def test_there_is_a_baseline_for_each_object_and_each_pair_of_scans(finished):
+    metrics = pd.read_parquet(finished / "metrics")
+    for pair_id in ("000", "001"):
+        table = extras(finished)["baselines", pair_id]
+        BASELINES.check(table)
+        frame = table.to_pandas()
+        n_matched = int((metrics.pair_id == pair_id).sum())
+        assert (frame.real_id.notna().sum(), frame.real_id.isna().sum()) == (15 * n_matched, 10)
+        assert frame.real_id.isna().to_numpy()[-10:].all()
+        assert not frame.duplicated(["real_id", "sim_id", "baseline"]).any()
+        assert frame[frame.value.isna()].reason.notna().all()
+
+
+def test_centred_earth_movers_are_the_mean_distance_of_the_nodes_in_the_selection(finished):
+    points = pd.read_parquet(finished / "ground").set_index(["pair_id", "side", "point_id"])[["x", "y", "z"]]
+    frame = pd.read_parquet(finished / "baselines").query("baseline == 'emd_centred_mean_m'")
+    found = frame.set_index(["pair_id", "real_id"]).value
+    for (pair_id, real_id), own in pd.read_parquet(finished / "selection").groupby(["pair_id", "real_id"]):
+        real, sim = (points.loc[pair_id, side].loc[own[f"{side}_point_id"]].to_numpy() for side in ("real", "sim"))
+        apart = (real - real.mean(axis=0)) - (sim - sim.mean(axis=0))
+        assert found[pair_id, real_id] == pytest.approx(np.linalg.norm(apart, axis=1).mean())
+
+
+def test_the_seeds_of_a_pair_are_what_runs_under_them_give(dataset, finished, tmp_path):
+    for seed in range(2):
+        for row in run(dataset, tmp_path / str(seed), load(None, [f"communities.seed={seed}"])).rows:
+            found = extras(finished)["seeds", row["pair_id"]].to_pandas().set_index("seed").loc[seed]
+            assert {name: found[name] for name in SEEDED_SCORES} == {name: row[name] for name in SEEDED_SCORES}
+    run(dataset, tmp_path / "run", load(None, [SEED_WORD, "communities.seed=7"]), pattern="000")
+    (table,) = extras(tmp_path / "run").values()
+    assert SEEDS.check(table.cast(SEEDS.schema))["seed"].to_pylist() == [7, 8]
+    with pytest.raises(SettingsError, match="the last of stability.seeds is 2147483648"):
+        load(None, [f"communities.seed={2**31 - 2}", "stability.seeds=3"])
+
+
+def test_the_record_holds_means_over_pairs_of_means_over_objects(finished, record):
+    frame = pd.read_parquet(finished / "baselines")
+    summary = {(row["baseline"], row["level"]): row for row in record["baselines"]}
+    for name in ("chamfer_mean_m", "dcd", "icp_rmse_m"):
+        of_objects = frame[(frame.baseline == name) & frame.real_id.notna()]
+        means = of_objects.groupby("pair_id").value.mean()
+        row = summary[name, "objects"]
+        assert (row["mean"], row["std"]) == (pytest.approx(means.mean()), pytest.approx(means.std()))
+        assert (row["n"], row["n_null"]) == (of_objects.value.notna().sum(), of_objects.value.isna().sum())
+        of_scans = frame[(frame.baseline == name) & frame.real_id.isna()].value
+        assert summary[name, "scans"]["mean"] == pytest.approx(of_scans.mean())
+
+
+def test_the_record_holds_the_spread_over_seeds_and_pairs(finished, record):
+    by_pair = pd.read_parquet(finished / "seeds").groupby("pair_id")
+    assert (record["seeds"]["n_seeds"], record["seeds"]["n_pairs"]) == (2, 2)
+    for name in SEEDED_SCORES:
+        of, mean, std = record["seeds"]["dataset"][name], by_pair[name].mean(), by_pair[name].std()
+        assert (of["mean"], of["std_pairs"]) == (pytest.approx(mean.mean()), pytest.approx(mean.std()))
+        assert of["std_seeds"] == pytest.approx(np.sqrt((std**2).mean()))
+        pair = record["seeds"]["pairs"]["000"][name]
+        assert pair == {"mean": pytest.approx(mean["000"]), "std": pytest.approx(std["000"])}
+
+
+def test_seconds_are_in_the_timings_one_step_a_baseline(finished):
+    timings = pd.read_parquet(finished / "timings.parquet").query("stage == 'baselines'")
+    steps = set(timings.step)
+    assert set(BOTH.metrics.baselines) <= steps
+    assert {f"{name}, whole scan" for name in ("chamfer", "dcd", "icp", "sliced_wasserstein")} <= steps
+    assert not {"emd, whole scan", "r_h, whole scan"} & steps
+
+
+def test_what_a_run_made_is_new_in_its_timings_and_all_else_reused(again, dataset):
+    def reused():
+        timings = pd.read_parquet(again / "timings.parquet")
+        return {stage: set(own) for stage, own in timings.groupby("stage").reused}
+
+    assert run(dataset, again, BOTH, from_stage="baselines").n_made == 4
+    first = reused()
+    assert [first.pop(stage) for stage in EXTRAS] == [{False}] * 2
+    assert set().union(*first.values()) == {True}
+    run(dataset, again, BOTH)
+    assert set().union(*reused().values()) == {True}
+    run(dataset, again)
+    assert "baselines" not in reused()
+    run(dataset, again, BOTH)
+    assert reused()["baselines"] == {True}
+
+
+def test_other_baselines_or_seeds_make_only_their_table_again(again, dataset):
+    before, main = extras(again), marks(again)
+    assert run(dataset, again, load(None, [BASELINE_WORD, "stability.seeds=3"])).n_made == 2
+    for name, table in extras(again).items():
+        assert table.slice(0, before[name].num_rows).equals(before[name])
+    assert run(dataset, again, load(None, ["metrics.baselines=chamfer,emd", "stability.seeds=3"])).n_made == 2
+    names = {name for pair_id in ("000", "001") for name in extras(again)["baselines", pair_id]["baseline"].to_pylist()}
+    chamfer = {"chamfer_mean_m", "chamfer_squared_m2", "chamfer_one_way_sum_m"}
+    assert names == chamfer | {"emd_mean_m", "emd_kept_mean_m", "emd_centred_mean_m"}
+    assert run(dataset, again, load(None, ["metrics.baselines=emd,chamfer,emd", "stability.seeds=3"])).n_made == 0
+    assert not changed_files(again, main)
+
+
+def test_they_stay_while_they_are_true_and_go_when_the_results_change(again, dataset):
+    before = extras(again)
+    assert run(dataset, again).n_made == 0
+    assert extras(again) == before
+    run(dataset, again, load(None, ["selection.t=2"]))
+    assert not extras(again)
+
+
+@pytest.mark.parametrize("stage", EXTRAS)
+def test_a_damaged_table_is_made_again(again, dataset, finished, stage):
+    path = again / stage / "001.parquet"
+    path.write_bytes(path.read_bytes()[:-9])
+    assert run(dataset, again, BOTH).n_made == 1
+    assert extras(again) == extras(finished)
+
+
+def test_asking_for_one_pair_keeps_the_scores_of_all(finished, dataset, tmp_path):
+    out = shutil.copytree(finished, tmp_path / "run")
+    shutil.rmtree(out / "baselines")
+    outcome = run(dataset, out, load(None, ["metrics.baselines=chamfer"]), pattern="001")
+    assert [path.stem for path in (out / "baselines").iterdir()] == ["001"]
+    assert [row["status"] for row in outcome.rows] == ["scored"] * 2
+
+
+def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
+    scans = [
+        np.fromfile(dataset / side / "001.bin", dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
+        for side in ("real", "sim")
+    ]
+    result = fidpipe.evaluate_pair(*scans, settings=BOTH)
+    assert result.summary["status"] == "scored"
+    for stage, found in (("baselines", result.baselines), ("seeds", result.seeds)):
+        written = extras(finished)[stage, "001"].to_pandas()
+        pd.testing.assert_frame_equal(found.drop(columns="pair_id"), written.drop(columns="pair_id"), check_exact=True)
+    assert fidpipe.evaluate_pair(*scans).baselines is None
+
+
+def test_no_stage_of_the_scores_depends_on_their_settings():
+    assert not any("metrics" in stage.settings for stage in STAGES)
+
+
+def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset):
+    words = ("--workers", 1, "--seeds", 2, "--set", BASELINE_WORD)
+    done = command("run", dataset, "--out", again, *words)
+    assert done.returncode == 0, done.stderr
+    assert f"0 jobs done, {2 * (JOBS_PER_PAIR + 2)} reused" in done.stdout
+    assert "How stable the scores are (2 seeds, 2 pairs)" in done.stdout
+    for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h", "whole scans", "m²"):
+        assert name in done.stdout
+    for word in ("match rate", "r_lambda", "repeatability limit", "000", "001"):
+        assert word in done.stdout
+
+
+def test_a_baseline_that_is_null_in_every_object_has_no_mean():
+    means = [{"level": "objects", "baseline": "netlsd", "unit": None, "mean": None, "n": 0, "n_null": 4}]
+    job = JobRecord("baselines", "a", "", "key", {}, facts={"means": means}, steps=(("netlsd", 0.5),))
+    (row,) = summarise_baselines([job], load(None, ["metrics.baselines=netlsd"]))
+    assert (row["mean"], row["std"], row["n"], row["n_null"], row["seconds"]) == (None, None, 0, 4, 0.5)
