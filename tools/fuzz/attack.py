@@ -22,7 +22,7 @@ from pathlib import Path
 from time import process_time
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests" / "hostile"), str(ROOT / "tests")]
+sys.path[:0] = [str(Path(__file__).parent), str(ROOT / "tests")]
 
 from mutation import mutated
 from targets import TARGETS

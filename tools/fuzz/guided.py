@@ -23,7 +23,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-sys.path[:0] = [str(HERE), str(ROOT / "tests" / "hostile"), str(ROOT / "tests")]
+sys.path[:0] = [str(HERE), str(ROOT / "tests")]
 
 _MOST_INPUT_BYTES = 8192
 #: Packages whose lines are followed, all of each: atheris knows no parts of them.
