@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import BeforeValidator, ConfigDict, PlainSerializer
 
-from .results import Claim, Findings, JsonObject, Overview, PreviousRun, Result, ScoreSummary
+from .results import Findings, JsonObject, Overview, PreviousRun, Result, ScoreSummary
 
 
 class BaselineSummary(Result):
@@ -187,8 +186,3 @@ class RunRecord(RunHeader):
     metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
-
-    @property
-    def claims(self) -> Sequence[Claim]:
-        """The paper's claims; none where no pair is scored."""
-        return self.findings.claims if self.findings else ()

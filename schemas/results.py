@@ -225,27 +225,6 @@ class ObjectFindings(Result):
     scans: Scans
 
 
-class Claim(Result):
-    """One claim: what the paper says, what the value is here, by which rule, and whether it holds.
-
-    estimate, low, high : what the rule looks at, such as a difference, with its 95 % interval; null where there is none
-    n_pairs : independent pairs that it comes from
-    verdict : holds, does not hold, or not decided
-    why : why there is no interval or no verdict; "" where nothing is to be said
-    """
-
-    claim: str
-    paper: str
-    here: str
-    estimate: float | None
-    low: float | None
-    high: float | None
-    n_pairs: int
-    rule: str
-    verdict: str
-    why: str
-
-
 class _Key(Result):
     key: str
 
@@ -254,10 +233,10 @@ class Findings(ObjectFindings, _Key):  # in this order the key comes first in JS
     """The findings as they are recorded.
 
     key : hash of all that they were made from; another key asks for new ones
-    claims : the paper's, each with its verdict
+    n_independent : pairs that count as independent: copies, and scans within 10 s, count once
     """
 
-    claims: tuple[Claim, ...]
+    n_independent: int
 
     @classmethod
     def recorded(cls, values: object) -> Findings | None:

@@ -31,7 +31,7 @@ def show(
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
 ) -> None:
-    """Show a finished run, one of its pairs, or one object; computes nothing.
+    """Show a finished run, one of its pairs, or one object; computes nothing but the verdicts of --paper.
 
     Examples
     --------
@@ -69,13 +69,19 @@ def show(
     from ..results.floor import excess_over
 
     finished = FinishedRun(run)
+    if paper:
+        from ..paper.claims import claims_of, claims_view
+
+        claims = claims_of(finished)
+        print_json([dict(vars(claim)) for claim in claims]) if as_json else print_view(claims_view(finished, claims))
+        return
     excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
     if as_csv:
         print_text(csv_table(show_records(finished, pair, object_)))
     elif as_json:
-        print_json(show_json(finished, pair, object_, excess, paper=paper))
+        print_json(show_json(finished, pair, object_, excess))
     else:
-        view = show_view(finished, pair, object_, excess, paper=paper, with_all=all_)
+        view = show_view(finished, pair, object_, excess, with_all=all_)
         print_text(markdown(view)) if as_markdown else print_view(view)
 
 

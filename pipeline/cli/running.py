@@ -285,4 +285,9 @@ def status(
     from ..report.views.status_view import status_view
     from ..results.status import run_status
 
-    print_view(status_view(run_status(run), with_timings=timings))
+    found, tables = run_status(run), ()
+    if timings and found.mean_seconds:
+        from ..paper.timings import timings_view
+
+        tables = timings_view(found.mean_seconds)
+    print_view(status_view(found, tables))

@@ -8,9 +8,9 @@ from dataclasses import replace
 import pandas as pd
 
 from ...schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_labels
-from ...schemas.paper import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ...stages.generate.perturbations import Perturbation
 from ...stages.paper.parameter_choice import RULE
+from ...stages.paper.reported import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ...stages.paper.sweep_claims import judge_claims
 from ...stages.paper.sweeps import OWN_METRICS, Mean, Means, react, strongest_levels
 from ..report.view import Note, Part, Table, View, mean_and_spread, number
@@ -34,7 +34,6 @@ _NARROW_LEVELS = {
     "hallucination": "added\n{:.0%}",
     "density": "dens.\nx {:g}",
 }
-_VERDICTS = {True: "yes", False: "NO", None: "not decided"}
 _ROUNDING = 1e-12
 #: What r_lambda is made of, and what else moves.
 _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
@@ -62,11 +61,9 @@ def perturb_view(outcome: PerturbOutcome) -> View:
         parts.append(_detail_table(outcome, means))
         if len(react(means, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
-        claims = [
-            (claim.claim, claim.paper, claim.here, _VERDICTS[claim.holds]) for claim in judge_claims(means, levels)
-        ]
+        claims = [(claim.claim, claim.paper, claim.here, claim.verdict) for claim in judge_claims(means, levels)]
         if claims:
-            headings = ("claim", "paper", "here", "holds")
+            headings = ("claim", "paper", "here", "verdict")
             parts.append(Table("What the paper says of them", headings, claims, words=range(4)))
     results = "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (one row per repeat), perturb.png"
     return [*parts, *_last_lines(outcome, results)]

@@ -158,9 +158,9 @@ def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
 
 def independence(findings: Findings | None) -> list[str]:
     """Which pairs count as one, or that this is not known."""
-    if findings is None or not findings.claims:
+    if findings is None:
         return []
-    n_pairs, n_independent = findings.n_pairs, max(claim.n_pairs for claim in findings.claims)
+    n_pairs, n_independent = findings.n_pairs, findings.n_independent
     if n_independent < n_pairs:
         return [f"{n_pairs} pairs count as {n_independent}: copies, and scans within {BLOCK_S:g} s, count once"]
     if n_pairs > 1 and all(scan.timestamp_s is None for scan in findings.scans.scans):
@@ -228,7 +228,7 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         pair_id, (note, *_) = next(iter(record.notes.items()))
         words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
         yield Caution(kind="ground", words=words)
-    n_independent = max((claim.n_pairs for claim in record.claims), default=pairs.scored)
+    n_independent = record.findings.n_independent if record.findings else pairs.scored
     if n_independent < LEAST_PAIRS:
         few = f"{n_independent} independent pair{'s' * (n_independent != 1)}: too few for a verdict ({LEAST_PAIRS})"
         yield Caution(kind="pairs", words=few)

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest, rankdata
 from scipy.stats import t as student_t
 
-from ...schemas.results import Claim
 from ..arrays import FloatArray, IntArray
 from ..statistics.comparison import ALIKE, CONFIDENCE, LEAST_PAIRS, WORTH, holm, mean_test
 
@@ -45,6 +44,28 @@ SOME_PAIRS = 0.1
 WEAK_CORRELATION = 0.4
 
 Statistic = Callable[..., Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """One claim: the paper's value, the value here, and whether it holds.
+
+    estimate, low, high : what the rule looks at, such as a difference, with its 95 % interval; None if there is none
+    n_pairs : independent pairs that it comes from
+    verdict : `HOLDS`, `FAILS` or `UNDECIDED`
+    why : why there is no interval or no verdict; "" if there is nothing to add
+    """
+
+    claim: str
+    paper: str
+    here: str
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
+    n_pairs: int = 0
+    rule: str = ""
+    verdict: str
+    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,7 +124,7 @@ def over_pairs(statistic: Statistic, *samples: Sample) -> Interval:
         return Interval(n_pairs=n_pairs, why="too few values")
     found = Interval(value, None, None, n_pairs)
     if n_pairs < LEAST_PAIRS:
-        return replace(found, why=f"{n_pairs} of {LEAST_PAIRS} pairs that are wanted")
+        return replace(found, why=f"{n_pairs} of {LEAST_PAIRS} pairs that are needed")
     shares = value_by_pair(statistic, inside)
     if not np.isfinite(shares).all():
         return replace(found, why="too few values")
@@ -126,6 +147,18 @@ def value_by_pair(statistic: Statistic, samples: list[Sample]) -> FloatArray:
     whole = np.asarray(statistic(*(sample.values for sample in samples)), dtype=np.float64)
     shares: FloatArray = whole[..., None] + (n_groups - 1) * (left.mean(axis=-1, keepdims=True) - left)
     return shares
+
+
+def decided(holds: bool, fails: bool | None = None) -> str:
+    """The verdict where two findings exclude each other; by default it fails if it does not hold."""
+    return HOLDS if holds else FAILS if fails is None or fails else UNDECIDED
+
+
+def within(interval: Interval, least: float, most: float) -> str:
+    """The verdict on a value within bounds: the whole interval lies inside, or all of it beyond, or neither."""
+    if interval.low is None or interval.high is None:
+        return UNDECIDED
+    return decided(least < interval.low and interval.high < most, interval.high < least or interval.low > most)
 
 
 def order(
@@ -163,23 +196,16 @@ def share_order(claim: str, paper: str, rule: str, larger: Sample, smaller: Samp
 
 
 def above_zero(claim: str, paper: str, rule: str, here: str, interval: Interval) -> Claim:
-    """That a number is above 0: it holds where the whole interval is, and does not where it is wholly below."""
-    verdict = UNDECIDED
-    if interval.low is not None and interval.high is not None:
-        verdict = HOLDS if interval.low > 0 else FAILS if interval.high < 0 else UNDECIDED
-    return _claim(claim, paper, rule, here, interval, verdict)
+    """That a number is above 0: it holds if the whole interval is, and fails if it is wholly below."""
+    return _claim(claim, paper, rule, here, interval, within(interval, 0.0, math.inf))
 
 
 def near(
     claim: str, paper: str, rule: str, bounds: tuple[float, float], interval: Interval, pattern: str = "{:.3f}"
 ) -> Claim:
-    """That a number lies within bounds: it holds where the whole interval does, and does not where none of it does."""
-    verdict, (low, high) = UNDECIDED, bounds
-    if interval.low is not None and interval.high is not None:
-        inside, outside = low <= interval.low and interval.high <= high, interval.high < low or interval.low > high
-        verdict = HOLDS if inside else FAILS if outside else UNDECIDED
+    """That a number lies within bounds: it holds if the whole interval does, and fails if none of it does."""
     here = "-" if interval.value is None else pattern.format(interval.value)
-    return _claim(claim, paper, rule, here, interval, verdict)
+    return _claim(claim, paper, rule, here, interval, within(interval, *bounds))
 
 
 def in_most_pairs(claim: str, paper: str, rule: str, pairs: Sample, least_share: float) -> Claim:
@@ -196,7 +222,7 @@ def in_most_pairs(claim: str, paper: str, rule: str, pairs: Sample, least_share:
     verdict = UNDECIDED
     if interval.value is not None and interval.low is not None and interval.high is not None:
         often = interval.value >= least_share and interval.low > 0.5
-        verdict = HOLDS if often else FAILS if interval.high < least_share else UNDECIDED
+        verdict = decided(often, interval.high < least_share)
     return _claim(claim, paper, rule, _count(pairs), interval, verdict)
 
 
@@ -212,12 +238,8 @@ def in_some_pairs(claim: str, paper: str, rule: str, pairs: Sample, is_wanted: b
     extreme : the most extreme value of an object, in words
     """
     interval = share_of_pairs(pairs)
-    verdict = UNDECIDED
-    if interval.low is not None and interval.high is not None:
-        if interval.low > SOME_PAIRS:
-            verdict = HOLDS if is_wanted else FAILS
-        elif interval.high < SOME_PAIRS:
-            verdict = FAILS if is_wanted else HOLDS
+    least, most = (SOME_PAIRS, math.inf) if is_wanted else (-math.inf, SOME_PAIRS)
+    verdict = within(interval, least, most)
     return _claim(claim, paper, rule, f"{extreme}; in {_count(pairs)}", interval, verdict)
 
 

@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.metrics import metric_of
-from ...schemas.paper import MEDIAN_UNMATCHED_RANGE_M, N_MATCHED, N_PAIRS
-from ...schemas.results import Claim
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..statistics.comparison import blocks_of
 from ..statistics.findings import (
@@ -32,6 +30,7 @@ from ..statistics.findings import (
 from .claim_rules import (
     SOME_PAIRS,
     WEAK_CORRELATION,
+    Claim,
     Interval,
     Sample,
     above_zero,
@@ -43,6 +42,7 @@ from .claim_rules import (
     over_pairs,
     share_order,
 )
+from .reported import MEDIAN_UNMATCHED_RANGE_M, N_MATCHED, N_PAIRS
 
 #: "Consistently" across scans: in at least this share of them.
 CONSISTENT_SHARE = 0.9

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise, product
 
 from scipy.stats import t as student_t
@@ -17,6 +16,7 @@ from scipy.stats import ttest_ind_from_stats
 
 from ..generate.perturbations import Perturbation
 from ..statistics.comparison import CONFIDENCE
+from .claim_rules import UNDECIDED, Claim, Interval, decided, within
 from .sweeps import SPECTRA, Mean, Means
 
 RIGID_D_LAMBDA = 1e-5
@@ -33,24 +33,14 @@ _IN_WORDS = "(in words)"
 
 #: Values of a metric at some levels, by object; None stands for the whole scan.
 _Curves = dict[str | None, list[float]]
-#: What the values say in words, and whether the claim holds; None: they do not decide.
-_Verdict = tuple[str, bool | None]
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One claim: what the paper says, what the data here say, and whether it holds; None where that cannot be told."""
-
-    claim: str
-    paper: str
-    here: str
-    holds: bool | None
+#: The values in words, and the verdict.
+_Verdict = tuple[str, str]
 
 
 def judge_claims(means: Means, levels: Sequence[Perturbation]) -> list[Claim]:
-    """The claims that these levels are about, in the paper's order; none where there is no value at all.
+    """The claims that these levels are about, in the paper's order; none if there is no value at all.
 
-    A claim is not judged (`holds` is None) where one of its levels has no value, which might tell another tale.
+    A claim is not decided if one of its levels has no value.
 
     Parameters
     ----------
@@ -76,22 +66,22 @@ def _rigid_claims(means: Means, rigid: list[Perturbation]) -> list[Claim]:
             "match rate 1",
             means,
             ("match_rate", rigid),
-            lambda curves: (f"{_least(curves):.4f}", _least(curves) == 1),
+            lambda curves: (f"{_least(curves):.4f}", decided(_least(curves) == 1)),
         ),
         *_judge(
             "rigid motion keeps the spectra",
             "d_lambda below 1e-5",
             means,
             (SPECTRA, rigid),
-            lambda curves: (f"{_most(curves):.1e}", _most(curves) < RIGID_D_LAMBDA),
+            lambda curves: (f"{_most(curves):.1e}", decided(_most(curves) < RIGID_D_LAMBDA)),
         ),
     ]
     turns = [level for level in rigid if level.shift_m == 0 and level.amount]
 
-    def linear(curves: _Curves) -> tuple[str, bool]:
+    def linear(curves: _Curves) -> _Verdict:
         slopes = [value / abs(level.amount) for level, value in zip(turns, curves[None], strict=True)]
         off = max(slopes) / min(slopes) - 1 if min(slopes) > 0 else float("inf")
-        return f"{slopes[0]:.4f} m per degree, the same within {off:.0e}", off < LINEAR_TOLERANCE
+        return f"{slopes[0]:.4f} m per degree, the same within {off:.0e}", decided(off < LINEAR_TOLERANCE)
 
     if len(turns) > 1:
         scores = ("centroid_distance_m_mean", turns)
@@ -99,8 +89,8 @@ def _rigid_claims(means: Means, rigid: list[Perturbation]) -> list[Claim]:
 
     for metric, bound in (("r_lambda", RIGID_R_LAMBDA), ("r_gap", RIGID_R_GAP)):
 
-        def below(curves: _Curves, bound: float = bound) -> tuple[str, bool]:
-            return f"{_most(curves):.1e}", _most(curves) < bound
+        def below(curves: _Curves, bound: float = bound) -> _Verdict:
+            return f"{_most(curves):.1e}", decided(_most(curves) < bound)
 
         claim, paper = f"rigid motion leaves {metric} of objects at 0", f"below {bound:g}"
         claims += _judge(claim, paper, means, (metric, rigid), below, means.objects)
@@ -125,14 +115,14 @@ def _dropout_claims(means: Means, dropout: list[Perturbation]) -> list[Claim]:
         "0.915, 0.884, 0.854",
         means,
         ("match_rate", dropout),
-        lambda curves: (_listed(curves[None]), _is_rising([-rate for rate in curves[None]])),
+        lambda curves: (_listed(curves[None]), decided(_is_rising([-rate for rate in curves[None]]))),
     )
     claims += _judge(
         "d_lambda rises with dropout",
         "0.100, 0.300, 0.786",
         means,
         (SPECTRA, dropout),
-        lambda curves: (_listed(curves[None]), _is_rising(curves[None])),
+        lambda curves: (_listed(curves[None]), decided(_is_rising(curves[None]))),
     )
     return claims
 
@@ -157,8 +147,9 @@ def _class_claims(means: Means, dropout: list[Perturbation]) -> list[Claim]:
 
     def is_small(curves: _Curves) -> _Verdict:
         ends = [_ends(means.get("wall", level, "r_gap")) for level in dropout]
-        highest, least = max(high for _, high in ends), max(low for low, _ in ends)
-        return f"up to {_most(curves):.4f}, 95 % below {highest:.4f}", _tell(highest < _WALL_R_GAP, least > _WALL_R_GAP)
+        interval = Interval(low=max(low for low, _ in ends), high=max(high for _, high in ends))
+        verdict = within(interval, -math.inf, _WALL_R_GAP)
+        return f"up to {_most(curves):.4f}, 95 % below {interval.high:.4f}", verdict
 
     paper = f"below {_WALL_R_GAP:g}"
     claims += _judge("dropout: r_gap of the wall stays small", paper, means, ("r_gap", dropout), is_small, ["wall"])
@@ -166,10 +157,8 @@ def _class_claims(means: Means, dropout: list[Perturbation]) -> list[Claim]:
         for name, value in _R_LAMBDA_AT_SHARE.items():
 
             def is_near(_: _Curves, name: str = name, value: float = value) -> _Verdict:
-                (low, high), (least, largest) = _ends(means.get(name, most, "r_lambda")), (0.9 * value, 1.1 * value)
-                return f"{low:.3f} to {high:.3f}", _tell(
-                    least <= low and high <= largest, high < least or low > largest
-                )
+                low, high = _ends(means.get(name, most, "r_lambda"))
+                return f"{low:.3f} to {high:.3f}", within(Interval(low=low, high=high), 0.9 * value, 1.1 * value)
 
             claim = f"r_lambda of the {name} at {_DROPOUT_SHARE:.0%} dropout, within a tenth"
             claims += _judge(claim, f"{value:.2f}", means, ("r_lambda", [most]), is_near, [name])
@@ -199,7 +188,7 @@ def _order(values: dict[str, Mean], upper: Iterable[str], lower: Iterable[str]) 
     both = list(product(upper, lower))
     differences = [_sign(values[a], values[b], (1 - CONFIDENCE) / len(both)) for a, b in both]
     words = ", ".join(f"{name} {values[name].mean or 0.0:.3g}" for name in ranked)
-    return words, _tell(all(sign > 0 for sign in differences), any(sign < 0 for sign in differences))
+    return words, decided(all(sign > 0 for sign in differences), any(sign < 0 for sign in differences))
 
 
 def _sign(a: Mean, b: Mean, chance: float) -> int:
@@ -231,10 +220,6 @@ def _ends(value: Mean) -> tuple[float, float]:
     return value.mean - reach, value.mean + reach
 
 
-def _tell(holds: bool, fails: bool) -> bool | None:
-    return True if holds else False if fails else None
-
-
 def _noise_claims(
     means: Means, noise: list[Perturbation], dropout: list[Perturbation], rigid: list[Perturbation]
 ) -> list[Claim]:
@@ -243,7 +228,7 @@ def _noise_claims(
         "above 0.95",
         means,
         ("match_rate", noise),
-        lambda curves: (f"{_least(curves):.3f}", _least(curves) > 0.95),
+        lambda curves: (f"{_least(curves):.3f}", decided(_least(curves) > 0.95)),
     )
     n = len(noise)
     if any(all(means.series(name, own, "r_lambda") for own in (noise, dropout)) for name in means.objects):
@@ -268,7 +253,7 @@ def _noise_claims(
             "d_lambda 0.044, 0.79, 7e-06",
             means,
             (SPECTRA, [*noise, *dropout, *rigid]),
-            lambda _: (here, max(most, key=lambda kind: most[kind]) == "dropout"),
+            lambda _: (here, decided(max(most, key=lambda kind: most[kind]) == "dropout")),
         )
     return claims
 
@@ -298,8 +283,8 @@ def _judge(
     ]
     if not curves:
         return []
-    here, holds = (f"no value for {', '.join(gaps)}", None) if gaps else verdict(curves)
-    return [Claim(claim, paper, here, holds)]
+    here, judged = (f"no value for {', '.join(gaps)}", UNDECIDED) if gaps else verdict(curves)
+    return [Claim(claim=claim, paper=paper, here=here, verdict=judged)]
 
 
 def _least(curves: _Curves) -> float:
@@ -318,9 +303,9 @@ def _is_rising(values: Sequence[float]) -> bool:
     return all(b > a + _TIE for a, b in pairwise(values))
 
 
-def _share(curves: _Curves, holds: Callable[[str | None], bool]) -> tuple[str, bool]:
-    """Of how many objects something holds, in words, and whether it does of all."""
+def _share(curves: _Curves, holds: Callable[[str | None], bool]) -> _Verdict:
+    """The number of objects of which something holds, in words, and the verdict on all of them."""
     others = [str(name) for name in curves if not holds(name)]
     if not others:
-        return f"all {len(curves)}", True
-    return f"{len(curves) - len(others)} of {len(curves)}, not {', '.join(others)}", False
+        return f"all {len(curves)}", decided(True)
+    return f"{len(curves) - len(others)} of {len(curves)}, not {', '.join(others)}", decided(False)

@@ -130,7 +130,8 @@ def test_the_whole_run_as_json_is_its_record_and_its_pairs(finished):
     assert {row["pair_id"] for row in found["pairs"]} == {*HOSTILE, "failed"}
     assert found["record"] == read_run(finished)
     claims = json.loads(shown(finished, "--paper", "--json"))
-    assert claims == found["record"]["findings"]["claims"]
+    words = "claim paper here estimate low high n_pairs rule verdict why"
+    assert list(claims[0]) == words.split()
 
 
 def test_a_name_that_is_nearly_right_is_suggested(finished):

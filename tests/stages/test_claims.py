@@ -123,7 +123,7 @@ def test_fewer_than_six_pairs_decide_no_order(n_pairs):
     for claim in check_claims(*false_alarms.as_the_paper(np.random.default_rng(0), n_pairs)):
         if "above 0" in claim.rule:
             assert claim.verdict == UNDECIDED
-            assert claim.why in ("too few values", *(f"{n} of 6 pairs that are wanted" for n in range(n_pairs + 1)))
+            assert claim.why in ("too few values", *(f"{n} of 6 pairs that are needed" for n in range(n_pairs + 1)))
 
 
 def test_without_labels_and_timestamps_those_claims_are_not_decided(as_the_paper):

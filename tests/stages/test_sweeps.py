@@ -3,6 +3,7 @@
 import pytest
 
 from fidpipe.stages.generate.perturbations import Perturbation
+from fidpipe.stages.paper.claim_rules import FAILS, HOLDS, UNDECIDED
 from fidpipe.stages.paper.sweep_claims import judge_claims
 from fidpipe.stages.paper.sweeps import Means, react
 
@@ -36,23 +37,23 @@ def test_claims_are_judged_by_the_numbers():
         return levels, Means(rows)
 
     levels, good = summary((0.9, 0.8), (0.1, 0.2))
-    assert [claim.holds for claim in judge_claims(good, levels)] == [True, True]
+    assert [claim.verdict for claim in judge_claims(good, levels)] == [HOLDS, HOLDS]
     levels, bad = summary((0.8, 0.9), (0.2, 0.1))
     claims = judge_claims(bad, levels)
-    assert [claim.holds for claim in claims] == [False, False]
+    assert [claim.verdict for claim in claims] == [FAILS, FAILS]
     assert claims[0].here == "0 of 1, not car"
     levels, flat = summary((0.8, 0.8), (0.2, 0.2))
-    assert [claim.holds for claim in judge_claims(flat, levels)] == [False, False]
+    assert [claim.verdict for claim in judge_claims(flat, levels)] == [FAILS, FAILS]
     levels, gap = summary((0.9, None), (None, 0.2))
     claims = judge_claims(gap, levels)
-    assert [claim.holds for claim in claims] == [None, None]
+    assert [claim.verdict for claim in claims] == [UNDECIDED, UNDECIDED]
     assert [claim.here for claim in claims] == ["no value for dropout 0.1 of car", "no value for dropout 0.2"]
 
 
-@pytest.mark.parametrize(("slope", "holds"), [(0.4, True), (0.5, False)])
+@pytest.mark.parametrize(("slope", "holds"), [(0.4, HOLDS), (0.5, FAILS)])
 def test_the_centroid_distance_is_linear_in_the_angle(slope, holds):
     claims = {claim.claim: claim for claim in rigid(slope)}
-    assert claims["d_cent is linear in the angle"].holds is holds
+    assert claims["d_cent is linear in the angle"].verdict == holds
     assert claims["d_cent is linear in the angle"].here.startswith("0.4000 m per degree")
     assert claims["rigid motion keeps the spectra"].here == "1.0e-07"
     assert claims["rigid motion leaves r_lambda of objects at 0"].here == "2.0e-03"
@@ -98,9 +99,9 @@ LOWEST, MOST = (
 def test_what_the_paper_says_of_its_classes_under_dropout_holds_and_fails_by_the_numbers():
     as_the_paper = class_claims(0.003, (0.35, 0.40, 0.30, 0.2))
     assert len(as_the_paper) == 2 + 4 + 1 + 2
-    assert {claim.holds for claim in as_the_paper.values()} == {True}
+    assert {claim.verdict for claim in as_the_paper.values()} == {HOLDS}
     other = class_claims(0.0059, (0.25, 0.495, 0.30, 0.28))
-    failing = {name for name, claim in other.items() if claim.holds is False}
+    failing = {name for name, claim in other.items() if claim.verdict == FAILS}
     assert failing == {
         LOWEST,
         MOST,
@@ -121,13 +122,13 @@ def test_what_the_paper_says_of_its_classes_under_dropout_holds_and_fails_by_the
     ],
 )
 def test_an_order_of_classes_within_the_error_of_the_repeats_is_not_decided(r_lambdas, name):
-    assert class_claims(0.003, r_lambdas)[name].holds is None
-    assert class_claims(0.003, r_lambdas, std=0.002)[name].holds is True
+    assert class_claims(0.003, r_lambdas)[name].verdict == UNDECIDED
+    assert class_claims(0.003, r_lambdas, std=0.002)[name].verdict == HOLDS
 
 
 def test_one_repeat_decides_nothing_about_classes():
     found = class_claims(0.003, (0.35, 0.40, 0.30, 0.2), n=1)
-    assert {claim.holds for name, claim in found.items() if "rises" not in name} == {None}
+    assert {claim.verdict for name, claim in found.items() if "rises" not in name} == {UNDECIDED}
 
 
 def test_classes_that_are_alike_hold_and_fail_by_chance_in_at_most_one_of_twenty_cases(rng):
@@ -140,16 +141,16 @@ def test_classes_that_are_alike_hold_and_fail_by_chance_in_at_most_one_of_twenty
             for name, own in zip(("vegetation", "car", "tree", "wall"), repeats, strict=True)
             for level in levels
         ]
-        claims = {claim.claim: claim.holds for claim in judge_claims(Means(rows), levels)}
+        claims = {claim.claim: claim.verdict for claim in judge_claims(Means(rows), levels)}
         found.append([claims[LOWEST], claims[MOST]])
     most = 0.05 + 2.33 * (0.05 * 0.95 / 100) ** 0.5  # the nominal rate and its binomial error, one-sided 1 %
     for verdicts in zip(*found, strict=True):
-        assert verdicts.count(True) <= 100 * most
-        assert verdicts.count(False) <= 100 * most
+        assert verdicts.count(HOLDS) <= 100 * most
+        assert verdicts.count(FAILS) <= 100 * most
 
 
 @pytest.mark.parametrize(
-    ("tree", "std", "holds"), [(0.01, 0.02, True), (0.3, 0.02, False), (0.09, 0.02, None), (0.09, 0.002, True)]
+    ("tree", "std", "holds"), [(0.01, 0.02, HOLDS), (0.3, 0.02, FAILS), (0.09, 0.02, UNDECIDED), (0.09, 0.002, HOLDS)]
 )
 def test_the_tree_is_flat_under_noise_only_where_it_moves_least_beyond_chance(tree, std, holds):
     levels = [Perturbation("noise", 0.01), Perturbation("noise", 0.1), Perturbation("dropout", 0.4)]
@@ -159,4 +160,4 @@ def test_the_tree_is_flat_under_noise_only_where_it_moves_least_beyond_chance(tr
         for level, value in zip(levels, (0.1, 0.1 + move, 0.5), strict=True)
     ]
     claims = {claim.claim: claim for claim in judge_claims(Means(rows), levels)}
-    assert claims["noise: r_lambda of the tree is near-flat (moves least)"].holds is holds
+    assert claims["noise: r_lambda of the tree is near-flat (moves least)"].verdict == holds

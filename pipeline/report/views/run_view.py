@@ -1,4 +1,4 @@
-"""A run: its first answer, pairs, scores, findings, baselines, stability of the scores, and the paper's claims."""
+"""A run: its first answer, pairs, scores, findings, baselines and stability of the scores."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ from ....schemas.metrics import (
     unit_words,
 )
 from ....schemas.record import SURFACE_STATES, BaselineSummary, RunRecord, SeedSummary, SurfaceStates
-from ....schemas.results import Claim, ClassFindings, Findings, Overview, Unmatched
+from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
 from ...inspect.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...results.floor import RunExcess
-from ...results.overview import independence
 from ...run import RunOutcome
 from ...storage.record import unmatched_worst
 from ..view import Note, Table, View, mean_and_spread, number, percent
@@ -127,34 +126,6 @@ def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> 
 def _frames_parts(rows: Sequence[Row], record: RunRecord) -> View:
     suspects = record.frames or {}
     return [Note(f"warning: {frames_summary(suspects, len(rows))}", "yellow")] if suspects else []
-
-
-def claims_view(findings: Findings | None) -> View:
-    """The paper's claims, one per line with the 95 % interval, then the rule by which each is judged."""
-    claims = findings.claims if findings else ()
-    rows = [(i, one.claim, one.paper, one.here, *_interval_cells(one), one.verdict) for i, one in enumerate(claims, 1)]
-    headings = ("", "claim", "paper", "here", "estimate and\n95 % interval", "pairs", "verdict")
-    table = Table("The paper's claims", headings, rows, words=range(7), fixed=(4,))
-    undecided: dict[str, list[str]] = {}
-    for i, one in enumerate(claims, 1):
-        if one.why:
-            undecided.setdefault(one.why, []).append(str(i))
-    lines = [
-        "Estimate and interval are of what the rule names, over independent pairs: how far it would move if others had",
-        "been recorded. Where that leaves both open a claim is not decided; by chance under one in twenty holds.",
-        *independence(findings),
-        *(f"not decided: {', '.join(numbers)}: {why}" for why, numbers in undecided.items()),
-    ]
-    rules = (f"{i:>3}  {one.rule}" for i, one in enumerate(claims, 1))
-    return [table, *map(Note, (*lines, "By which rule:", *rules))]
-
-
-def _interval_cells(claim: Claim) -> tuple[str, int]:
-    if claim.low is None or claim.high is None:
-        return "-", claim.n_pairs
-    digits = 3 if max(abs(claim.low), abs(claim.high)) < 10 else 1
-    estimate, low, high = (number(value, digits) for value in (claim.estimate, claim.low, claim.high))
-    return f"{estimate}\n{low} to {high}", claim.n_pairs
 
 
 def baselines_view(rows: Sequence[BaselineSummary]) -> View:

@@ -11,7 +11,7 @@ from ...results.overview import over_floor
 from ..view import Note, Table, View
 from .floor_view import pair_excess_table
 from .pair_view import object_records, object_view, pair_records, pair_view
-from .run_view import claims_view, summary_view
+from .run_view import summary_view
 
 
 def show_view(
@@ -20,7 +20,6 @@ def show_view(
     name: str | None,
     excess: RunExcess | None = None,
     *,
-    paper: bool = False,
     with_all: bool = False,
 ) -> View:
     """A run, a pair of it, or the object `name` of a pair.
@@ -28,11 +27,8 @@ def show_view(
     Parameters
     ----------
     excess : of run or pair over a floor, to be shown as well
-    paper : the paper's claims instead
     with_all : all tables of the run
     """
-    if paper:
-        return claims_view(run.record.findings)
     if pair is not None and name is not None:
         return object_view(pair, object_facts(run, pair, name))
     if pair is not None:
@@ -42,13 +38,9 @@ def show_view(
     return summary_view(run.folder, run.rows, run.record, overview, excess=excess, with_all=with_all)
 
 
-def show_json(
-    run: FinishedRun, pair: str | None, name: str | None, excess: RunExcess | None = None, *, paper: bool = False
-) -> JsonValue:
+def show_json(run: FinishedRun, pair: str | None, name: str | None, excess: RunExcess | None = None) -> JsonValue:
     """The same as plain values."""
     over: JsonObject = {} if excess is None else {"excess": excess.as_dict()}
-    if paper:
-        return [claim.as_dict() for claim in run.record.claims]
     if pair is not None and name is not None:
         return {"pair_id": pair, **object_facts(run, pair, name).as_dict()}
     return (run_facts(run) if pair is None else pair_facts(run, pair).as_dict()) | over

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .metrics import PaperMean
+from ...schemas.metrics import PaperMean
 
 N_PAIRS = 50
 N_MATCHED = 1067
