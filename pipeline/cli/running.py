@@ -285,9 +285,10 @@ def status(
     from ..report.views.status_view import status_view
     from ..results.status import run_status
 
-    found, tables = run_status(run), ()
+    found = run_status(run)
     if timings and found.mean_seconds:
         from ..paper.timings import timings_view
 
-        tables = timings_view(found.mean_seconds)
-    print_view(status_view(found, tables))
+        print_view(status_view(found, timings_view(found.mean_seconds)))
+    else:
+        print_view(status_view(found))
