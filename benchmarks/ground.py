@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import load
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.generate.perturbations import measure_again
 from fidpipe.stages.ground import remove_ground
-from fidpipe.stages.method import evaluate
 
 SCANS = (
     *("kitti_sequence/000000.bin", "kitti_twin/real/000000.bin", "rellis/vel000104.bin", "rellis/000104.bin"),
@@ -69,8 +69,7 @@ def main() -> None:
             print(f"| {pattern} | {name} |", *lengths, f"{max(angles_deg):.2f} |", flush=True)
             for peak, ground in with_peak.items():
                 if jumped and any(word in pattern for word in args.scores):
-                    found = evaluate(*jumped, settings.model_copy(update={"ground": ground}))
-                    scores = {**found.surfaces, **found.scores.summary}
+                    scores = evaluate_pair(*jumped, settings.model_copy(update={"ground": ground})).summary
                     print(f"peak {peak}:", *(f"{key} {scores[key]:.3f}" for key in ("covered_real_0p3m", "cdc_mean")))
 
 

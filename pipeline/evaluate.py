@@ -1,32 +1,45 @@
-"""One pair in memory, for Python: the same jobs as the command's, on arrays instead of files."""
+"""One pair in memory, for Python: the whole method on arrays, its results as the tables of a run."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike
 
 from ..schemas.columns import SIDES
-from ..schemas.errors import ScanError, StageError
+from ..schemas.errors import ScanError
 from ..schemas.settings import Settings, parse
-from ..stages.arrays import FloatArray
+from ..schemas.tables import TABLES
+from ..stages.arrays import FloatArray, IntArray
 from ..stages.inspect.frames import check_frames
-from .datasets.pairs import ScanPair
+from ..stages.method import Evaluation, evaluate, n_communities
 from .datasets.readers.scan import Scan
-from .engine.plan import Planner
 from .engine.pool import one_blas_thread
-from .engine.worker import PairTables, make_job
 from .inspect.frame_checks import frame_warning
-from .inspect.scan_checks import ScanContent
 from .jobs import stages_under
-from .stage import ROW
+from .jobs.communities import communities_result
+from .jobs.coverage import coverage_result
+from .jobs.graph import graph_result
+from .jobs.ground import ground_result
+from .jobs.matching import matching_result
+from .jobs.metrics import metrics_result
+from .jobs.pieces import pieces_result
+from .jobs.selection import selection_result
+from .jobs.sensor import sensor_result
+from .jobs.surface import surface_result
+from .stage import OF_PAIR, Facts, Inputs, JobResult
+from .storage.tables import plain_facts
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_PAIR = "pair"
 
 
 @dataclass(frozen=True)
@@ -94,25 +107,23 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     """
     scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
-    inputs = {side: ScanContent("", "", len(scan.points)) for side, scan in scans.items()}
     check = check_frames(scans["real"].points, scans["sim"].points, settings.input)
     if check and check.is_suspect:
         warnings.warn(frame_warning(check), stacklevel=2)
-    plan = Planner(stages_under(settings), settings, {}).plan(ScanPair("pair", None, None), inputs)
-    tables, summary = PairTables(plan, scans), dict[str, Any]()
     with one_blas_thread():
-        for job in plan.jobs:
-            try:
-                summary = make_job(tables, job).facts.get(ROW, summary)
-            except StageError as error:
-                raise StageError(f"stage {job.stage.name}{', ' + job.part if job.part else ''}: {error}") from error
+        found = evaluate(scans["real"].points, scans["sim"].points, settings)
+        tables, facts = _results(found, scans)
+        for stage in stages_under(settings):
+            if stage.is_extra:
+                result = stage.make(Inputs(pair_id=_PAIR, part="", settings=settings, tables=tables, outputs=facts))
+                tables |= {(name, ""): partial(_whole, rows) for name, rows in result.tables.items()}
+    summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
+    for own in facts.values():
+        summary |= plain_facts(own.get(OF_PAIR, {}))
+    frames = {name: TABLES[name[0]].plain(table()).to_pandas() for name, table in tables.items()}
 
     def by_side(table: str) -> dict[str, pd.DataFrame]:
-        return {side: frame(table, side) for side in SIDES}
-
-    def frame(table: str, side: str = "") -> pd.DataFrame:
-        rows: pd.DataFrame = tables.whole_table(table, side).to_pandas()
-        return rows
+        return {side: frames[table, side] for side in SIDES}
 
     return PairResult(
         summary=summary,
@@ -121,15 +132,64 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
         edges=by_side("graph"),
         communities=by_side("communities"),
         objects=by_side("objects"),
-        matching=frame("matching"),
-        coverage=frame("coverage"),
-        surface=frame("surface"),
-        pieces=frame("pieces"),
-        selection=frame("selection"),
-        metrics=frame("metrics"),
-        baselines=frame("baselines") if settings.metrics.baselines else None,
-        seeds=frame("seeds") if settings.stability.seeds > 1 else None,
+        matching=frames["matching", ""],
+        coverage=frames["coverage", ""],
+        surface=frames["surface", ""],
+        pieces=frames["pieces", ""],
+        selection=frames["selection", ""],
+        metrics=frames["metrics", ""],
+        baselines=frames.get(("baselines", "")),
+        seeds=frames.get(("seeds", "")),
     )
+
+
+def _results(
+    found: Evaluation, scans: Mapping[str, Scan]
+) -> tuple[dict[tuple[str, str], Callable[[], pa.Table]], dict[tuple[str, str], Facts]]:
+    """Tables and facts of an evaluation, as the jobs of a run give them, by table and side."""
+    results: list[tuple[str, JobResult]] = []
+    ids: list[IntArray] = []
+    sides = found.real, found.sim
+    for side, own in zip(SIDES, sides, strict=True):
+        ids.append(own.clean.point_ids[~own.cut.is_ground])
+        results += [
+            (side, ground_result(_PAIR, side, scans[side], own.clean, own.cut)),
+            (side, sensor_result(_PAIR, side, own.sensor)),
+            (side, graph_result(_PAIR, side, ids[-1], own.scan.edges)),
+            (side, communities_result(_PAIR, side, ids[-1], own.scan)),
+        ]
+    matching, scored = found.scores.matching, found.scores.objects
+    n_real, n_sim = (own.scan.objects.n_points for own in sides)
+    names = ("real_id", "sim_id", "centroid_distance_m")
+    values = zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True)
+    rows = [dict(zip(names, own, strict=True)) for own in values]
+    members = [
+        [own_ids[own.scan.labels == row[f"{side}_id"]] for row in rows]
+        for side, own, own_ids in zip(SIDES, sides, ids, strict=True)
+    ]
+    sizes = [
+        (len(real), len(sim), len(own.selection.real_nodes)) for real, sim, own in zip(*members, scored, strict=True)
+    ]
+    unmatched = {"real": matching.missing.tolist(), "sim": matching.hallucinated.tolist()}
+    results += [
+        ("", matching_result(_PAIR, matching, n_real, n_sim)),
+        ("", coverage_result(_PAIR, (found.real.coverage, found.sim.coverage), unmatched)),
+        ("", surface_result(_PAIR, found.surface)),
+        ("", pieces_result(_PAIR, found.pieces)),
+        ("", selection_result(_PAIR, zip(rows, *members, [own.selection for own in scored], strict=True))),
+        ("", metrics_result(_PAIR, zip(rows, sizes, [own.scores for own in scored], strict=True))),
+    ]
+    tables: dict[tuple[str, str], Callable[[], pa.Table]] = {}
+    facts: dict[tuple[str, str], Facts] = {}
+    for side, result in results:
+        tables |= {(name, side): partial(_whole, rows) for name, rows in result.tables.items()}
+        facts |= {(name, side): result.facts for name in result.tables}
+    facts["metrics", ""] = {OF_PAIR: found.scores.summary | n_communities(found.scores.summary)}
+    return tables, facts
+
+
+def _whole(table: pa.Table) -> pa.Table:
+    return table
 
 
 def _points(name: str, points: ArrayLike) -> FloatArray:

@@ -12,11 +12,12 @@ from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..schemas.columns import SIDES, Row, Table
+from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
 from ..schemas.record import RunHeader, RunRecord
 from ..schemas.results import Findings, JsonObject, ObjectOverview, Overview, PreviousRun
@@ -34,7 +35,7 @@ from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
 from .results.findings import run_findings
 from .results.overview import Tally, overview_of
-from .stage import ROW, Stage
+from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.record import (
@@ -56,6 +57,7 @@ from .storage.record import (
 from .storage.tables import JobRecord
 
 _PAIRS_AT_ONCE = 500
+_PEAKS = ("ground_real_peak_m", "ground_sim_peak_m")
 
 
 @dataclass(frozen=True)
@@ -262,10 +264,7 @@ class _Run:
             n_current += 1
             for note in job.facts.get("notes", ()):
                 notes[job.pair_id].append(f"{job.part} side: {note}")
-            if ROW in job.facts:
-                real_m, sim_m = (job.facts[ROW][f"ground_{side}_peak_m"] for side in SIDES)
-                if note := peaks_note(real_m, sim_m, self._settings.ground):
-                    notes[job.pair_id].append(note)
+            if OF_PAIR in job.facts:
                 keys += [job.pair_id, job.key]
         key = key_of(keys, self._engine.failures)
         before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
@@ -277,15 +276,18 @@ class _Run:
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        rows = pairs.select([*dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS))]).to_pylist()
+        rows = pairs.select([*dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS, *_PEAKS))]).to_pylist()
         scored = [row for row in rows if row["status"] == "scored"]
+        for row in scored:
+            real_m, sim_m = (row[name] for name in _PEAKS)
+            if note := peaks_note(real_m, sim_m, self._settings.ground):
+                notes[row["pair_id"]].append(note)
         scored_ids = [row["pair_id"] for row in scored]
         findings, objects = self._say_together(scored, key)
-        extras = {
-            stage.name: stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
-            for stage in self._stages
-            if stage.summarise
-        }
+        extras: dict[str, Any] = {}
+        for stage in self._stages:
+            if stage.summarise:
+                extras |= stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
         record = run_record(
             self._header(self._replaced),
             self._hashes,
@@ -371,7 +373,10 @@ class _Run:
         required = [(stage.name, part) for stage in self._stages if not stage.is_extra for part in stage.parts]
         if not all(name in records for name in required):
             return None
-        return next((records[name].facts[ROW] for name in required if ROW in records[name].facts), None)
+        row: Row = {"pair_id": pair_id, "status": "scored"}
+        for name in required:
+            row |= records[name].facts.get(OF_PAIR, {})
+        return row
 
     def _past_failure(self, pair: ScanPair | None) -> str | None:
         """Why a pair failed in an earlier run, if the same job would fail again."""

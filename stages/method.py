@@ -7,31 +7,32 @@ the scores of the pair, made of two parts that are also used alone: `partition` 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..schemas.columns import SIDES
-from ..schemas.metrics import COVERAGE_REACHES, OBJECT_METRICS, SHIFT_COLUMNS
+from ..schemas.errors import StageError
+from ..schemas.metrics import OBJECT_METRICS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
-from .clean import CleanResult, as_ros, clean_scan
+from .clean import CleanResult, as_ros, clean_scan, too_few_left
 from .communities import find_communities
-from .coverage import cover, nearest_distances
+from .coverage import Coverage, below_cut, cover, nearest_distances
 from .graph import build_graph
-from .ground import GroundResult, remove_ground
-from .inspect.sensor import describe_sensor, pair_columns
+from .ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
+from .inspect.sensor import SensorFacts, describe_sensor
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
-from .pieces import CutScan, Pieces, count_pieces, find_pieces
+from .pieces import CutScan, Pieces, find_pieces
 from .reference import Annotation, ReferenceObjects, assign_to_reference, find_reference_objects, visiting_order
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
-from .surface import compare_roughness, describe_surface, measure_offsets
+from .surface import Offsets, compare_roughness, describe_surface, measure_offsets
 
 _COUNTS = ("n_matched", "n_missing", "n_hallucinated")
 
@@ -41,7 +42,8 @@ def evaluate(
 ) -> Evaluation:
     """How far a simulated scan is from a real one, from the points that were read to the scores of the pair.
 
-    The same numbers as the tables of `fidpipe run`; to the last bit where BLAS has one thread, as it has there.
+    `evaluate_pair` calls it; the jobs of `fidpipe run` call its steps one by one, on what the tables hold. Both give
+    the same numbers; to the last bit where BLAS has one thread, as it has there.
 
     Parameters
     ----------
@@ -54,39 +56,90 @@ def evaluate(
     StageError
         A side has fewer than 8 points after cleaning or after ground removal.
     """
-    own, ground = settings.input, settings.ground
-
-    # Measurements only, both sides in the real sensor's frame
-    clean_real = clean_scan(real, own, frame=own.frame_of("real"))
-    clean_sim = clean_scan(sim, own, frame=own.frame_of("sim"), T_real_sim=T_real_sim)
-
-    # "Data Collection and Graph Build-up": the PCA Z-cut takes the road away
-    cut_real = remove_ground(clean_real.points, ground)
-    real_cut = cut_real if ground.shared or ground.peak == "real" else None
-    cut_sim = remove_ground(clean_sim.points, ground, real_cut, None if ground.shared else clean_real.points)
+    # Measurements only, both sides in the real sensor's frame; then, "Data Collection and Graph Build-up", the PCA
+    # Z-cut takes the road away
+    with _errors_of("stage ground, real"):
+        clean_real, cut_real = remove_road(real, settings, "real")
+    with _errors_of("stage ground, sim"):
+        clean_sim, cut_sim = remove_road(
+            sim, settings, "sim", T_real_sim=T_real_sim, real_cut=cut_real, real_points=clean_real.points
+        )
 
     # "Graphs as Metrics": each side becomes a graph, and its communities are its objects
-    objects_real = partition(clean_real.points[~cut_real.is_ground], settings)
-    objects_sim = partition(clean_sim.points[~cut_sim.is_ground], settings, reference=objects_real.reference)
+    with _errors_of("stage communities, real"):
+        objects_real = partition(clean_real.points[~cut_real.is_ground], settings)
+    with _errors_of("stage communities, sim"):
+        objects_sim = partition(clean_sim.points[~cut_sim.is_ground], settings, reference=objects_real.reference)
 
     # "Graph-Based Validation Metrics": the objects that both sides have are scored
     scores = compare(objects_real, objects_sim, settings)
 
-    # Not the paper's: how much of each surface the other side has, how far apart they are, how rough, and in which
+    # Not the paper's: how much of each surface the other side has, how far apart they are and how rough, and in which
     # pieces it is missing or invented
-    surfaces = compare_surfaces(objects_real.points, objects_sim.points)
+    both = objects_real, objects_sim
+    coverage = measure_coverage(
+        [scan.points for scan in both],
+        [scan.labels for scan in both],
+        [len(scan.objects.n_points) for scan in both],
+        [(cut.axis, cut.threshold_m) for cut in (cut_real, cut_sim)],
+    )
+    surface = measure_surface(objects_real.points, objects_sim.points, objects_real.labels)
     scan_real = CutScan(clean_real.points, cut_real.is_ground, cut_real.height_m)
     scan_sim = CutScan(clean_sim.points, cut_sim.is_ground, cut_sim.height_m)
     pieces = find_pieces(scan_real, scan_sim, settings.pieces)
-    surfaces |= count_pieces(*pieces)
 
     # Not the paper's: the sensor of each side, estimated in its own frame
-    sensors = [
-        pair_columns(describe_sensor(as_ros(points, own.frame_of(side))), side)
-        for side, points in zip(SIDES, (real, sim), strict=True)
-    ]
-    surfaces |= sensors[0] | sensors[1]
-    return Evaluation(clean_real, clean_sim, cut_real, cut_sim, objects_real, objects_sim, scores, surfaces, pieces)
+    sensors = (
+        describe_sensor(as_ros(real, settings.input.frame_of("real"))),
+        describe_sensor(as_ros(sim, settings.input.frame_of("sim"))),
+    )
+    return Evaluation(
+        EvaluatedSide(sensors[0], clean_real, cut_real, objects_real, coverage[0]),
+        EvaluatedSide(sensors[1], clean_sim, cut_sim, objects_sim, coverage[1]),
+        scores,
+        surface,
+        pieces,
+    )
+
+
+def remove_road(
+    points: FloatArray,
+    settings: Settings,
+    side: str,
+    *,
+    T_real_sim: FloatArray | None = None,
+    real_cut: GroundResult | None = None,
+    real_points: FloatArray | None = None,
+    watch: Watch = unwatched,
+) -> tuple[CleanResult, GroundResult]:
+    """The measurements of a scan in the real sensor's frame, and which of them are road.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, in the side's own frame
+    settings : of input and ground
+    side : "real" or "sim"
+    T_real_sim : (3, 4) float64, of the simulated side
+    real_cut, real_points : of the simulated side, the real side's cut and its (m, 3) clean points; used where
+        `ground.shared` or `ground.peak` ask for them
+    watch : entered around the steps clean and ground
+
+    Raises
+    ------
+    StageError
+        Fewer than 8 points are left.
+    """
+    own, ground = settings.input, settings.ground
+    with watch("clean"):
+        clean = clean_scan(points, own, frame=own.frame_of(side), T_real_sim=T_real_sim)
+    if len(clean.points) < MIN_OBJECT_POINTS:
+        raise StageError(too_few_left(len(clean.points), MIN_OBJECT_POINTS, clean.dropped, own))
+    follows_real = ground.shared or ground.peak == "real"
+    with watch("ground"):
+        cut = remove_ground(
+            clean.points, ground, real_cut if follows_real else None, None if ground.shared else real_points
+        )
+    return clean, cut
 
 
 def partition(
@@ -183,24 +236,50 @@ def match_objects(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: In
     return match_communities(real, sim, settings.matching)
 
 
-def compare_surfaces(real: FloatArray, sim: FloatArray) -> dict[str, Number]:
-    """Coverage of either side, displacement and roughness, by column of `pairs`; see `coverage` and `surface`.
+def measure_coverage(
+    points: Sequence[FloatArray],
+    labels: Sequence[IntArray],
+    n_objects: Sequence[int],
+    cuts: Sequence[tuple[FloatArray, float | None]],
+    watch: Watch = unwatched,
+) -> tuple[SideCoverage, SideCoverage]:
+    """How much of each object, and of each side, the other side has; arguments and result first real, then simulated.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, object points, at least one
+    labels : (n,) int32, object of each
+    n_objects : how many ids there are
+    cuts : axis and threshold below which a point is road to that side, see `coverage.below_cut`
+    watch : entered around the step nearest
+    """
+    with watch("nearest"):
+        distances_m = nearest_distances(points[0], points[1])
+    found = []
+    for own, distance_m, ids, n_ids, cut in zip(points, distances_m, labels, n_objects, reversed(cuts), strict=True):
+        is_road = below_cut(own, *cut)
+        whole = cover(distance_m, np.zeros(len(own), dtype=np.int32), is_road=is_road)
+        found.append(SideCoverage(cover(distance_m, ids, n_ids, is_road), whole))
+    return found[0], found[1]
+
+
+def measure_surface(
+    real: FloatArray, sim: FloatArray, real_labels: IntArray, watch: Watch = unwatched
+) -> SurfaceComparison:
+    """Displacement of the simulated surface, of the whole and of each real object, and roughness of both.
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, object points, at least one
+    real_labels : (n,) int32, object of each real point
+    watch : entered around the steps planes and offset
     """
-    found: dict[str, Number] = {}
-    for side, distance_m in zip(SIDES, nearest_distances(real, sim), strict=True):
-        whole = cover(distance_m, np.zeros(len(distance_m), dtype=np.int32))
-        shares = zip(COVERAGE_REACHES, whole.covered[0].tolist(), strict=True)
-        found |= {f"covered_{side}_{reach}": share for reach, share in shares}
-    real_surface, sim_surface = describe_surface(real), describe_surface(sim)
-    offset = measure_offsets(real_surface, sim_surface)
-    lengths = (*offset.shift_m[0].tolist(), *offset.distance_m.tolist())
-    for name, length_m in zip(SHIFT_COLUMNS, lengths, strict=True):
-        found[name] = None if np.isnan(length_m) else length_m
-    return found | compare_roughness(real_surface, sim_surface)
+    with watch("planes"):
+        real_surface, sim_surface = describe_surface(real), describe_surface(sim)
+    with watch("offset"):
+        whole = measure_offsets(real_surface, sim_surface)
+        objects = measure_offsets(real_surface, sim_surface, real_labels)
+    return SurfaceComparison(whole, objects, compare_roughness(real_surface, sim_surface))
 
 
 def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
@@ -289,26 +368,63 @@ class PairScores:
 
 
 @dataclass(frozen=True)
+class SideCoverage:
+    """How much the other side has of each object of a side, and of the side as a whole (one row)."""
+
+    objects: Coverage
+    whole: Coverage
+
+
+@dataclass(frozen=True)
+class SurfaceComparison:
+    """Displacement of the whole surface (one row) and of each real object, and roughness by column of `pairs`."""
+
+    whole: Offsets
+    objects: Offsets
+    roughness: dict[str, Number]
+
+
+@dataclass(frozen=True)
+class EvaluatedSide:
+    """Each step's result for one side.
+
+    sensor : in the side's own frame
+    clean : points that are measurements, in the real sensor's frame
+    cut : which of these are ground
+    scan : the others, their graph and their communities
+    coverage : by the other side
+    """
+
+    sensor: SensorFacts
+    clean: CleanResult
+    cut: GroundResult
+    scan: PartitionedScan
+    coverage: SideCoverage
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Each step's result for both sides, and the scores.
 
-    clean_real, clean_sim : points that are measurements, in the real sensor's frame
-    cut_real, cut_sim : which of these are ground
-    objects_real, objects_sim : the others, their graph and their communities
-    scores : of the pair
-    surfaces : coverage, displacement, roughness, pieces and sensors, by column of `pairs`; regardless of the objects
+    scores : of the objects and of the pair
+    surface : displacement and roughness, regardless of the objects
     pieces : missing and invented ones
     """
 
-    clean_real: CleanResult
-    clean_sim: CleanResult
-    cut_real: GroundResult
-    cut_sim: GroundResult
-    objects_real: PartitionedScan
-    objects_sim: PartitionedScan
+    real: EvaluatedSide
+    sim: EvaluatedSide
     scores: PairScores
-    surfaces: dict[str, Number]
+    surface: SurfaceComparison
     pieces: tuple[Pieces, Pieces]
+
+
+@contextmanager
+def _errors_of(where: str) -> Iterator[None]:
+    """Name the step in the errors that it raises."""
+    try:
+        yield
+    except StageError as error:
+        raise StageError(f"{where}: {error}") from error
 
 
 def _summarise(

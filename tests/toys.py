@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict
 
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.points import column as values_of
-from fidpipe.pipeline.stage import Grain, Made, Stage
+from fidpipe.pipeline.stage import Grain, JobResult, Stage
 from fidpipe.schemas.columns import COMMUNITY, FLOAT64, INT32, PAIR, SIDE, SIDES, Table, column
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
@@ -38,48 +38,50 @@ class ToySettings(Settings):
     toy: ToyGroup = ToyGroup()
 
 
-def make_crowds(context):
+def make_crowds(inputs):
     """How many points each community has over a number, side by side."""
-    n_points = np.bincount(values_of(context.table("communities"), "community_id"))
-    n_over = np.maximum(n_points - context.settings.toy.least_points, 0).astype(np.int32)
+    n_points = np.bincount(values_of(inputs.table("communities", inputs.part), "community_id"))
+    n_over = np.maximum(n_points - inputs.settings.toy.least_points, 0).astype(np.int32)
     ids = np.arange(len(n_over), dtype=np.int32)
-    rows = {"pair_id": context.pair_id, "side": context.side, "community_id": ids, "n_over": n_over}
-    return Made({"toy_crowds": CROWDS.build(rows)}, {"n_crowds": int(np.count_nonzero(n_over))})
+    rows = {"pair_id": inputs.pair_id, "side": inputs.part, "community_id": ids, "n_over": n_over}
+    return JobResult({"toy_crowds": CROWDS.build(rows)}, {"n_crowds": int(np.count_nonzero(n_over))})
 
 
-def make_ratios(context):
+def make_ratios(inputs):
     """How many of an object's points the simulated side has, object by object."""
-    n_over = {side: values_of(context.table("toy_crowds", side), "n_over") for side in SIDES}
+    n_over = {side: values_of(inputs.table("toy_crowds", side), "n_over") for side in SIDES}
     rows = [
-        {"pair_id": context.pair_id, "real_id": real_id, "ratio": n_over["sim"][sim_id] / (1 + n_over["real"][real_id])}
+        {"pair_id": inputs.pair_id, "real_id": real_id, "ratio": n_over["sim"][sim_id] / (1 + n_over["real"][real_id])}
         for real_id, sim_id in zip(
-            *(context.table("matching").column(name).to_pylist() for name in MATCHED), strict=True
+            *(inputs.table("matching").column(name).to_pylist() for name in MATCHED), strict=True
         )
         if real_id is not None and sim_id is not None
     ]
-    facts = {side: context.facts("toy_crowds", side)["n_crowds"] for side in SIDES}
-    return Made({"toy_ratios": RATIOS.from_rows(rows)}, facts | {"n_kept": context.table("selection").num_rows})
+    facts = {side: inputs.facts("toy_crowds", side)["n_crowds"] for side in SIDES}
+    return JobResult({"toy_ratios": RATIOS.from_rows(rows)}, facts | {"n_kept": inputs.table("selection").num_rows})
 
 
-def make_marks(context):
+def make_marks(inputs):
     """A mark for each object, from its scores and the table of the pair."""
-    ratio_of = context.once(
-        "toy ratios",
-        lambda: dict(zip(*(context.table("toy_ratios").column(name).to_pylist() for name in RATIO), strict=True)),
-    )
-    metrics = context.table("metrics")
-    own = metrics.filter(pc.is_in(metrics.column("real_id"), pa.array(context.objects, pa.int32())))
+    ratio_of = inputs.memo(ratios, inputs.table("toy_ratios"))
+    metrics = inputs.table("metrics")
+    own = metrics.filter(pc.is_in(metrics.column("real_id"), pa.array(inputs.objects, pa.int32())))
     rows = [
-        {"pair_id": context.pair_id, "real_id": row["real_id"], "mark": row["cdc"] * ratio_of[row["real_id"]]}
+        {"pair_id": inputs.pair_id, "real_id": row["real_id"], "mark": row["cdc"] * ratio_of[row["real_id"]]}
         for row in own.to_pylist()
     ]
-    return Made({"toy_marks": MARKS.from_rows(rows)})
+    return JobResult({"toy_marks": MARKS.from_rows(rows)})
 
 
-def gather_marks(context, tables):
+def ratios(table):
+    """The ratio of each object."""
+    return dict(zip(*(table.column(name).to_pylist() for name in RATIO), strict=True))
+
+
+def gather_marks(inputs, tables):
     """The best mark of the pair."""
     marks = tables["toy_marks"].column("mark").to_pylist()
-    return {"best": min(marks, default=None), "n_crowds": context.facts("toy_ratios")["real"]}
+    return {"best": min(marks, default=None), "n_crowds": inputs.facts("toy_ratios")["real"]}
 
 
 MATCHED, RATIO = ("real_id", "sim_id"), ("real_id", "ratio")

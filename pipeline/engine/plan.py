@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
@@ -40,19 +40,31 @@ class Part:
     settings: Settings | None = None
 
 
+class Source(NamedTuple):
+    """A table that a job takes: its declared columns, none for the facts alone, and the job that gives it.
+
+    maker : None for an input file
+    """
+
+    table: str
+    side: str
+    columns: tuple[str, ...]
+    maker: JobId | None
+
+
 @dataclass(frozen=True)
 class Job:
     """One stage of one pair and part: its key, and its record if it is done.
 
-    needs : stage and part of the jobs of the pair whose results it reads
-    reads : keys of all that it reads
+    sources : what it takes
+    reads : keys of all that it takes
     """
 
     stage: Stage
     part: str
     key: str
     settings: Settings
-    needs: tuple[JobId, ...] = ()
+    sources: tuple[Source, ...] = ()
     reads: tuple[str, ...] = ()
     arguments: tuple[Any, ...] = ()
     record: JobRecord | None = None
@@ -61,6 +73,11 @@ class Job:
     def name(self) -> JobId:
         """What it is called among the jobs of its pair."""
         return self.stage.name, self.part
+
+    @property
+    def needs(self) -> set[JobId]:
+        """The jobs of the pair whose results it takes."""
+        return {source.maker for source in self.sources if source.maker is not None}
 
 
 @dataclass(frozen=True)
@@ -158,34 +175,31 @@ class Planner:
             Two parts have one name: they would write one file; a stage takes what none before it gives, or names a
             table or a column that `schemas.tables` does not have.
         """
-        makers: dict[str, dict[str, tuple[str, JobId | None]]] = {
-            SCAN: {side: (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs}
+        makers: dict[tuple[str, str], tuple[str, JobId | None]] = {
+            (SCAN, side): (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs
         }
         jobs: dict[JobId, Job] = {}
         for part in (*self._parts, *parts):
             stage, settings = part.stage, part.settings or self.settings
             side = part.name if stage.grain is Grain.SIDE else ""
-            if missing := [table for table in stage.takes if table not in makers]:
+            known = {table for table, _ in makers}
+            if missing := [table for table in stage.takes if table not in known]:
                 raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no stage before it gives")
-            sides = (side, "") if side else ("", *SIDES)
-            sources = [made for table in stage.takes for own, made in makers[table].items() if own in sides]
-            if side == "sim" and stage.needs_real(settings):
-                real = jobs[stage.name, "real"]
-                sources += [
-                    *(makers[table]["real"] for table in stage.takes if "real" in makers[table]),
-                    (real.key, real.name),
-                ]
-            reads = tuple(dict.fromkeys(key for key, _ in sources))
+            sides = ("", side) if side else ("", *SIDES)
+            declared = [(name, own, columns) for name, columns in stage.takes.items() for own in sides]
+            if side == "sim":
+                declared += [(name, "real", columns) for name, columns in stage.takes_real(settings).items()]
+            wanted = {(name, own): columns for name, own, columns in declared if (name, own) in makers}
+            reads = tuple(dict.fromkeys(makers[name][0] for name in wanted))
+            sources = tuple(Source(*name, columns, makers[name][1]) for name, columns in wanted.items())
             key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
-            needs = tuple(dict.fromkeys(name for _, name in sources if name is not None))
-            job = Job(stage, part.name, key, settings, needs, reads, part.arguments)
+            job = Job(stage, part.name, key, settings, sources, reads, part.arguments)
             if job.name in jobs:
                 raise ValueError(
                     f"part {stage.name} {pair.pair_id} {part.name} is there twice; each needs its own name"
                 )
             jobs[job.name] = job
-            for table in stage.gives:
-                makers.setdefault(table, {})[side] = (key, job.name)
+            makers |= {(table, side): (key, job.name) for table in stage.gives}
         return PairPlan(pair, tuple(jobs.values()), inputs, self.label_names)
 
     def _method_key(self, stage: Stage, settings: Settings) -> str:
@@ -197,7 +211,7 @@ class Planner:
                 stage.version,
                 {group: getattr(settings, group).model_dump(mode="json") for group in stage.settings},
                 library_versions(("numpy", "scipy", *stage.libraries(settings))),
-                _given_columns(stage),
+                _given_columns(stage, settings),
             )
             self._method_keys[name] = settings, key  # kept, so that no other settings get the same id
         return self._method_keys[name][1]
@@ -207,12 +221,14 @@ class Planner:
         return key if side == "real" or pair.T_real_sim is None else key_of(key, pair.T_real_sim)
 
 
-def _given_columns(stage: Stage) -> dict[str, list[str]]:
+def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:
     """Name and type of the columns of each table that a stage gives; `ValueError` where it names what is not there."""
     for table in (*stage.takes, *stage.gives):
         if table not in (*TABLES, SCAN):
             raise ValueError(f"stage {stage.name}: schemas.tables has no table {table}")
-    for table, columns in stage.takes.items():
+    if SCAN in stage.takes and "input" not in stage.settings:
+        raise ValueError(f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input")
+    for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
         if surplus := [name for name in columns if table == SCAN or name not in TABLES[table].schema.names]:
             raise ValueError(f"stage {stage.name}: {table} has no column {', '.join(surplus)}")
     return {table: [f"{field.name} {field.type}" for field in TABLES[table].schema] for table in stage.gives}

@@ -6,21 +6,24 @@ A table that comes from the job before it and one that comes from the run's fold
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from types import SimpleNamespace
+from typing import cast
 
 import pyarrow as pa
 
 from ...schemas.errors import DiskFullError, FidpipeError, StageError
+from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..inspect.scan_checks import hash_scan
-from ..stage import SCAN, Column, Context, Facts, Grain, Made, Step, Tables, total_steps
+from ..stage import SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object
-from .plan import Job, JobId, PairPlan
+from .plan import Job, JobId, PairPlan, Source
 from .time_limit import Clock, OutOfTimeError
 
 
@@ -119,11 +122,10 @@ def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRo
     records: list[JobRecord] = []
     for name in jobs:
         job = plan.job(name)
-        context = Context(job.stage, job.part, job.settings, tables, arguments=job.arguments)
-        context.steps.extend(step for part in rows for step in part.steps[name])
+        inputs = tables.inputs(job, step=Steps(step for part in rows for step in part.steps[name]))
         try:
             made = {table: [part.tables[name][table] for part in rows] for table in job.stage.gives}
-            records.append(_finish_objects(tables, job, context, made))
+            records.append(_finish_objects(tables, job, inputs, made))
         except DiskFullError:
             raise  # of every pair that comes after
         except Exception as error:  # one broken pair does not stop a dataset
@@ -133,86 +135,112 @@ def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRo
 
 def make_job(tables: PairTables, job: Job) -> JobRecord:
     """Makes one job of a pair and writes what it gives; raises what its stage raises."""
-    objects = [number for number, _ in tables.objects] if job.stage.grain is Grain.OBJECT else []
-    context = Context(job.stage, job.part, job.settings, tables, objects, job.arguments)
-    made = job.stage.make(context)
+    objects = tuple(number for number, _ in tables.objects) if job.stage.grain is Grain.OBJECT else ()
+    inputs = tables.inputs(job, objects)
+    result = job.stage.make(inputs)
     if job.stage.grain is Grain.OBJECT:
-        return _finish_objects(tables, job, context, {name: [rows] for name, rows in made.tables.items()})
-    return tables.finish(job, context, made)
+        return _finish_objects(tables, job, inputs, {name: [rows] for name, rows in result.tables.items()})
+    return tables.finish(job, inputs, result)
 
 
 class PairTables:
     """The tables of one pair while jobs run on it: those just made, and those that are read when first asked for."""
 
-    def __init__(self, plan: PairPlan, scans: Mapping[str, Scan] | None = None) -> None:
-        self.pair_id = plan.pair_id
-        self.T_real_sim = plan.pair.T_real_sim
-        self._plan = plan
-        self._scans = dict(scans or {})
+    def __init__(self, plan: PairPlan) -> None:
+        self.plan = plan
         self._folder = None if plan.folder is None else TableFolder(plan.folder, plan.token)
+        self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
-        self._records = {job.name: job.record for job in plan.jobs if job.record is not None}
-        self._memory: dict[str, tuple[Any, set[Column]]] = {}
+        self._records: dict[JobId, JobRecord] = {}
+        self._memo = Memo()
+        self.learn(plan)
 
     @property
     def objects(self) -> list[tuple[int, int]]:
         """Id and nodes of each matched object; none where nothing lists them."""
-        return self._plan.with_records(self._records.values()).objects or []
-
-    def table(self, name: str, side: str, columns: tuple[str, ...], step: Step) -> pa.Table:
-        """Columns of a table, all where none is named; `step` is entered while a file is read."""
-        if (name, side) in self._tables:
-            rows = self._tables[name, side]
-            return rows.select(columns) if columns else rows
-        if (name, side, columns) not in self._parts:
-            if self._folder is None:
-                raise RuntimeError(f"table {name} of side {side!r} is asked for before its job is done")
-            record = self._maker(name, side)
-            file = table_name(name, self.pair_id, side)
-            with step("read"):
-                rows = self._folder.read(name, record.files[file], file, list(columns) or None)
-                self._parts[name, side, columns] = rows
-        return self._parts[name, side, columns]
-
-    def whole_table(self, name: str, side: str = "") -> pa.Table:
-        """A table that was made here, with plain strings."""
-        return TABLES[name].plain(self._tables[name, side])
-
-    def facts(self, table: str, side: str = "") -> Facts:
-        """The facts of the job that gave a table."""
-        return self._maker(table, side).facts
-
-    def memory(self) -> dict[str, tuple[Any, set[Column]]]:
-        """What jobs of this pair keep for each other, each with the columns that it was made of."""
-        return self._memory
-
-    def is_by_object(self, table: str) -> bool:
-        """Whether a stage over objects gives the table."""
-        return any(table in job.stage.gives for job in self._plan.jobs if job.stage.grain is Grain.OBJECT)
+        return self.plan.with_records(self._records.values()).objects or []
 
     def learn(self, plan: PairPlan) -> None:
         """Takes over what is known of the pair by now: which jobs are done."""
-        self._plan = plan
+        self.plan = plan
         self._records |= {job.name: job.record for job in plan.jobs if job.record is not None}
 
-    def scan(self, side: str) -> Scan:
+    def inputs(
+        self,
+        job: Job,
+        objects: tuple[int, ...] = (),
+        rows: Mapping[tuple[str, str], pa.Table] | None = None,
+        step: Steps | None = None,
+    ) -> Inputs:
+        """What a job receives: what its stage declares.
+
+        Parameters
+        ----------
+        objects : of grain OBJECT, the ids of the matched objects to be scored
+        rows : of these objects, in place of tables that are not written yet
+        step : times the steps of the job
+        """
+        step, rows, stage = step or Steps(), rows or {}, job.stage
+        tables: dict[tuple[str, str], Callable[[], pa.Table]] = {}
+        outputs, scans = {}, {}
+        for source in job.sources:
+            name = source.table, source.side
+            if source.maker is None:
+                scans[source.side] = partial(self._scan, source.side)
+                continue
+            if source.columns:
+                tables[name] = (
+                    partial(rows[name].select, source.columns) if name in rows else partial(self._read, source, step)
+                )
+            is_by_object = self.plan.job(source.maker).stage.grain is Grain.OBJECT
+            if not (is_by_object and stage.grain is Grain.OBJECT):  # they are gathered when all objects are done
+                outputs[name] = self._records[source.maker].facts
+        return Inputs(
+            pair_id=self.plan.pair_id,
+            part=job.part,
+            settings=cast(
+                Settings, SimpleNamespace(**{group: getattr(job.settings, group) for group in stage.settings})
+            ),
+            tables=tables,
+            outputs=outputs,
+            scans=scans,
+            T_real_sim=self.plan.pair.T_real_sim if "sim" in scans else None,
+            objects=objects,
+            arguments=job.arguments,
+            step=step,
+            memo=self._memo,
+        )
+
+    def _read(self, source: Source, step: Steps) -> pa.Table:
+        """The declared columns of a table that was made here or is in the run's folder."""
+        name, side, columns, maker = source
+        if (name, side, columns) not in self._parts:
+            if (name, side) in self._tables:
+                rows = self._tables[name, side].select(columns)
+            elif self._folder is None or maker is None:
+                raise RuntimeError(f"table {name} of side {side!r} is read before its job is done")
+            else:
+                path = table_name(name, self.plan.pair_id, side)
+                with step("read"):
+                    rows = self._folder.read(name, self._records[maker].files[path], path, list(columns))
+            self._parts[name, side, columns] = rows
+        return self._parts[name, side, columns]
+
+    def _scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
         if side not in self._scans:
-            self._scans[side] = self._read_scan(side)
+            path = self.plan.pair.path(side)
+            if path is None:
+                raise StageError(f"no {side} scan")
+            columns = self.plan.jobs[0].settings.input.columns_of(side)
+            scan = read_scan(path, columns, dict(self.plan.label_names))
+            if hash_scan(path)[0] != self.plan.inputs[side].sha256:
+                raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
+            self._scans[side] = scan
         return self._scans[side]
 
-    def _read_scan(self, side: str) -> Scan:
-        path = self._plan.pair.path(side)
-        if path is None:
-            raise StageError(f"no {side} scan")
-        columns = next(job.settings for job in self._plan.jobs).input.columns_of(side)
-        scan = read_scan(path, columns, dict(self._plan.label_names))
-        if hash_scan(path)[0] != self._plan.inputs[side].sha256:
-            raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
-        return scan
-
-    def finish(self, job: Job, context: Context, made: Made) -> JobRecord:
+    def finish(self, job: Job, inputs: Inputs, result: JobResult) -> JobRecord:
         """Keeps and writes what a job has made.
 
         Raises
@@ -220,50 +248,29 @@ class PairTables:
         ValueError
             The tables are not those that the stage gives.
         """
-        if set(made.tables) != set(job.stage.gives):
-            raise ValueError(f"stage {job.stage.name} gives {', '.join(made.tables)}; it declares {job.stage.gives}")
+        if set(result.tables) != set(job.stage.gives):
+            raise ValueError(f"stage {job.stage.name} gives {', '.join(result.tables)}; it declares {job.stage.gives}")
         record = JobRecord(
             job.stage.name,
-            self.pair_id,
+            self.plan.pair_id,
             job.part,
             job.key,
             {},
             job.reads,
-            plain_facts(made.facts),
-            total_steps(context.steps),
-            self._plan.token,
+            plain_facts(result.facts),
+            inputs.step.total(),
+            self.plan.token,
         )
         if self._folder is not None:
-            with context.step("write"):
-                files = self._folder.write_job(record, made.tables)
-            record = replace(record, files=files, steps=total_steps(context.steps))
-        self._tables |= {(name, job.part): rows for name, rows in made.tables.items()}
+            with inputs.step("write"):
+                files = self._folder.write_job(record, result.tables)
+            record = replace(record, files=files, steps=inputs.step.total())
+        self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
         self._records[job.name] = record
-        readers = {own.name for own in self._plan.jobs if SCAN in own.stage.takes and own.part == job.part}
-        if self._folder is not None and self._records.keys() >= readers:
+        readers = {own.name for own in self.plan.jobs if SCAN in own.stage.takes and own.part == job.part}
+        if self._records.keys() >= readers:
             self._scans.pop(job.part, None)  # no later job reads it
         return record
-
-    def _maker(self, table: str, side: str) -> JobRecord:
-        for job in self._plan.jobs:
-            if table in job.stage.gives and job.part == side and job.name in self._records:
-                return self._records[job.name]
-        raise RuntimeError(f"table {table} of side {side!r} is asked for before its job is done")
-
-
-class _WithRows:
-    """The tables of a pair, with the rows of some objects in place of tables that are not written yet."""
-
-    def __init__(self, tables: PairTables, rows: Mapping[tuple[str, str], pa.Table]) -> None:
-        self._tables, self._rows = tables, rows
-        self.pair_id, self.T_real_sim = tables.pair_id, tables.T_real_sim
-        self.facts, self.scan, self.memory = tables.facts, tables.scan, tables.memory
-        self.is_by_object = tables.is_by_object
-
-    def table(self, name: str, side: str, columns: tuple[str, ...], step: Step) -> pa.Table:
-        """See `PairTables`."""
-        rows = self._rows.get((name, side))
-        return self._tables.table(name, side, columns, step) if rows is None else rows.select(columns)
 
 
 def is_required(job: Job) -> bool:
@@ -278,30 +285,29 @@ def _make_rows(
     tables = _kept_tables(plan)
     made: dict[JobId, Tables] = {}
     steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
-    beside: dict[tuple[str, str], pa.Table] = {}
+    rows: dict[tuple[str, str], pa.Table] = {}
     for name in jobs:
         job = plan.job(name)
         clock.begin(in_words(*name))
-        source = _WithRows(tables, beside)
-        context = Context(job.stage, job.part, job.settings, source, objects, job.arguments)
         try:
-            made[name] = job.stage.make(context).tables
+            inputs = tables.inputs(job, objects, rows)
+            made[name] = job.stage.make(inputs).tables
         except Exception as error:  # one broken pair does not stop a dataset
             return _failure(job, error)
-        steps[name] = total_steps(context.steps)
-        beside |= {(table, ""): rows for table, rows in made[name].items()}
+        steps[name] = inputs.step.total()
+        rows |= {(table, ""): own for table, own in made[name].items()}
     return ObjectRows(made, steps)
 
 
-def _finish_objects(tables: PairTables, job: Job, context: Context, made: Mapping[str, list[pa.Table]]) -> JobRecord:
+def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[str, list[pa.Table]]) -> JobRecord:
     """Keeps and writes the rows of all objects, in the order of the table's keys."""
     whole = {}
     for name, parts in made.items():
         schema = TABLES[name]
         rows = pa.concat_tables([schema.schema.empty_table(), *parts])
         whole[name] = rows.sort_by([(key, "ascending") for key in schema.keys]).combine_chunks()
-    facts = job.stage.gather(context, whole) if job.stage.gather is not None else {}
-    return tables.finish(job, context, Made(whole, facts))
+    facts = job.stage.gather(inputs, whole) if job.stage.gather is not None else {}
+    return tables.finish(job, inputs, JobResult(whole, facts))
 
 
 def _kept_tables(plan: PairPlan) -> PairTables:

@@ -15,33 +15,34 @@ from ...schemas.tables import BASELINES
 from ...stages.baselines import Baseline, compare_objects, compare_points
 from ...stages.baselines.icp import can_register
 from ...stages.summary import mean_and_std
-from ..stage import Context, Facts, Grain, Made, Stage
+from ..stage import Facts, Grain, Inputs, JobResult, Stage
 from ..storage.tables import JobRecord
-from .points import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_pair, matched_rows, object_points
+from .points import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_rows, matched_subgraphs, object_points
 
 OF_OBJECTS, OF_SCAN = "objects", "scans"
 
 
-def make_baselines(context: Context) -> Made:
-    """Compares each matched object, and all object points of the two scans; tells the pair's means as facts."""
-    settings, selection = context.settings, context.table("selection")
+def make_baselines(own: Inputs) -> JobResult:
+    """Compares each matched object, and all object points of the two scans; gives the pair's means as facts."""
+    settings, selection = own.settings, own.table("selection")
+    subgraphs = [matched_subgraphs(own, side) for side in SIDES]
     rows: list[Facts] = []
-    for match in matched_rows(context):
-        real, sim = matched_pair(context, match)
+    for match in matched_rows(own):
+        real, sim = (graphs[match[f"{side}_id"]] for side, graphs in zip(SIDES, subgraphs, strict=True))
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        values = compare_objects(real, sim, nodes, settings.selection.t, settings.metrics, watch=context.step)
-        rows += [_row(context, value, match["real_id"], match["sim_id"]) for value in values]
+        values = compare_objects(real, sim, nodes, settings.selection.t, settings.metrics, watch=own.step)
+        rows += [_row(own, value, match["real_id"], match["sim_id"]) for value in values]
 
     def watch(name: str) -> AbstractContextManager[None]:
-        return context.step(_step(name, OF_SCAN))
+        return own.step(_step(name, OF_SCAN))
 
-    real_points, sim_points = (object_points(context, side)[1] for side in SIDES)
+    real_points, sim_points = (object_points(own, side)[1] for side in SIDES)
     values = compare_points(real_points, sim_points, settings.metrics, watch=watch)
-    rows += [_row(context, value, None, None) for value in values]
-    return Made({"baselines": BASELINES.from_rows(rows)}, {"means": _means(rows)})
+    rows += [_row(own, value, None, None) for value in values]
+    return JobResult({"baselines": BASELINES.from_rows(rows)}, {"means": _means(rows)})
 
 
-def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> list[dict[str, Any]]:
+def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
     """Of each baseline and level (objects or scan): mean and standard deviation (n - 1) over pairs, seconds per pair.
 
     The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds` is the time of the
@@ -80,7 +81,7 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> lis
                         "seconds": sum(timed) / len(timed) if timed and i == 0 else None,
                     }
                 )
-    return summary
+    return {"baselines": summary}
 
 
 def baseline_libraries(settings: Settings) -> tuple[str, ...]:
@@ -93,9 +94,9 @@ def _is_wanted(settings: Settings) -> bool:
     return bool(settings.metrics.baselines)
 
 
-def _row(context: Context, baseline: Baseline, real_id: int | None, sim_id: int | None) -> Facts:
+def _row(own: Inputs, baseline: Baseline, real_id: int | None, sim_id: int | None) -> Facts:
     return {
-        "pair_id": context.pair_id,
+        "pair_id": own.pair_id,
         "real_id": real_id,
         "sim_id": sim_id,
         "baseline": baseline.name,

@@ -8,11 +8,21 @@ import numpy as np
 
 from ...schemas.settings import Settings
 from ...schemas.tables import COMMUNITIES, OBJECTS
-from ...stages.method import partition
+from ...stages.arrays import IntArray
+from ...stages.method import PartitionedScan, partition
 from ...stages.objects import majority_labels
-from ...stages.reference import ReferenceObjects
-from ..stage import Context, Grain, Made, Stage
-from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, column, graph_edges, nulls_for_nan, object_points
+from ...stages.reference import Annotation, ReferenceObjects
+from ..stage import Columns, Grain, Inputs, JobResult, Stage
+from .points import (
+    ANNOTATED_COLUMNS,
+    EDGE_COLUMNS,
+    POINT_COLUMNS,
+    annotation,
+    column,
+    graph_edges,
+    nulls_for_nan,
+    object_points,
+)
 
 _LIBRARIES = {"scikit-network": ("scikit-network",), "python-louvain": ("python-louvain", "networkx")}
 _MEASURES = (
@@ -21,26 +31,36 @@ _MEASURES = (
 )
 
 
-def make_communities(context: Context) -> Made:
-    """Finds the objects of a side and describes each.
+def make_communities(own: Inputs) -> JobResult:
+    """Find the objects of a side and describe each.
 
     The real side's come from its graph or its annotation; the simulated side's from its own graph, or from the real
     side's objects where the settings say so.
     """
-    point_ids, points = object_points(context, context.side)
-    noted = annotation(context, context.side)
+    point_ids, points = object_points(own, own.part)
+    noted, reference = annotation(own, own.part), None
+    if ("communities", "real") in own.tables:
+        labels = column(own.table("communities", "real"), "community_id")
+        reference = ReferenceObjects(object_points(own, "real")[1], labels)
     scan = partition(
         points,
-        context.settings,
-        edges=graph_edges(context, context.side),
-        reference=_real_objects(context) if context.needs_real else None,
+        own.settings,
+        edges=graph_edges(own, own.part),
+        reference=reference,
         annotation=noted,
-        watch=context.step,
+        watch=own.step,
     )
+    return communities_result(own.pair_id, own.part, point_ids, scan, noted)
+
+
+def communities_result(
+    pair_id: str, side: str, point_ids: IntArray, scan: PartitionedScan, noted: Annotation | None = None
+) -> JobResult:
+    """The object of each point, and a row for each object."""
     objects = scan.objects
-    names = [None] * len(points) if noted.labels is None else noted.labels.tolist()
+    names = [None] * len(point_ids) if noted is None or noted.labels is None else noted.labels.tolist()
     labels = majority_labels(scan.labels, names, len(objects.n_points))
-    both = {"pair_id": context.pair_id, "side": context.side}
+    both = {"pair_id": pair_id, "side": side}
     communities = COMMUNITIES.build(both | {"point_id": point_ids, "community_id": scan.labels})
     measures = np.column_stack([objects.centroid, objects.extent, objects.shape, objects.range_m])
     columns: dict[str, Any] = {
@@ -48,17 +68,15 @@ def make_communities(context: Context) -> Made:
     }
     columns |= {"community_id": np.arange(len(objects.n_points), dtype=np.int32), "n_points": objects.n_points}
     described = OBJECTS.build(both | columns | {"label": labels})
-    return Made({"communities": communities, "objects": described})
-
-
-def _real_objects(context: Context) -> ReferenceObjects:
-    """The points of the real side and the object of each."""
-    _, points = object_points(context, "real")
-    return ReferenceObjects(points, column(context.table("communities", "real", ("community_id",)), "community_id"))
+    return JobResult({"communities": communities, "objects": described})
 
 
 def _is_reference(settings: Settings) -> bool:
     return settings.communities.objects == "reference"
+
+
+def _takes_real(settings: Settings) -> Columns:
+    return {"ground": POINT_COLUMNS, "communities": ("community_id",)} if _is_reference(settings) else {}
 
 
 def louvain_libraries(settings: Settings) -> tuple[str, ...]:
@@ -76,5 +94,5 @@ STAGE = Stage(
     version=3,
     make=make_communities,
     libraries=louvain_libraries,
-    needs_real=_is_reference,
+    takes_real=_takes_real,
 )

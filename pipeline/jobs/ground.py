@@ -4,40 +4,47 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import GROUND
-from ...stages.clean import clean_scan, too_few_left
-from ...stages.ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
-from ..stage import SCAN, Context, Facts, Grain, Made, Stage
+from ...stages.clean import CleanResult
+from ...stages.ground import GroundResult
+from ...stages.method import remove_road
+from ..datasets.readers.scan import Scan
+from ..stage import OF_PAIR, SCAN, Columns, Facts, Grain, Inputs, JobResult, Stage
 from .points import column
 
 _LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
 
 
-def make_ground(context: Context) -> Made:
-    """Cleans a scan, cuts the road away, and tells how many points were dropped and where the cut lies."""
-    with context.step("read"):
-        scan = context.scan()
-    side, own = str(context.side), context.settings.input
-    T = np.array(context.T_real_sim).reshape(3, 4) if side == "sim" and context.T_real_sim else None
-    with context.step("clean"):
-        clean = clean_scan(scan.points, own, frame=own.frame_of(side), T_real_sim=T)
-    if len(clean.points) < MIN_OBJECT_POINTS:
-        raise StageError(too_few_left(len(clean.points), MIN_OBJECT_POINTS, clean.dropped, own))
-    shared = real_points = None
-    if context.needs_real:
-        shared = _cut(context.facts("ground", "real"))
-        if not context.settings.ground.shared:
-            real = context.table("ground", "real", ("x", "y", "z"))
-            real_points = np.column_stack([column(real, axis) for axis in "xyz"])
-    with context.step("ground"):
-        cut = remove_ground(clean.points, context.settings.ground, shared, real_points)
+def make_ground(own: Inputs) -> JobResult:
+    """Clean a scan and cut the road away."""
+    with own.step("read"):
+        scan = own.scans[own.part]()
+    real_cut = real_points = None
+    if ("ground", "real") in own.outputs:
+        real_cut = _cut(own.facts("ground", "real"))
+    if ("ground", "real") in own.tables:
+        real = own.table("ground", "real")
+        real_points = np.column_stack([column(real, axis) for axis in "xyz"])
+    clean, cut = remove_road(
+        scan.points,
+        own.settings,
+        own.part,
+        T_real_sim=np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None,
+        real_cut=real_cut,
+        real_points=real_points,
+        watch=own.step,
+    )
+    return ground_result(own.pair_id, own.part, scan, clean, cut)
+
+
+def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> JobResult:
+    """The clean points with their ground flags; the facts say how many were dropped and where the cut lies."""
     x, y, z = clean.points.T
     rows = GROUND.build(
         {
-            "pair_id": context.pair_id,
-            "side": context.side,
+            "pair_id": pair_id,
+            "side": side,
             "point_id": clean.point_ids,
             "x": x,
             "y": y,
@@ -51,29 +58,23 @@ def make_ground(context: Context) -> Made:
         len(x),
     )
     n_ground = int(np.count_nonzero(cut.is_ground))
-    facts: Facts = {
-        "n_raw": len(scan.points),
-        "n_clean": len(x),
-        "n_points": len(x) - n_ground,
-        "dropped": clean.dropped,
-        "axis": cut.axis.tolist(),
-        "peak_m": cut.peak_m,
-        "threshold_m": cut.threshold_m,
-        "loss": cut.loss,
-        "iterations": cut.iterations,
-        "removed_share": n_ground / len(x),
-        "tilt_deg": cut.tilt_deg,
-        "notes": list(cut.notes),
-    }
-    return Made({"ground": rows}, facts)
+    counts = {"n_raw": len(scan.points), "n_clean": len(x), "n_points": len(x) - n_ground}
+    measures = {name: getattr(cut, name) for name in ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")}
+    measures["removed_share"] = n_ground / len(x)
+    of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}
+    of_pair |= {f"ground_{side}_{name}": value for name, value in measures.items()}
+    others = {"dropped": clean.dropped, "axis": cut.axis.tolist(), "notes": list(cut.notes)}
+    return JobResult({"ground": rows}, counts | measures | others | {OF_PAIR: of_pair})
 
 
 def _libraries(settings: Settings) -> tuple[str, ...]:
     return _LIBRARIES[settings.ground.method]
 
 
-def _needs_real(settings: Settings) -> bool:
-    return settings.ground.shared or settings.ground.peak == "real"
+def _takes_real(settings: Settings) -> Columns:
+    if settings.ground.shared:
+        return {"ground": ()}
+    return {"ground": ("x", "y", "z")} if settings.ground.peak == "real" else {}
 
 
 def _cut(facts: Facts) -> GroundResult:
@@ -99,5 +100,5 @@ STAGE = Stage(
     version=1,
     make=make_ground,
     libraries=_libraries,
-    needs_real=_needs_real,
+    takes_real=_takes_real,
 )

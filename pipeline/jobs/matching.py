@@ -6,18 +6,25 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.tables import MATCHING
+from ...stages.arrays import IntArray
+from ...stages.matching import Matching
 from ...stages.method import match_objects
-from ..stage import OBJECTS, Context, Facts, Grain, Made, Stage
+from ..stage import OBJECTS, Facts, Grain, Inputs, JobResult, Stage
 from .points import column
 
 
-def make_matching(context: Context) -> Made:
-    """Matches objects; lists the matched ones with the number of nodes that both sides will keep."""
-    objects = {side: context.table("objects", side) for side in SIDES}
-    real, sim = (np.column_stack([column(objects[side], axis) for axis in ("cx", "cy", "cz")]) for side in SIDES)
-    n_real, n_sim = (column(objects[side], "n_points") for side in SIDES)
-    with context.step("match"):
-        matching = match_objects(real, sim, n_real, n_sim, context.settings)
+def make_matching(own: Inputs) -> JobResult:
+    """Match the objects of both sides."""
+    objects = [own.table("objects", side) for side in SIDES]
+    real, sim = (np.column_stack([column(table, axis) for axis in ("cx", "cy", "cz")]) for table in objects)
+    n_real, n_sim = (column(table, "n_points") for table in objects)
+    with own.step("match"):
+        matching = match_objects(real, sim, n_real, n_sim, own.settings)
+    return matching_result(own.pair_id, matching, n_real, n_sim)
+
+
+def matching_result(pair_id: str, matching: Matching, n_real: IntArray, n_sim: IntArray) -> JobResult:
+    """A row for each object; the facts list the matched ones with the number of nodes that both sides will keep."""
     pairs = zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True)
     rows: list[Facts] = [
         {"real_id": a, "sim_id": b, "centroid_distance_m": d, "status": "matched"} for a, b, d in pairs
@@ -25,8 +32,10 @@ def make_matching(context: Context) -> Made:
     rows += [{"real_id": a, "status": "missing"} for a in matching.missing.tolist()]
     rows += [{"sim_id": b, "status": "hallucinated"} for b in matching.hallucinated.tolist()]
     n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])
-    table = MATCHING.from_rows({"pair_id": context.pair_id} | row for row in rows)
-    return Made({"matching": table}, {OBJECTS: list(zip(matching.real_ids.tolist(), n_keep.tolist(), strict=True))})
+    table = MATCHING.from_rows({"pair_id": pair_id} | row for row in rows)
+    return JobResult(
+        {"matching": table}, {OBJECTS: list(zip(matching.real_ids.tolist(), n_keep.tolist(), strict=True))}
+    )
 
 
 STAGE = Stage(

@@ -1,9 +1,8 @@
-"""Stage metrics: the scores of matched objects, and the pair's row of `pairs`."""
+"""Stage metrics: the scores of matched objects, and what they say together."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,112 +10,74 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.metrics import OBJECT_METRICS
-from ...schemas.record import SurfaceStates
-from ...schemas.settings import Settings
+from ...schemas.results import Number
 from ...schemas.tables import METRICS
 from ...stages.arrays import FloatArray
-from ...stages.coverage import ROAD, surface_state
-from ...stages.metrics import score_object
+from ...stages.method import n_communities
+from ...stages.metrics import Scores, score_object
 from ...stages.summary import summarise_pair
-from ..stage import ROW, Context, Facts, Grain, Made, Stage, Tables
-from ..storage.tables import JobRecord
-from .points import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_pair, matched_rows
-
-_CUT = ("peak_m", "threshold_m", "loss", "iterations", "removed_share", "tilt_deg")
-
-#: What an object is called that only this side has.
-_ALONE = {"real": "missing", "sim": "hallucinated"}
-_COVERED = ("side", "community_id", "covered_0p3m", "road_share")
+from ..stage import OF_PAIR, Facts, Grain, Inputs, JobResult, Stage, Tables
+from .points import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_rows, matched_subgraphs
 
 
-def make_metrics(context: Context) -> Made:
-    """Scores each object: geometry and structure."""
-    rows, selection = [], context.table("selection")
-    for match in matched_rows(context):
-        real, sim = matched_pair(context, match)
+def make_metrics(own: Inputs) -> JobResult:
+    """Score each object: geometry and structure."""
+    selection, scored = own.table("selection"), []
+    subgraphs = [matched_subgraphs(own, side) for side in SIDES]
+    for match in matched_rows(own):
+        real, sim = (graphs[match[f"{side}_id"]] for side, graphs in zip(SIDES, subgraphs, strict=True))
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        scores = score_object(real, sim, nodes, watch=context.step)
-        sizes = {"n_real": len(real.points), "n_sim": len(sim.points), "n_keep": len(nodes.real_nodes)}
-        del match["status"]
-        rows.append({"pair_id": context.pair_id} | match | sizes | vars(scores))
-    return Made({"metrics": METRICS.from_rows(rows)})
+        sizes = len(real.points), len(sim.points), len(nodes.real_nodes)
+        scored.append((match, sizes, score_object(real, sim, nodes, watch=own.step)))
+    return metrics_result(own.pair_id, scored)
 
 
-def gather_metrics(context: Context, tables: Tables) -> Facts:
-    """The pair's row of `pairs`: counts, match rate, ranges, means over the objects, and what both surfaces say."""
-    metrics = tables["metrics"]
-    row: Facts = {"pair_id": context.pair_id, "status": "scored"}
-    for side in SIDES:
-        ground = context.facts("ground", side)
-        row |= {f"n_{side}_{name}": ground[f"n_{name}"] for name in ("raw", "clean", "points")}
-        row |= {f"ground_{side}_{name}": ground[name] for name in _CUT}
-    ranges = {side: column(context.table("objects", side), "range_m") for side in SIDES}
-    matching = context.table("matching")
-    statuses = matching.column("status").to_pylist()
-    for side, alone in _ALONE.items():
-        row[f"n_communities_{side}"] = statuses.count("matched") + statuses.count(alone)
-    ids = {side: matching.column(f"{side}_id").to_pylist() for side in SIDES}
+def metrics_result(
+    pair_id: str, objects: Iterable[tuple[Mapping[str, Any], tuple[int, int, int], Scores]]
+) -> JobResult:
+    """One row per matched object.
+
+    Parameters
+    ----------
+    objects : of each its row of `matching`, its points on both sides and its kept nodes, and its scores
+    """
+    names = ("real_id", "sim_id", "centroid_distance_m")
+    rows = [
+        {"pair_id": pair_id}
+        | {name: match[name] for name in names}
+        | dict(zip(("n_real", "n_sim", "n_keep"), sizes, strict=True))
+        | vars(scores)
+        for match, sizes, scores in objects
+    ]
+    return JobResult({"metrics": METRICS.from_rows(rows)})
+
+
+def gather_metrics(own: Inputs, tables: Tables) -> Facts:
+    """The pair's columns of `pairs`: counts, match rate, ranges, means over the objects."""
+    metrics, matching = tables["metrics"], own.table("matching")
+    statuses = np.array(matching.column("status").to_pylist(), dtype=object)
 
     def range_of(side: str, status: str) -> FloatArray:
-        chosen = [i for i, own in zip(ids[side], statuses, strict=True) if own == status]
-        range_m: FloatArray = ranges[side][np.array(chosen, dtype=np.intp)]
+        ids = matching.column(f"{side}_id").filter(pa.array(statuses == status)).to_numpy()
+        range_m: FloatArray = column(own.table("objects", side), "range_m")[ids]
         return range_m
 
-    return {
-        ROW: row
-        | summarise_pair(
-            {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},
-            metrics.column("status").to_pylist(),
-            range_of("real", "matched"),
-            range_of("real", "missing"),
-            range_of("sim", "hallucinated"),
-        )
-        | context.facts("coverage")
-        | context.facts("surface")
-        | context.facts("pieces")
-        | context.facts("sensor", "real")["pairs"]
-        | context.facts("sensor", "sim")["pairs"],
-        "unmatched": _unmatched_surface(context.table("coverage"), ids, statuses),
-    }
-
-
-def summarise_metrics(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
-    """Of the unmatched objects of all pairs, how many have their surface on the other side, and how many are road."""
-    total = {alone: dict.fromkeys(SurfaceStates.model_fields, 0) for alone in _ALONE.values()}
-    for record in records:
-        for alone, counts in record.facts["unmatched"].items():
-            for state, count in counts.items():
-                total[alone][state] += count
-    return {"unmatched": total}
-
-
-def _unmatched_surface(coverage: pa.Table, ids: dict[str, list[Any]], statuses: list[str]) -> Facts:
-    """How many objects that only one side has are covered by the other side, by what they are called and by state."""
-    columns = (coverage.column(name).to_pylist() for name in _COVERED)
-    shares = {(side, community_id): own for side, community_id, *own in zip(*columns, strict=True)}
-    counts = {}
-    for side, alone in _ALONE.items():
-        own = [shares[side, i] for i, status in zip(ids[side], statuses, strict=True) if status == alone]
-        states = Counter(surface_state(covered) for covered, _ in own)
-        counts[alone] = dict(states) | {"road": sum((road_share or 0) > ROAD for _, road_share in own)}
-    return counts
+    summary: dict[str, Number] = summarise_pair(
+        {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},
+        metrics.column("status").to_pylist(),
+        range_of("real", "matched"),
+        range_of("real", "missing"),
+        range_of("sim", "hallucinated"),
+    )
+    return {OF_PAIR: summary | n_communities(summary)}
 
 
 STAGE = Stage(
     name="metrics",
-    takes={
-        **MATCHED_OBJECTS,
-        "objects": ("range_m",),
-        "selection": NODE_COLUMNS,
-        "coverage": _COVERED,
-        "surface": (),
-        "pieces": (),
-        "sensor": (),
-    },
+    takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS},
     gives=("metrics",),
     grain=Grain.OBJECT,
-    version=1,
+    version=2,
     make=make_metrics,
     gather=gather_metrics,
-    summarise=summarise_metrics,
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pyarrow as pa
 
@@ -9,32 +11,46 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.tables import PIECES
 from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan, Pieces, count_pieces, find_pieces
-from ..stage import Context, Grain, Made, Stage
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
 from .points import column, nulls_for_nan
 
 _PLACE = ("cx", "cy", "cz", "extent_x", "extent_y", "extent_z", "range_m", "bearing_deg", "height_m")
 _MOVED = ("moved_x_m", "moved_y_m", "moved_z_m")
 
 
-def make_pieces(context: Context) -> Made:
-    """One row for each missing and each invented piece; the facts have the columns of `pairs`."""
-    tables = [context.table("ground", side) for side in SIDES]
+def make_pieces(own: Inputs) -> JobResult:
+    """Find the missing and the invented pieces."""
+    tables = [own.table("ground", side) for side in SIDES]
     real, sim = (
         CutScan(
-            np.column_stack([column(own, axis) for axis in "xyz"]), column(own, "is_ground"), column(own, "height_m")
+            np.column_stack([column(table, axis) for axis in "xyz"]),
+            column(table, "is_ground"),
+            column(table, "height_m"),
         )
-        for own in tables
+        for table in tables
     )
-    with context.step("pieces"):
-        both = find_pieces(real, sim, context.settings.pieces)
+    with own.step("pieces"):
+        both = find_pieces(real, sim, own.settings.pieces)
+    return pieces_result(own.pair_id, both, [table.column("label") for table in tables])
+
+
+def pieces_result(
+    pair_id: str, both: tuple[Pieces, Pieces], names: Sequence[pa.ChunkedArray | None] = (None, None)
+) -> JobResult:
+    """One row for each missing and each invented piece.
+
+    Parameters
+    ----------
+    names : by side, the class of each point; None where the scan has no labels
+    """
     rows: list[Row] = []
-    for side, table, pieces in zip(SIDES, tables, both, strict=True):
+    for side, pieces, own in zip(SIDES, both, names, strict=True):
         inside = pieces.labels >= 0
-        names = table.column("label").filter(pa.array(inside)).to_pylist()
-        labels = majority_labels(pieces.labels[inside], names, len(pieces.partner)) if names else []
-        common = {"pair_id": context.pair_id, "side": side}
+        known = own.filter(pa.array(inside)).to_pylist() if own is not None else [None] * int(inside.sum())
+        labels = majority_labels(pieces.labels[inside], known, len(pieces.partner)) if known else []
+        common = {"pair_id": pair_id, "side": side}
         rows += [common | row | {"label": label} for row, label in zip(_rows(pieces), labels, strict=True)]
-    return Made({"pieces": PIECES.from_rows(rows)}, count_pieces(*both))
+    return JobResult({"pieces": PIECES.from_rows(rows)}, {OF_PAIR: count_pieces(*both)})
 
 
 def _rows(pieces: Pieces) -> list[Row]:

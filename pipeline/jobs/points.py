@@ -10,12 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ...stages.reference import Annotation
 from ...stages.selection import Selection
-from ..stage import Context
+from ..stage import Inputs
 
 #: The columns that these functions read, for the declarations of stages that call them.
 POINT_COLUMNS = ("point_id", "x", "y", "z", "is_ground")
@@ -41,20 +40,14 @@ def nulls_for_nan(values: Iterable[float]) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values]
 
 
-def object_points(context: Context, side: str) -> tuple[IntArray, FloatArray]:
+def object_points(own: Inputs, side: str) -> tuple[IntArray, FloatArray]:
     """Ids, (n,) int32, and coordinates, (n, 3) float64 metres, of the points of a side that are not ground."""
-
-    def read() -> tuple[IntArray, FloatArray]:
-        ground = context.table("ground", side, POINT_COLUMNS)
-        ground = ground.filter(pc.invert(ground.column("is_ground")))
-        return column(ground, "point_id"), np.column_stack([column(ground, axis) for axis in "xyz"])
-
-    return context.once(f"object points {side}", read)
+    return own.memo(points_in, own.table("ground", side))
 
 
-def annotation(context: Context, side: str) -> Annotation:
+def annotation(own: Inputs, side: str) -> Annotation:
     """Labels and instances of the object points of a side, where the input has them."""
-    ground = context.table("ground", side, ("is_ground", "label", "instance"))
+    ground = own.table("ground", side).select(("is_ground", "label", "instance"))
     ground = ground.filter(pc.invert(ground.column("is_ground")))
     labels, instances = ground.column("label"), ground.column("instance")
     return Annotation(
@@ -63,48 +56,48 @@ def annotation(context: Context, side: str) -> Annotation:
     )
 
 
-def graph_edges(context: Context, side: str) -> Edges:
+def graph_edges(own: Inputs, side: str) -> Edges:
     """The graph of a side by node index, its nodes being the object points in order."""
-
-    def read() -> Edges:
-        point_ids, _ = object_points(context, side)
-        graph = context.table("graph", side, EDGE_COLUMNS)
-        index_of = np.zeros(int(point_ids[-1]) + 1, dtype=np.int32)
-        index_of[point_ids] = np.arange(len(point_ids), dtype=np.int32)
-        return Edges(index_of[column(graph, "src")], index_of[column(graph, "dst")], column(graph, "length_m"))
-
-    return context.once(f"edges {side}", read)
+    return edges_in(object_points(own, side)[0], own.table("graph", side))
 
 
-def matched_rows(context: Context) -> list[dict[str, Any]]:
-    """The rows of `matching` of the matched objects that the job is asked for; of another grain than OBJECT all."""
-    matching = context.table("matching", columns=MATCH_COLUMNS)
+def matched_rows(own: Inputs) -> list[dict[str, Any]]:
+    """The rows of `matching` of the objects that the job is about: of grain OBJECT its own, else all matched ones."""
+    matching = own.table("matching")
     matched = matching.filter(pc.equal(matching.column("status"), "matched"))
-    if context.objects:
-        matched = matched.filter(pc.is_in(matched.column("real_id"), pa.array(context.objects, pa.int32())))
+    if own.objects:
+        matched = matched.filter(pc.is_in(matched.column("real_id"), pa.array(own.objects, pa.int32())))
     rows: list[dict[str, Any]] = matched.to_pylist()
     return rows
 
 
-def matched_pair(context: Context, row: dict[str, Any]) -> tuple[Subgraph, Subgraph]:
-    """One matched object on both sides."""
-    real, sim = (_matched_subgraphs(context, side)[row[f"{side}_id"]] for side in SIDES)
-    return real, sim
-
-
-def _matched_subgraphs(context: Context, side: str) -> dict[int, Subgraph]:
+def matched_subgraphs(own: Inputs, side: str) -> dict[int, Subgraph]:
     """All matched objects of a side, by community id."""
+    tables = [own.table(name, side) for name in ("ground", "graph", "communities")]
+    with own.step("subgraphs"):
+        return own.memo(_matched_subgraphs, *tables, own.table("matching"), f"{side}_id")
 
-    def split() -> dict[int, Subgraph]:
-        point_ids, points = object_points(context, side)
-        edges = graph_edges(context, side)
-        labels = column(context.table("communities", side, MATCHED_OBJECTS["communities"]), "community_id")
-        matching = context.table("matching", columns=MATCH_COLUMNS)
-        matched = matching.filter(pc.equal(matching.column("status"), "matched"))
-        with context.step("subgraphs"):
-            return split_by_community(point_ids, points, edges, labels, column(matched, f"{side}_id").tolist())
 
-    return context.once(f"matched subgraphs {side}", split)
+def points_in(ground: pa.Table) -> tuple[IntArray, FloatArray]:
+    """See `object_points`."""
+    ground = ground.select(POINT_COLUMNS).filter(pc.invert(ground.column("is_ground")))
+    return column(ground, "point_id"), np.column_stack([column(ground, axis) for axis in "xyz"])
+
+
+def edges_in(point_ids: IntArray, graph: pa.Table) -> Edges:
+    """See `graph_edges`."""
+    index_of = np.zeros(int(point_ids[-1]) + 1, dtype=np.int32)
+    index_of[point_ids] = np.arange(len(point_ids), dtype=np.int32)
+    return Edges(index_of[column(graph, "src")], index_of[column(graph, "dst")], column(graph, "length_m"))
+
+
+def _matched_subgraphs(
+    ground: pa.Table, graph: pa.Table, communities: pa.Table, matching: pa.Table, id_column: str
+) -> dict[int, Subgraph]:
+    point_ids, points = points_in(ground)
+    edges, labels = edges_in(point_ids, graph), column(communities, "community_id")
+    matched = matching.filter(pc.equal(matching.column("status"), "matched"))
+    return split_by_community(point_ids, points, edges, labels, column(matched, id_column).tolist())
 
 
 def kept_nodes(selection: pa.Table, real_id: int, real: Subgraph, sim: Subgraph) -> Selection:

@@ -18,23 +18,23 @@ from ...schemas.tables import SEEDS
 from ...stages.method import PartitionedScan, compare, n_communities, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
-from ..stage import ROW, Context, Facts, Grain, Made, Stage
+from ..stage import OF_PAIR, Facts, Grain, Inputs, JobResult, Stage
 from ..storage.tables import JobRecord
 from .communities import louvain_libraries
 from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
 
 
-def make_seeds(context: Context) -> Made:
+def make_seeds(own: Inputs) -> JobResult:
     """Scores the pair under each seed: the set one, whose tables are there, and those that follow it."""
-    first = context.settings.communities.seed
-    scores = {first: context.facts("metrics")[ROW]}
-    for seed in range(first + 1, first + context.settings.stability.seeds):
-        scores[seed] = _repeat(context, seed)
+    first = own.settings.communities.seed
+    scores = {first: own.facts("metrics")[OF_PAIR]}
+    for seed in range(first + 1, first + own.settings.stability.seeds):
+        scores[seed] = _repeat(own, seed)
     rows = [
-        {"pair_id": context.pair_id, "seed": seed} | {name: row[name] for name in SEEDED_SCORES}
+        {"pair_id": own.pair_id, "seed": seed} | {name: row[name] for name in SEEDED_SCORES}
         for seed, row in scores.items()
     ]
-    return Made(
+    return JobResult(
         {"seeds": SEEDS.from_rows(rows)}, {"scores": {name: [row[name] for row in rows] for name in SEEDED_SCORES}}
     )
 
@@ -47,26 +47,27 @@ def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[st
         pair_id: {name: dict(zip(("mean", "std"), mean_and_std(own), strict=True)) for name, own in scores.items()}
         for pair_id, scores in sorted(repeats.items())
     }
-    return {"n_seeds": settings.stability.seeds, "n_pairs": len(repeats), "dataset": dataset, "pairs": pairs}
+    n_seeds, n_pairs = settings.stability.seeds, len(repeats)
+    return {"seeds": {"n_seeds": n_seeds, "n_pairs": n_pairs, "dataset": dataset, "pairs": pairs}}
 
 
-def _repeat(context: Context, seed: int) -> Facts:
+def _repeat(own: Inputs, seed: int) -> Facts:
     """The scores of the pair under another seed."""
-    own = context.settings
+    declared = own.settings
     settings = Settings(
-        communities=own.communities.model_copy(update={"seed": seed}),
-        matching=own.matching,
-        pieces=own.pieces,
-        selection=own.selection,
+        communities=declared.communities.model_copy(update={"seed": seed}),
+        matching=declared.matching,
+        pieces=declared.pieces,
+        selection=declared.selection,
     )
     scans: dict[str, PartitionedScan] = {}
     for side in SIDES:
-        _, points = object_points(context, side)
-        edges = graph_edges(context, side)
+        _, points = object_points(own, side)
+        edges = graph_edges(own, side)
         real = scans["real"].reference if side == "sim" else None
-        with context.step("communities"):
-            scans[side] = partition(points, settings, edges=edges, reference=real, annotation=annotation(context, side))
-    with context.step("scores"):
+        with own.step("communities"):
+            scans[side] = partition(points, settings, edges=edges, reference=real, annotation=annotation(own, side))
+    with own.step("scores"):
         summary = compare(scans["real"], scans["sim"], settings).summary
     return n_communities(summary) | summary
 

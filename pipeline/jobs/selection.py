@@ -2,38 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
 from ...schemas.tables import SELECTION
-from ...stages.selection import select_nodes
-from ..stage import Context, Grain, Made, Stage
-from .points import MATCHED_OBJECTS, matched_pair, matched_rows
+from ...stages.arrays import IntArray
+from ...stages.selection import Selection, select_nodes
+from ..stage import Grain, Inputs, JobResult, Stage
+from .points import MATCHED_OBJECTS, matched_rows, matched_subgraphs
 
 
-def make_selection(context: Context) -> Made:
-    """Keeps the most influential nodes of each object on both sides, aligned one to one."""
-    parts = [SELECTION.from_rows([])]
-    for match in matched_rows(context):
-        real, sim = matched_pair(context, match)
-        kept = select_nodes(real, sim, context.settings.selection, watch=context.step)
-        parts.append(
-            SELECTION.build(
-                {
-                    "pair_id": context.pair_id,
-                    "real_id": match["real_id"],
-                    "sim_id": match["sim_id"],
-                    "rank": np.arange(len(kept.real_nodes), dtype=np.int32),
-                    "real_point_id": real.point_ids[kept.real_nodes],
-                    "sim_point_id": sim.point_ids[kept.sim_nodes],
-                    "real_influence": kept.real_influence,
-                    "sim_influence": kept.sim_influence,
-                },
-                len(kept.real_nodes),
+def make_selection(own: Inputs) -> JobResult:
+    """Keep the most influential nodes of each object on both sides, aligned one to one."""
+    real, sim = (matched_subgraphs(own, side) for side in SIDES)
+    return selection_result(
+        own.pair_id,
+        [
+            (
+                match,
+                real[a].point_ids,
+                sim[b].point_ids,
+                select_nodes(real[a], sim[b], own.settings.selection, watch=own.step),
             )
-        )
-    return Made({"selection": pa.concat_tables(parts).combine_chunks()})
+            for match in matched_rows(own)
+            for a, b in [(match["real_id"], match["sim_id"])]
+        ],
+    )
+
+
+def selection_result(
+    pair_id: str, objects: Iterable[tuple[Mapping[str, Any], IntArray, IntArray, Selection]]
+) -> JobResult:
+    """One row per kept node.
+
+    Parameters
+    ----------
+    objects : of each matched object its row of `matching`, the ids of its points on both sides, and its kept nodes
+    """
+    parts = [SELECTION.from_rows([])]
+    for match, real_ids, sim_ids, kept in objects:
+        columns = {
+            "rank": np.arange(len(kept.real_nodes), dtype=np.int32),
+            "real_point_id": real_ids[kept.real_nodes],
+            "sim_point_id": sim_ids[kept.sim_nodes],
+            "real_influence": kept.real_influence,
+            "sim_influence": kept.sim_influence,
+        }
+        ids = {"pair_id": pair_id, "real_id": match["real_id"], "sim_id": match["sim_id"]}
+        parts.append(SELECTION.build(ids | columns, len(kept.real_nodes)))
+    return JobResult({"selection": pa.concat_tables(parts).combine_chunks()})
 
 
 def _libraries(settings: Settings) -> tuple[str, ...]:

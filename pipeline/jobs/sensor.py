@@ -6,21 +6,25 @@ from dataclasses import asdict
 
 from ...schemas.tables import SENSOR
 from ...stages.clean import as_ros
-from ...stages.inspect.sensor import describe_sensor, pair_columns, sensor_row
-from ..stage import SCAN, Context, Grain, Made, Stage
+from ...stages.inspect.sensor import SensorFacts, describe_sensor, pair_columns, sensor_row
+from ..stage import OF_PAIR, SCAN, Grain, Inputs, JobResult, Stage
 
 
-def make_sensor(context: Context) -> Made:
-    """One row; the facts have the whole description and the side's columns of `pairs`."""
-    with context.step("read"):
-        scan = context.scan()
-    points = as_ros(scan.points, context.settings.input.frame_of(context.side))
-    with context.step("sensor"):
+def make_sensor(own: Inputs) -> JobResult:
+    """Estimate the sensor of a side in the side's own frame."""
+    with own.step("read"):
+        scan = own.scans[own.part]()
+    points = as_ros(scan.points, own.settings.input.frame_of(own.part))
+    with own.step("sensor"):
         sensor = describe_sensor(points, scan.rings, scan.times_s is not None)
-    row = {"pair_id": context.pair_id, "side": context.side} | sensor_row(sensor)
-    return Made(
-        {"sensor": SENSOR.build(row, 1)}, {"sensor": asdict(sensor), "pairs": pair_columns(sensor, context.side)}
-    )
+    return sensor_result(own.pair_id, own.part, sensor)
+
+
+def sensor_result(pair_id: str, side: str, sensor: SensorFacts) -> JobResult:
+    """One row; the facts have the whole description."""
+    row = {"pair_id": pair_id, "side": side} | sensor_row(sensor)
+    facts = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, side)}
+    return JobResult({"sensor": SENSOR.build(row, 1)}, facts)
 
 
 STAGE = Stage(

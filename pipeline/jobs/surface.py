@@ -6,22 +6,26 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metrics import SHIFT_COLUMNS
 from ...schemas.settings import Settings
 from ...schemas.tables import SURFACE
-from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
-from ..stage import Context, Facts, Grain, Made, Stage
+from ...stages.method import SurfaceComparison, measure_surface
+from ...stages.surface import Offsets
+from ..stage import OF_PAIR, Facts, Grain, Inputs, JobResult, Stage
 from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 
-def make_surface(context: Context) -> Made:
-    """One row for each real object and one for the whole; the facts have the pair's columns of `pairs`."""
-    with context.step("planes"):
-        real, sim = (describe_surface(object_points(context, side)[1]) for side in SIDES)
-    with context.step("offset"):
-        whole = measure_offsets(real, sim)
-        each = measure_offsets(real, sim, column(context.table("communities", "real"), "community_id"))
-    (pair,) = _rows(whole)
-    rows = [{"real_id": i} | row for i, row in enumerate(_rows(each))]
-    facts: Facts = {name: pair[name] for name in SHIFT_COLUMNS} | compare_roughness(real, sim)
-    return Made({"surface": SURFACE.from_rows({"pair_id": context.pair_id} | row for row in [*rows, pair])}, facts)
+def make_surface(own: Inputs) -> JobResult:
+    """Compare the surfaces of both sides."""
+    real, sim = (object_points(own, side)[1] for side in SIDES)
+    labels = column(own.table("communities", "real"), "community_id")
+    return surface_result(own.pair_id, measure_surface(real, sim, labels, watch=own.step))
+
+
+def surface_result(pair_id: str, surface: SurfaceComparison) -> JobResult:
+    """One row for each real object and one for the whole."""
+    (pair,) = _rows(surface.whole)
+    rows = [{"real_id": i} | row for i, row in enumerate(_rows(surface.objects))]
+    of_pair: Facts = {name: pair[name] for name in SHIFT_COLUMNS} | surface.roughness
+    table = SURFACE.from_rows({"pair_id": pair_id} | row for row in [*rows, pair])
+    return JobResult({"surface": table}, {OF_PAIR: of_pair})
 
 
 def _rows(offsets: Offsets) -> list[Row]:

@@ -8,36 +8,36 @@ from ...schemas.settings import Settings
 from ...stages.method import Memo, compare, n_communities, partition
 from ..jobs import seeds
 from ..jobs.points import ANNOTATED_COLUMNS, annotation, object_points
-from ..stage import Context, Grain, Made, Stage
+from ..stage import Grain, Inputs, JobResult, Stage
 
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
-def make_rows(context: Context) -> Made:
+def make_rows(own: Inputs) -> JobResult:
     """One row of `ablate` per point (k, tau, delta, t) of the arguments, which have k and tau of the settings.
 
     The graphs and communities of both sides are made once, an object that is matched under several delta is scored
     once for each t.
     """
-    own = context.settings
-    (points,) = context.arguments
-    real = partition(object_points(context, "real")[1], own, annotation=annotation(context, "real"))
-    sim = partition(object_points(context, "sim")[1], own, reference=real.reference)
+    declared = own.settings
+    (points,) = own.arguments
+    real = partition(object_points(own, "real")[1], declared, annotation=annotation(own, "real"))
+    sim = partition(object_points(own, "sim")[1], declared, reference=real.reference)
     memo: Memo = {}
     rows = []
     for k, tau_m, delta_m, t in points:
         settings = Settings(
-            communities=own.communities,
-            matching=own.matching.model_copy(update={"delta_m": delta_m}),
-            selection=own.selection.model_copy(update={"t": t}),
+            communities=declared.communities,
+            matching=declared.matching.model_copy(update={"delta_m": delta_m}),
+            selection=declared.selection.model_copy(update={"t": t}),
         )
         summary = compare(real, sim, settings, memo=memo).summary
         rows.append(
-            {"pair_id": context.pair_id, "k": k, "tau_m": tau_m, "delta_m": delta_m, "t": t}
+            {"pair_id": own.pair_id, "k": k, "tau_m": tau_m, "delta_m": delta_m, "t": t}
             | n_communities(summary)
             | {name: summary[name] for name in _SUMMARY}
         )
-    return Made({"ablate": ABLATE.from_rows(rows)})
+    return JobResult({"ablate": ABLATE.from_rows(rows)})
 
 
 #: Its version is to be raised when the same request gives other numbers.

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 
 from ...schemas.columns import Row
 from ...schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ...schemas.metrics import OBJECT_METRICS
-from ...schemas.settings import Settings
+from ...schemas.settings import CommunitySettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_objects
 from ...stages.generate.perturbations import Perturbation, perturb
@@ -20,20 +21,20 @@ from ...stages.metrics import MIN_NODES
 from ...stages.selection import select_nodes
 from ..jobs import seeds
 from ..jobs.baselines import baseline_libraries
-from ..jobs.points import EDGE_COLUMNS, POINT_COLUMNS, column, graph_edges, object_points
-from ..stage import Context, Grain, Made, Stage
+from ..jobs.points import EDGE_COLUMNS, POINT_COLUMNS, column, edges_in, points_in
+from ..stage import Grain, Inputs, JobResult, Stage
 
 _SUMMARY = ("n_matched", "n_identical", "n_too_small", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
-def make_global(context: Context) -> Made:
+def make_global(own: Inputs) -> JobResult:
     """One row of `perturb_global` per repeat: all object points altered, everything from the graph on run again.
 
     Arguments: the perturbation, and the seeds of the repeats.
     """
-    scan, settings = _unaltered_scan(context), context.settings
+    scan, settings = _unaltered_scan(own), own.settings
     rows = []
-    for row, altered in _repeats(context, scan.points, *context.arguments):
+    for row, altered in _repeats(own, scan.points, *own.arguments):
         row |= {
             "n_points": len(scan.points),
             "n_points_altered": len(altered),
@@ -42,39 +43,39 @@ def make_global(context: Context) -> Made:
         if len(altered) < MIN_OBJECT_POINTS:
             row["reason"] = f"{len(altered)} points are left, at least {MIN_OBJECT_POINTS} are needed"
         else:
-            own = _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings
-            altered_scan = partition(altered, own, reference=scan.reference)
+            chosen = _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings
+            altered_scan = partition(altered, chosen, reference=scan.reference)
             summary = compare(scan, altered_scan, settings).summary  # the unaltered scan taken as the real side
             row |= {name: summary[name] for name in _SUMMARY}
             row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
         rows.append(row)
-    return Made({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
+    return JobResult({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
 
 
-def make_objects(context: Context) -> Made:
+def make_objects(own: Inputs) -> JobResult:
     """One row of `perturb_objects` per repeat: one object altered, both graphs built from its points alone.
 
     Arguments: the object's community id and name, the perturbation, and the seeds of the repeats.
     """
-    points, repeats = _object_repeats(context)
-    before = graph_of(points, context.settings)
+    points, repeats = _object_repeats(own)
+    before = graph_of(points, own.settings)
     rows = []
     for row, altered in repeats:
         if len(altered):
             distance_m = float(np.linalg.norm(altered.mean(axis=0) - points.mean(axis=0)))
-            scores = vars(score(before, graph_of(altered, context.settings), context.settings.selection).scores)
+            scores = vars(score(before, graph_of(altered, own.settings), own.settings.selection).scores)
         else:
             reason = f"no point is left, at least {MIN_NODES} are needed for a spectrum"
             scores, distance_m = {"status": "too_small", "reason": reason}, None
         counts = {"n_points": len(points), "n_points_altered": len(altered), "centroid_distance_m": distance_m}
         rows.append(row | counts | scores)
-    return Made({"perturb_objects": PERTURB_OBJECTS.from_rows(rows)})
+    return JobResult({"perturb_objects": PERTURB_OBJECTS.from_rows(rows)})
 
 
-def make_baselines(context: Context) -> Made:
+def make_baselines(own: Inputs) -> JobResult:
     """One row of `perturb_baselines` per repeat and baseline; arguments and altered objects as in `make_objects`."""
-    points, repeats = _object_repeats(context)
-    settings = context.settings
+    points, repeats = _object_repeats(own)
+    settings = own.settings
     before = graph_of(points, settings)
     rows = []
     for row, altered in repeats:
@@ -85,7 +86,7 @@ def make_baselines(context: Context) -> Made:
         for baseline in compare_objects(before, after, nodes, settings.selection.t, settings.metrics):
             number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
             rows.append(row | {"baseline": baseline.name} | number)
-    return Made({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
+    return JobResult({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
 
 
 def _with_seed(settings: Settings, seed: int) -> Settings:
@@ -94,33 +95,36 @@ def _with_seed(settings: Settings, seed: int) -> Settings:
     return Settings(graph=settings.graph, communities=communities, pieces=settings.pieces)
 
 
-def _unaltered_scan(context: Context) -> PartitionedScan:
+def _unaltered_scan(own: Inputs) -> PartitionedScan:
     """The unaltered scan with its partition."""
-    settings = context.settings
-
-    def read() -> PartitionedScan:
-        _, points = object_points(context, "real")
-        labels = column(context.table("communities", "real"), "community_id")
-        return PartitionedScan(points, graph_edges(context, "real"), labels, describe(points, labels, settings))
-
-    return context.once(f"unaltered scan, {settings.communities.objects}", read)
+    tables = [own.table(name, "real") for name in ("ground", "graph", "communities")]
+    return own.memo(_read_partition, *tables, own.settings.communities)
 
 
-def _object_repeats(context: Context) -> tuple[FloatArray, Iterator[tuple[Row, FloatArray]]]:
+def _read_partition(
+    ground: pa.Table, graph: pa.Table, communities: pa.Table, settings: CommunitySettings
+) -> PartitionedScan:
+    point_ids, points = points_in(ground)
+    labels = column(communities, "community_id")
+    objects = describe(points, labels, Settings(communities=settings))
+    return PartitionedScan(points, edges_in(point_ids, graph), labels, objects)
+
+
+def _object_repeats(own: Inputs) -> tuple[FloatArray, Iterator[tuple[Row, FloatArray]]]:
     """The points of the object that the arguments name, and its repeats."""
-    community_id, name, perturbation, random_seeds = context.arguments
-    scan = _unaltered_scan(context)
+    community_id, name, perturbation, random_seeds = own.arguments
+    scan = _unaltered_scan(own)
     points = scan.points[scan.labels == community_id]
     named = {"community_id": community_id, "object": name}
-    return points, ((row | named, altered) for row, altered in _repeats(context, points, perturbation, random_seeds))
+    return points, ((row | named, altered) for row, altered in _repeats(own, points, perturbation, random_seeds))
 
 
 def _repeats(
-    context: Context, points: FloatArray, perturbation: Perturbation, random_seeds: list[int]
+    own: Inputs, points: FloatArray, perturbation: Perturbation, random_seeds: list[int]
 ) -> Iterator[tuple[Row, FloatArray]]:
     """Of each repeat what its row begins with, and the altered points."""
     for repeat, seed in enumerate(random_seeds):
-        row = vars(perturbation) | {"pair_id": context.pair_id, "repeat": repeat, "seed": seed}
+        row = vars(perturbation) | {"pair_id": own.pair_id, "repeat": repeat, "seed": seed}
         yield row, perturb(points, perturbation, np.random.default_rng(seed))
 
 

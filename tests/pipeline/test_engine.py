@@ -12,7 +12,7 @@ from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
-from fidpipe.pipeline.stage import Context, Grain, Made, Stage
+from fidpipe.pipeline.stage import Grain, Inputs, JobResult, Stage
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import Settings
@@ -27,12 +27,12 @@ N_BASE = 7  # both sides of ground, graph and communities, and matching
 def probe(takes, make=None, gives="perturb_objects"):
     """A stage of an experiment that tells how many rows it sees."""
 
-    def count(context: Context) -> Made:
+    def count(inputs: Inputs) -> JobResult:
         if make is not None:
-            make(context)
+            make(inputs)
         sides = ("",) if "matching" in takes else ("real", "sim")
-        n_rows = sum(context.table(table, side).num_rows for table in takes for side in sides)
-        return Made({gives: TABLES[gives].from_rows([])}, {"n_rows": n_rows, "arguments": context.arguments})
+        n_rows = sum(inputs.table(table, side).num_rows for table in takes for side in sides)
+        return JobResult({gives: TABLES[gives].from_rows([])}, {"n_rows": n_rows, "arguments": inputs.arguments})
 
     name = f"probe of {' and '.join(takes)}"
     return Stage(name=name, takes=takes, gives=(gives,), grain=Grain.PAIR, make=count)
@@ -94,8 +94,8 @@ def test_a_poison_part_fails_alone(dataset, tmp_path):
 
 
 def test_a_failed_part_does_not_stop_another(dataset, tmp_path):
-    def fail(context):
-        if context.part == "part-0":
+    def fail(inputs):
+        if inputs.part == "part-0":
             raise StageError("no such thing")
 
     stage = probe({"ground": ("point_id",)}, fail)

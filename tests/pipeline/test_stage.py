@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -14,9 +15,10 @@ from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.jobs.points import object_points
-from fidpipe.pipeline.stage import SCAN, Made
+from fidpipe.pipeline.stage import SCAN, JobResult, Memo
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.columns import FLOAT64, column
+from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.tables import TABLES
 from runs import assert_same_tables, run
 from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
@@ -124,11 +126,11 @@ def interrupted(stage):
     """The stage, whose second job is interrupted."""
     calls = []
 
-    def make(context):
-        calls.append(context)
+    def make(inputs):
+        calls.append(inputs)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return stage.make(context)
+        return stage.make(inputs)
 
     return replace(stage, make=make)
 
@@ -179,7 +181,8 @@ def test_a_raised_version_reruns_the_stage_and_what_follows(again, dataset, toy,
 def test_a_setting_that_no_toy_declares_reruns_what_reads_it_alone(again, dataset):
     before = files(again)
     run_with_toys(dataset, again, ToySettings.model_validate({"matching": {"delta_m": 3.0}}))
-    assert made_again(again, before) == {"matching", "selection", "metrics", "toy_ratios", "toy_marks"}
+    expected = {"matching", "coverage", "selection", "metrics", "toy_ratios", "toy_marks"}
+    assert made_again(again, before) == expected
 
 
 def test_one_damaged_table_is_made_again_alone(again, dataset):
@@ -196,10 +199,10 @@ def test_communities_made_again_on_a_graph_that_stays_share_their_points_with_la
 
 
 def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, tmp_path):
-    def make(context):
-        n_matched = sum(status == "matched" for status in context.table("matching", "").column("status").to_pylist())
-        rows = {"pair_id": context.pair_id, "side": context.side, "community_id": [0], "n_over": [n_matched]}
-        return Made({"toy_crowds": toys.CROWDS.build(rows)})
+    def make(inputs):
+        n_matched = sum(status == "matched" for status in inputs.table("matching", "").column("status").to_pylist())
+        rows = {"pair_id": inputs.pair_id, "side": inputs.part, "community_id": [0], "n_over": [n_matched]}
+        return JobResult({"toy_crowds": toys.CROWDS.build(rows)})
 
     late = replace(OF_SIDE, takes={"matching": ("status",)}, settings=(), make=make)
     for out, options in (("whole", {}), ("split", {"pool": TwoAtOnce(), "policy": ALL_SPLIT})):
@@ -208,51 +211,40 @@ def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, t
         assert n_over == [outcome.rows[0]["n_matched"]]
 
 
-def other_side(context):
-    return context.table("communities", "sim" if context.side == "real" else "real")
+def other_side(inputs):
+    return inputs.table("communities", "sim" if inputs.part == "real" else "real")
 
 
 @pytest.mark.parametrize(
-    ("ask", "fault"),
+    ("ask", "missing"),
     [
-        (lambda own: own.table("graph"), "asks for graph; it declares communities"),
-        (lambda own: own.facts("ground"), "asks for ground; it declares communities"),
-        (
-            lambda own: own.table("communities", columns=("point_id",)),
-            "asks for communities.point_id; of communities it declares community_id",
-        ),
-        (lambda own: own.settings.graph, "asks for the settings graph; it declares toy"),
-        (other_side, "asks for communities of the sim side; its job is about the real side"),
-        (lambda own: own.scan(), "asks for scan; it declares communities"),
-        (lambda own: own.T_real_sim, "asks for scan; it declares communities"),
-        (lambda own: object_points(own, own.side), r"object points real is made of ground; it declares communities"),
-        (
-            lambda own: own.once("toy", lambda: own.table("communities")),
-            "toy is made of communities of the real side; its job is about the sim side",
-        ),
-        (
-            lambda own: own.once("toy", lambda: own.settings.toy),
-            "asks for settings in what is made once for all jobs of the pair",
-        ),
+        (lambda own: own.table("graph", own.part), "KeyError: ('graph', "),
+        (lambda own: own.facts("ground", own.part), "KeyError: ('ground', "),
+        (lambda own: own.table("communities", own.part).column("point_id"), '\'Field "point_id" does not exist'),
+        (lambda own: own.settings.graph, "has no attribute 'graph'"),
+        (other_side, "KeyError: ('communities', 'sim')"),
+        (lambda own: own.scans[own.part], "KeyError: 'real'"),
+        (lambda own: object_points(own, own.part), "KeyError: ('ground', 'real')"),
     ],
 )
-def test_a_job_that_asks_for_what_its_stage_does_not_declare_fails(dataset, tmp_path, ask, fault):
-    def make(context):
-        ask(context)
-        return OF_SIDE.make(context)
+def test_a_job_has_no_input_but_what_its_stage_declares(dataset, tmp_path, ask, missing):
+    def make(inputs):
+        assert inputs.T_real_sim is None
+        ask(inputs)
+        return OF_SIDE.make(inputs)
 
     stages = (*STAGES[: toys.N_BEFORE_MATCHING], replace(OF_SIDE, make=make))
     reason = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000").failures["000"]
-    assert "UndeclaredError: stage crowds" in reason
-    assert fault in reason
+    assert "stage crowds, real: internal error" in reason
+    assert missing in reason
 
 
 def test_a_job_is_given_no_column_but_those_that_its_stage_declares(dataset, tmp_path):
     columns = []
 
-    def make(context):
-        columns.append(context.table("communities").schema.names)
-        return OF_SIDE.make(context)
+    def make(inputs):
+        columns.append(inputs.table("communities", inputs.part).schema.names)
+        return OF_SIDE.make(inputs)
 
     run(dataset, tmp_path / "run", ToySettings(), stages=with_toys(replace(OF_SIDE, make=make)), pattern="000")
     assert columns == [["community_id"]] * 2
@@ -265,46 +257,59 @@ def failure_of(stage, dataset, out, stages=()):
 def test_a_table_of_which_the_facts_alone_are_declared_is_not_given(dataset, tmp_path):
     stage = replace(OF_SIDE, takes={"communities": ()})
     reason = failure_of(stage, dataset, tmp_path / "run", STAGES[: toys.N_BEFORE_MATCHING])
-    assert "stage crowds asks for the table communities; it declares its facts alone" in reason
+    assert "KeyError: ('communities', 'real')" in reason
 
 
-@pytest.mark.parametrize(
-    ("settings", "ask", "fault"),
-    [
-        ((), lambda own: own.scan(), "it does not declare the settings input, by which its columns are read"),
-        (("input",), lambda own: own.T_real_sim, "real asks for T_real_sim, which moves the simulated side"),
-    ],
-)
-def test_a_reader_of_the_input_declares_what_its_points_depend_on(dataset, tmp_path, settings, ask, fault):
-    stage = replace(OF_SIDE, takes={SCAN: ()}, settings=settings, make=ask)
-    assert fault in failure_of(stage, dataset, tmp_path / "run")
+def test_the_real_side_gets_no_motion_of_the_simulated_one(dataset, tmp_path):
+    motions = {}
+
+    def make(inputs):
+        motions[inputs.part] = inputs.T_real_sim
+        raise StageError("seen")
+
+    cell = " ".join(map(str, np.eye(3, 4).ravel()))
+    rows = [f"{path.stem},{path},{dataset / 'sim' / path.name},{cell}" for path in (dataset / "real").iterdir()]
+    (tmp_path / "pairs.csv").write_text("\n".join(["pair_id,real,sim,T_real_sim", *rows]))
+    extra = replace(OF_SIDE, takes={SCAN: ()}, settings=("input",), make=make, is_wanted=lambda settings: True)
+    failure_of(extra, tmp_path, tmp_path / "run", STAGES)
+    assert motions == {"real": None, "sim": tuple(np.eye(3, 4).ravel())}
+
+
+def test_a_stage_that_reads_the_input_declares_the_settings_of_its_columns(dataset, tmp_path):
+    with pytest.raises(ValueError, match="stage crowds: takes scan, whose columns are read by the settings input"):
+        run_with_toys(dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, takes={SCAN: ()})))
 
 
 @pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
-@pytest.mark.parametrize(
-    ("ask", "fault"),
-    [
-        (lambda own: own.facts("metrics"), "asks for the facts of metrics, not all of whose objects are done"),
-        (
-            lambda own: own.once("toy", lambda: own.table("metrics")),
-            "toy is made of metrics, whose rows differ by object",
-        ),
-        (lambda own: own.once("toy", lambda: own.objects), "asks for objects in what is made once"),
-    ],
-)
-def test_no_object_depends_on_which_others_are_scored_beside_it(dataset, tmp_path, ask, fault, is_split):
-    def make(context):
-        ask(context)
-        return OF_OBJECT.make(context)
+def test_no_object_depends_on_which_others_are_scored_beside_it(dataset, tmp_path, is_split):
+    def make(inputs):
+        inputs.facts("metrics")  # of all objects
+        return OF_OBJECT.make(inputs)
 
     stages = with_toys(of_object=replace(OF_OBJECT, make=make))
     options = {"policy": ALL_SPLIT, "pool": TwoAtOnce()} if is_split else {}
     outcome = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000", **options)
-    assert fault in outcome.failures["000"]
+    assert "KeyError: ('metrics', '')" in outcome.failures["000"]
+
+
+def test_a_memo_gives_a_result_only_for_the_same_tables_and_values():
+    memo, calls = Memo(), []
+    one, other = (TABLES["graph"].schema.empty_table() for _ in range(2))
+
+    def count(*arguments):
+        calls.append(arguments)
+        return len(calls)
+
+    assert [memo(count, one, "x"), memo(count, one, "x"), memo(count, other, "x"), memo(count, one, "y")] == [
+        1,
+        1,
+        2,
+        3,
+    ]
 
 
 def test_a_stage_that_gives_other_tables_than_it_declares_fails(dataset, tmp_path):
-    stage = replace(OF_SIDE, make=lambda context: Made({}))
+    stage = replace(OF_SIDE, make=lambda inputs: JobResult({}))
     reason = failure_of(stage, dataset, tmp_path / "run", STAGES[: toys.N_BEFORE_MATCHING])
     assert "stage crowds gives" in reason
 

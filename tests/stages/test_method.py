@@ -8,117 +8,50 @@ from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import Settings, load
-from fidpipe.stages.method import compare, evaluate, graph_of, n_communities, partition, score
+from fidpipe.stages.method import compare, evaluate, graph_of, partition, score
 from runs import run
 from scenes import drifted, moved, rigid, road, street, write_bin
 
 SIDES = ("real", "sim")
+OF_SIDES = ("ground", "sensor", "graph", "communities", "objects")
+OF_PAIRS = ("matching", "coverage", "surface", "pieces", "selection", "metrics")
 
 
-def frames(evaluation):
-    """The tables of the command, made of what the method returns; without the names of pair and side."""
-    tables, point_ids = {}, {}
-    for side in SIDES:
-        clean, cut, scan = (getattr(evaluation, f"{name}_{side}") for name in ("clean", "cut", "objects"))
-        point_ids[side] = ids = clean.point_ids[~cut.is_ground]
-        x, y, z = clean.points.T
-        tables["ground", side] = {
-            "point_id": clean.point_ids,
-            "x": x,
-            "y": y,
-            "z": z,
-            "height_m": cut.height_m,
-            "is_ground": cut.is_ground,
-        }
-        edges = scan.edges
-        tables["graph", side] = {"src": ids[edges.src], "dst": ids[edges.dst], "length_m": edges.length_m}
-        tables["communities", side] = {"point_id": ids, "community_id": scan.labels}
-        objects = scan.objects
-        columns = {"community_id": np.arange(len(objects.n_points)), "n_points": objects.n_points}
-        columns |= {"range_m": objects.range_m}
-        columns |= dict(zip(("cx", "cy", "cz"), objects.centroid.T, strict=True))
-        columns |= dict(zip(("extent_x", "extent_y", "extent_z"), objects.extent.T, strict=True))
-        columns |= dict(zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True))
-        tables["objects", side] = columns
-    matching = evaluation.scores.matching
-    matched = zip(matching.pairs, matching.distance_m.tolist(), strict=True)
-    rows = [(real_id, sim_id, distance_m, "matched") for (real_id, sim_id), distance_m in matched]
-    rows += [(real_id, None, None, "missing") for real_id in matching.missing.tolist()]
-    rows += [(None, sim_id, None, "hallucinated") for sim_id in matching.hallucinated.tolist()]
-    columns = ["real_id", "sim_id", "centroid_distance_m", "status"]
-    tables["matching", ""] = pd.DataFrame(rows, columns=columns).sort_values(["real_id", "sim_id"])
-    selections, metrics = [], []
-    members = {
-        side: [np.flatnonzero(scan.labels == i) for i in range(len(scan.objects.n_points))]
-        for side, scan in (("real", evaluation.objects_real), ("sim", evaluation.objects_sim))
-    }
-    for (real_id, sim_id), distance_m, scored in zip(
-        matching.pairs, matching.distance_m, evaluation.scores.objects, strict=True
-    ):
-        nodes, n_keep = scored.selection, len(scored.selection.real_nodes)
-        own = {"real": members["real"][real_id], "sim": members["sim"][sim_id]}
-        columns = {"real_id": real_id, "sim_id": sim_id, "rank": np.arange(n_keep)}
-        columns |= {"real_point_id": point_ids["real"][own["real"]][nodes.real_nodes]}
-        columns |= {"sim_point_id": point_ids["sim"][own["sim"]][nodes.sim_nodes]}
-        columns |= {"real_influence": nodes.real_influence, "sim_influence": nodes.sim_influence}
-        selections.append(pd.DataFrame(columns))
-        sizes = {"n_real": len(own["real"]), "n_sim": len(own["sim"]), "n_keep": n_keep}
-        ids = {"real_id": real_id, "sim_id": sim_id, "centroid_distance_m": distance_m}
-        metrics.append(ids | sizes | vars(scored.scores))
-    tables["selection", ""] = pd.concat(selections)
-    tables["metrics", ""] = pd.DataFrame(metrics)
-    return {name: pd.DataFrame(columns) for name, columns in tables.items()}
-
-
-def summary(evaluation, n_raw):
-    """The row of the pair, made of what the method returns."""
-    row = evaluation.scores.summary | n_communities(evaluation.scores.summary) | evaluation.surfaces
-    for side in SIDES:
-        clean, cut, scan = (getattr(evaluation, f"{name}_{side}") for name in ("clean", "cut", "objects"))
-        row |= {f"n_{side}_raw": n_raw[side], f"n_{side}_clean": len(clean.points)}
-        row |= {f"n_{side}_points": len(scan.points)}
-        row |= {f"ground_{side}_{name}": getattr(cut, name) for name in ("peak_m", "threshold_m", "loss")}
-        row |= {f"ground_{side}_iterations": cut.iterations, f"ground_{side}_tilt_deg": cut.tilt_deg}
-        row[f"ground_{side}_removed_share"] = np.count_nonzero(cut.is_ground) / len(clean.points)
-    return row
-
-
-def assert_same(evaluation, tables, row, n_raw):
+def assert_same(result, tables, row):
     """Every column of every table is the same to the last bit, but for those that a scan without labels leaves null."""
-    own = frames(evaluation)
+    own = tables_of(result)
     assert own.keys() == tables.keys()
-    for name, wanted in tables.items():
-        columns = [c for c in wanted.columns if c not in ("pair_id", "side", "intensity", "label", "instance")]
-        assert set(own[name].columns) == set(columns), name
-        frame = own[name][columns].reset_index(drop=True)
-        pd.testing.assert_frame_equal(
-            frame, wanted[columns], check_exact=True, check_dtype=False, obj=f"{name}", rtol=0, atol=0
-        )
-    wanted_row = {name: value for name, value in row.items() if name not in ("pair_id", "status", "reason")}
-    assert summary(evaluation, n_raw) == wanted_row
+    for name, expected in tables.items():
+        columns = [c for c in expected.columns if c not in ("pair_id", "intensity", "label", "instance")]
+        frame, expected = (each[columns].reset_index(drop=True) for each in (own[name], expected))
+        pd.testing.assert_frame_equal(frame, expected, check_exact=True, check_dtype=False, obj=f"{name}")
+    names = {name for name in row if name not in ("pair_id", "status", "reason")}
+    assert {name: result.summary[name] for name in names} == {name: row[name] for name in names}
 
 
 def tables_of(result):
     """The tables of one evaluated pair, by name and side."""
-    names = {"ground": "points", "graph": "edges", "communities": "communities", "objects": "objects"}
-    tables = {(name, side): getattr(result, field)[side] for name, field in names.items() for side in SIDES}
-    return tables | {(name, ""): getattr(result, name) for name in ("matching", "selection", "metrics")}
+    fields = {"ground": "points", "graph": "edges"}
+    tables = {(name, side): getattr(result, fields.get(name, name))[side] for name in OF_SIDES for side in SIDES}
+    return tables | {(name, ""): getattr(result, name) for name in OF_PAIRS}
 
 
 def read_tables(folder, pair_id):
     """The tables of one pair of a run, by name and side."""
-    by_side = {(name, side) for name in ("ground", "graph", "communities", "objects") for side in SIDES}
-    files = by_side | {(name, "") for name in ("matching", "selection", "metrics")}
+    files = {(name, side) for name in OF_SIDES for side in SIDES} | {(name, "") for name in OF_PAIRS}
     return {
         (name, side): pd.read_parquet(folder / name / f"{pair_id}{'.' + side if side else ''}.parquet")
         for name, side in files
     }
 
 
-def assert_same_as_the_command(real, sim, settings):
-    result = evaluate_pair(real, sim, settings)
-    n_raw = {"real": len(real), "sim": len(sim)}
-    assert_same(evaluate(real, sim, settings), tables_of(result), result.summary, n_raw)
+def assert_same_as_the_command(real, sim, settings, folder):
+    for side, points in (("real", real), ("sim", sim)):
+        (folder / side).mkdir()
+        write_bin(folder / side / "own.bin", points)
+    points = [read_scan(folder / side / "own.bin").points for side in SIDES]
+    (row,) = run(folder, folder / "run", settings).rows
+    assert_same(evaluate_pair(*points, settings), read_tables(folder / "run", "own"), row)
 
 
 @pytest.fixture(scope="module")
@@ -140,8 +73,8 @@ def scans():
     ],
     ids=" ".join,
 )
-def test_a_small_scene_has_the_tables_of_the_command(scans, words):
-    assert_same_as_the_command(*scans, load(None, words))
+def test_a_small_scene_has_the_tables_of_the_command(scans, words, tmp_path):
+    assert_same_as_the_command(*scans, load(None, words), tmp_path)
 
 
 def test_a_transformed_and_mirrored_pair_has_the_tables_of_a_run(scans, tmp_path):
@@ -155,16 +88,19 @@ def test_a_transformed_and_mirrored_pair_has_the_tables_of_a_run(scans, tmp_path
     settings = load(None, ["input.sim_flip_y=true", "ground.shared=true"])
     (row,) = run(tmp_path, tmp_path / "run", settings).rows
     points = [read_scan(tmp_path / name).points for name in ("a.bin", "b.bin")]
-    evaluation = evaluate(*points, settings, T_real_sim=T)
-    n_raw = {"real": len(real), "sim": len(seen)}
-    assert_same(evaluation, read_tables(tmp_path / "run", "turned"), row, n_raw)
-    assert row["match_rate"] > 0.5
+    found = evaluate(*points, settings, T_real_sim=T)
+    tables = read_tables(tmp_path / "run", "turned")
+    for side, own in (("real", found.real), ("sim", found.sim)):
+        assert np.array_equal(own.clean.points, tables["ground", side][["x", "y", "z"]])
+        assert np.array_equal(own.scan.labels, tables["communities", side]["community_id"])
+    assert [own.scores.cdc for own in found.scores.objects] == tables["metrics", ""]["cdc"].tolist()
+    assert found.scores.summary["match_rate"] == row["match_rate"] > 0.5
 
 
 @pytest.mark.exhaustive
-def test_a_real_pair_has_the_tables_of_the_command(real_data):
+def test_a_real_pair_has_the_tables_of_the_command(real_data, tmp_path):
     real, sim = (read_scan(real_data / "kitti_twin" / side / "000002.bin").points for side in SIDES)
-    assert_same_as_the_command(real, sim, Settings())
+    assert_same_as_the_command(real, sim, Settings(), tmp_path)
 
 
 def test_a_side_without_objects_is_refused(scans):
