@@ -98,7 +98,7 @@ STAGE = Stage(
     },
     gives=("coverage",),
     grain=Grain.PAIR,
-    version=3,
+    version=2,
     make=make_coverage,
     summarise=summarise_coverage,
 )

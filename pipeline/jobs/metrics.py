@@ -77,7 +77,7 @@ STAGE = Stage(
     takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS},
     gives=("metrics",),
     grain=Grain.OBJECT,
-    version=2,
+    version=1,
     make=make_metrics,
     gather=gather_metrics,
 )
