@@ -1,5 +1,7 @@
 """The charts of many objects as plotly figures: plain dictionaries that a page holds as JSON and plotly.js draws.
 
+Each chart of a run has a sentence with its main numbers, for those who do not see it.
+
 Colours that depend on the theme stand as properties of the style sheet, such as var(--ink); the page puts in what they
 are. What the charts of one pair show is chosen on the page, which makes them.
 """
@@ -19,6 +21,7 @@ from ..results.compare import recorded_times_s
 from ..results.families import ScoreChange
 from ..results.history import FamilyHistory
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
+from ..terminal import shown
 from .aggregates import (  # fmt: skip
     SCORES,
     Bins,
@@ -40,11 +43,12 @@ from .look import FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, 
 from .results import RunResults
 
 Chart = dict[str, Any]  #: data and layout
+Told = tuple[Chart, str]  #: a chart, and a sentence with its main numbers
 
 #: More dots than these would make a page slow; the texts beside the charts then say what part they show.
 MOST_DOTS = 3000
 MOST_SCANS, MOST_CLASSES = 16, 10
-_MOST_CHANGES = 300
+_MOST_CHANGES, _MOST_MEDIANS = 300, 10
 
 _INK, _SOFT, _LINE = map(of_theme, ("ink", "soft", "line"))
 _CLEAR = "rgba(0,0,0,0)"
@@ -72,8 +76,8 @@ TEMPLATE: Chart = go.layout.Template(
 ).to_plotly_json()
 
 
-def run_charts(results: RunResults) -> dict[str, Chart]:
-    """The charts of a whole run, by the id of their place in the page."""
+def run_charts(results: RunResults) -> dict[str, Told]:
+    """The charts of a whole run with their sentences, by the id of their place in the page."""
     names = results.pairs.pair_id.tolist()
     scans = [names[i] for i in evenly(len(names), MOST_SCANS)]
     classes = results.matched.group.value_counts().index[:MOST_CLASSES]
@@ -81,8 +85,8 @@ def run_charts(results: RunResults) -> dict[str, Chart]:
     return {
         **{f"hist_{score}": _histogram(score, counted) for score, counted in histograms(results).items()},
         "quadrants": _quadrants(results),
-        "box_scan": _boxes(boxes(results, "pair_id", scans)),
-        "box_class": _boxes(boxes(results, "group", classes)),
+        "box_scan": _boxes("of the scans", boxes(results, "pair_id", scans)),
+        "box_class": _boxes(f"by {results.class_is}", boxes(results, "group", classes)),
         **{f"scores_{name}": _scores_by(bins, binned_scores(results, bins)) for name, bins in by_place.items()},
         "sequence": _sequence(along_the_sequence(results, recorded_times_s(results.run))),
         "polar": _polar(results.unmatched),
@@ -92,7 +96,7 @@ def run_charts(results: RunResults) -> dict[str, Chart]:
     }
 
 
-def _histogram(score: str, counted: dict[str, Any]) -> Chart:
+def _histogram(score: str, counted: dict[str, Any]) -> Told:
     edges, median = counted["edges"], counted["median"]
     bars = go.Bar(
         x=(edges[:-1] + edges[1:]) / 2,
@@ -108,10 +112,10 @@ def _histogram(score: str, counted: dict[str, Any]) -> Chart:
         figure.add_vline(median, line_dash="dash", line_width=1.5)
     figure.update_layout(title={"text": title, "font_size": 13}, yaxis_title_text="objects")
     figure.update_xaxes(range=[0, METRIC[score].high], title_text=axis_title(score))
-    return _plain(figure)
+    return _plain(figure), f"Histogram of {title}."
 
 
-def _quadrants(results: RunResults) -> Chart:
+def _quadrants(results: RunResults) -> Told:
     """r_lambda over CDC, one dot per object; evenly over the order from worst to best where they are too many."""
     scored = results.matched[results.matched.r_lambda.notna()]
     dots = scored.iloc[evenly(len(scored), MOST_DOTS)]
@@ -133,10 +137,11 @@ def _quadrants(results: RunResults) -> Chart:
     figure.update_xaxes(range=[0, 2.02], title_text=axis_title("cdc"))
     figure.update_yaxes(range=[0, 1.02], title_text=axis_title("r_lambda"))
     figure.update_layout(legend_font_size=11)
-    return _plain(figure)
+    counts = _listed(f"{title} {counted[key]['n']:,}" for key, title in QUADRANTS.items())
+    return _plain(figure), f"r_lambda over CDC of each object: {counts}"
 
 
-def _boxes(groups: Sequence[dict[str, Any]]) -> Chart:
+def _boxes(what: str, groups: Sequence[dict[str, Any]]) -> Told:
     """Both scores of each group side by side; names can be alike when shortened, so that boxes stand at numbers."""
     figure = go.Figure()
     names = {"q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
@@ -159,15 +164,19 @@ def _boxes(groups: Sequence[dict[str, Any]]) -> Chart:
     figure.update_xaxes(ticktext=ticks, showgrid=False, tickangle=-90 if len(groups) > 2 else 0, **places)
     figure.update_yaxes(range=[0, 2.05], title_text="score of an object")
     figure.update_layout(boxmode="overlay", margin_t=30)
-    return _plain(figure)
+    medians = _listed(
+        f"{shown(group['name'])} {_both({score: group[score] and group[score]['med'] for score in SCORES})}"
+        for group in groups[:_MOST_MEDIANS]
+    )
+    return _plain(figure), f"Box plots {what}. Medians: {medians}"
 
 
-def _polar(unmatched: pd.DataFrame) -> Chart:
+def _polar(unmatched: pd.DataFrame) -> Told:
     """Unmatched objects around the sensor, seen from above, the largest first where they are too many."""
     figure = go.Figure()
-    shown = unmatched.head(MOST_DOTS)
+    drawn = unmatched.head(MOST_DOTS)
     for fate, symbol in (("missing", "circle-open"), ("hallucinated", "x-thin")):
-        own, colour = shown[shown.status == fate], on_page(FATE_COLOURS[fate])
+        own, colour = drawn[drawn.status == fate], on_page(FATE_COLOURS[fate])
         figure.add_scatterpolar(
             mode="markers",
             name=f"{fate} ({(unmatched.status == fate).sum():,})",
@@ -183,10 +192,14 @@ def _polar(unmatched: pd.DataFrame) -> Chart:
         angularaxis={"rotation": 90, "tickvals": list(range(0, 360, 45)), "ticktext": ticks},
     )
     figure.update_layout(margin={"l": 45, "r": 45, "t": 65, "b": 30}, legend_y=1.1)
-    return _plain(figure)
+    missing, invented = ((unmatched.status == fate).sum() for fate in ("missing", "hallucinated"))
+    median = f", median distance {unmatched.range_m.median():.0f} m" if len(unmatched) else ""
+    return _plain(figure), (
+        f"Map of the {missing:,} missing and {invented:,} hallucinated objects around the sensor{median}."
+    )
 
 
-def _bands(bands: pd.DataFrame) -> Chart:
+def _bands(bands: pd.DataFrame) -> Told:
     figure, n_real = go.Figure(), bands.matched + bands.missing
     for fate, shape, side, n_all in (
         ("matched", "", "real", n_real),
@@ -203,10 +216,11 @@ def _bands(bands: pd.DataFrame) -> Chart:
         )
     figure.update_layout(barmode="group", yaxis_title_text="objects", margin_t=30)
     figure.update_xaxes(type="category", showgrid=False, tickangle=-45)
-    return _plain(figure)
+    counts = _listed(f"{band} {', '.join(f'{n} {fate}' for fate, n in row.items())}" for band, row in bands.iterrows())
+    return _plain(figure), f"Objects by distance: {counts}"
 
 
-def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Chart:
+def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Told:
     """Median and quartiles of both scores in each bin, above the number of objects that they are of."""
     figure = go.Figure()
     for offset, (score, rows) in zip((-0.1, 0.1), scores.items(), strict=True):
@@ -225,10 +239,16 @@ def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Chart:
         )
     highest = max(np.nanmax(rows[["median", "q3"]].to_numpy(), initial=0.0) for rows in scores.values())
     figure.update_yaxes(range=[0, 1.08 * highest or 1], title_text="score")
-    return _above_counts(figure, bins, max((rows.n for rows in scores.values()), key=sum))
+    n = max((rows.n for rows in scores.values()), key=sum)
+    medians = _listed(
+        f"{name} {_both({score: rows['median'][name] for score, rows in scores.items()})} of {n[name]}"
+        for name in bins.names
+        if n[name]
+    )
+    return _above_counts(figure, bins, n), f"Medians by {_place(bins)}: {medians}"
 
 
-def _fates_by(bins: Bins, fates: pd.DataFrame) -> Chart:
+def _fates_by(bins: Bins, fates: pd.DataFrame) -> Told:
     """Which share of the real objects is missing in each bin, and of the simulated ones hallucinated; their number."""
     figure = go.Figure()
     for fate, side, symbol in (("missing", "real", "circle-open"), ("hallucinated", "simulated", "x-thin")):
@@ -244,7 +264,14 @@ def _fates_by(bins: Bins, fates: pd.DataFrame) -> Chart:
             marker={"color": colour, "size": 8, "symbol": symbol, "line": {"width": 2, "color": colour}},
         )
     figure.update_yaxes(range=[-0.03, 1.03], tickformat=".0%", title_text="share")
-    return _above_counts(figure, bins, fates.matched + fates.missing + fates.hallucinated)
+    n = fates.matched + fates.missing + fates.hallucinated
+    known = fates[n > 0]
+    shares = _listed(
+        f"{name} {_share(missing)} and {_share(invented)}"
+        for name, missing, invented in zip(known.index, known.missing_share, known.hallucinated_share, strict=True)
+    )
+    words = "Missing share of the real and hallucinated share of the simulated objects"
+    return _above_counts(figure, bins, n), f"{words} by {_place(bins)}: {shares}"
 
 
 def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
@@ -276,12 +303,14 @@ def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
     return _plain(figure)
 
 
-def _sequence(pairs: PairsInOrder) -> Chart:
+def _sequence(pairs: PairsInOrder) -> Told:
     """Match rate and the means of both scores of each pair, one after the other."""
-    figure, rows = go.Figure(), pairs.rows.iloc[evenly(len(pairs.rows), MOST_DOTS)]
+    figure, ends, rows = go.Figure(), [], pairs.rows.iloc[evenly(len(pairs.rows), MOST_DOTS)]
     colours = {"match_rate": GREEN, **{METRIC[score].mean_column: SCORE_COLOURS[score] for score in SCORES}}
     for (column, colour), symbol in zip(colours.items(), ("square", "circle", "diamond"), strict=True):
-        metric = METRIC[column.removesuffix("_mean")]
+        metric, values = METRIC[column.removesuffix("_mean")], pairs.rows[column].dropna()
+        if len(values):
+            ends.append(f"{metric.label} {values.min():.2f} to {values.max():.2f}")
         figure.add_scatter(
             mode="lines+markers" if len(rows) > 1 else "markers",
             name=f"{metric.label} ({metric.scale})",
@@ -298,10 +327,11 @@ def _sequence(pairs: PairsInOrder) -> Chart:
     figure.update_xaxes(title_text=along, dtick=1 if len(rows) <= 10 and not pairs.has_times else None)
     figure.update_yaxes(rangemode="tozero", title_text="match rate, means of scores")
     figure.update_layout(margin_t=30)
-    return _plain(figure)
+    order = "time" if pairs.has_times else "name"
+    return _plain(figure), f"Each of {len(pairs.rows)} pairs by {order}, lowest to highest: {_listed(ends)}"
 
 
-def _times(times: pd.DataFrame) -> Chart:
+def _times(times: pd.DataFrame) -> Told:
     figure = go.Figure()
     patterns = ("", "/", "x")
     for i, (step, own) in enumerate(times.groupby("step", sort=False)):
@@ -316,7 +346,8 @@ def _times(times: pd.DataFrame) -> Chart:
     figure.update_layout(barmode="stack", xaxis_title_text="seconds per pair", margin_t=30)
     figure.update_layout(legend_font_size=11, legend_traceorder="normal")
     figure.update_yaxes(categoryorder="array", categoryarray=times.stage.unique().tolist()[::-1])
-    return _plain(figure)
+    seconds = times.groupby("stage", observed=True).seconds.sum()
+    return _plain(figure), f"Median seconds a pair by stage: {_listed(f'{a} {b:.2f}' for a, b in seconds.items())}"
 
 
 def change_chart(scores: Sequence[ScoreChange]) -> Chart:
@@ -409,6 +440,26 @@ def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
     figure.update_yaxes(fixedrange=True)
     figure.update_layout(showlegend=False, margin={"l": 50, "r": 12, "t": 10, "b": 40})
     return _plain(figure)
+
+
+def _listed(parts: Iterable[str]) -> str:
+    return ("; ".join(parts) or "nothing") + "."
+
+
+def _both(values: dict[str, float | None]) -> str:
+    """Both scores in words."""
+    return ", ".join(
+        f"{METRIC[score].label} {'not known' if value is None or pd.isna(value) else f'{value:.2f}'}"
+        for score, value in values.items()
+    )
+
+
+def _share(value: float) -> str:
+    return "none there" if pd.isna(value) else f"{100 * value:.0f} %"
+
+
+def _place(bins: Bins) -> str:
+    return "distance" if bins.column == "range_m" else "direction (0° ahead, left positive)"
 
 
 def _opening(objects: pd.DataFrame, what: str, ids: Iterable[int]) -> dict[str, Any]:

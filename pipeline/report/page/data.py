@@ -15,7 +15,6 @@ from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
 from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits
-from ..alternatives import text_alternatives
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, on_page
 from ..pictures import FRAME
@@ -57,11 +56,13 @@ _FACT_DIGITS, _METRE_DIGITS = 3, 2
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """What the page's JavaScript reads of the whole run: charts, colours, tables; no points."""
+    charts = run_charts(results)
     pairs_note = "Worst first, by the mean of the ranks in match rate, CDC and r_lambda."
     return {
         "steering": STEERING,
         "names": results.pairs.pair_id.tolist(),
-        "charts": run_charts(results),
+        "charts": {name: chart for name, (chart, _) in charts.items()},
+        "alternatives": {name: words for name, (_, words) in charts.items()},
         "colours": {
             "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
             "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
@@ -93,7 +94,6 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
-        "alternatives": text_alternatives(results),
         "floor": excess_view(excess) if excess else [],
         "sensors": _sensors(results),
         "settings": record.settings,
