@@ -402,7 +402,7 @@ def test_a_table_without_a_column_of_today_names_the_command_that_mends_it(repor
     coverage = TABLES["coverage"]
     later = coverage.schema.append(pa.field("later", pa.float64()))
     monkeypatch.setitem(TABLES, "coverage", replace(coverage, schema=later))
-    with pytest.raises(RunError, match=r"table coverage has no column later, .* fidpipe run"):
+    with pytest.raises(RunError, match=r"table coverage: columns .*later.* fidpipe run"):
         read_results(report_run)
 
 
