@@ -11,10 +11,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.report.render import csv_table, markdown, terminal
+from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.results import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
-from fidpipe.pipeline.report.view import Table, shortened
 from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.report.views.run_view import outcome_view
 from fidpipe.pipeline.report.views.show_view import show_view
@@ -224,22 +223,6 @@ def test_no_line_is_wider_than_80_columns_with_long_names_and_labels(finished, n
         first = [line.split()[0] for line in shown.splitlines() if line.startswith(" n008")]
         assert len(set(first)) == 2, "shortened names can be told apart"
         assert all(line.rstrip()[-1].isdigit() for line in shown.splitlines() if line.startswith(" n008")), "in a line"
-
-
-def test_short_names_stay_as_they_are_and_shortened_ones_differ():
-    assert shortened(["000", "001"], 8) == {"000": "000", "001": "001"}
-    names = [f"{'x' * 30}{i}{'y' * 30}" for i in range(3)]
-    short = shortened(names, 8)
-    assert len(set(short.values())) == 3
-    assert all(len(own) < 61 for own in short.values())
-    wide = text_of([Table("t", ["pair", "n"], [[NUSCENES[0], 1]])], 120)
-    assert NUSCENES[0] in wide
-
-
-def test_markdown_and_csv_hold_what_a_name_may_hold():
-    table = Table("", ["pair", "n", "CDC"], [["a|b\nc", None, 0.5], ['=1,"', 2, None]])
-    assert markdown([table]).splitlines()[2:] == ["| a\\|b\\u000ac | - | 0.500 |", '| =1," | 2 | - |']
-    assert csv_table(table) == 'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n'
 
 
 def test_a_pair_warns_where_r_lambda_stands_on_a_bad_alignment(finished):

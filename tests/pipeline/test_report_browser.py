@@ -19,7 +19,7 @@ from browsers import by_id, choose, missing_programs, open_page, resize, settle,
 from fidpipe.pipeline.report.aggregates import score_limits
 from fidpipe.pipeline.report.page.compare import compare_page, history_page
 from fidpipe.pipeline.report.page.page import write_report
-from fidpipe.pipeline.report.page.pair import pair_view
+from fidpipe.pipeline.report.page.pair import pair_data
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.history import read_history
@@ -430,7 +430,7 @@ def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_ref
     choose(browser, "colour", "distance")
     tables = PairTables(results, pair_id)
     sims = tables.clouds["sim"]
-    view = pair_view(results, pair_id)
+    view = pair_data(results, pair_id)
     nearest = {side: cKDTree(cloud.points).query(points_in(view, side))[1] for side, cloud in tables.clouds.items()}
     traces = browser.execute_script(
         "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"

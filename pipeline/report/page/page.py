@@ -15,7 +15,7 @@ from ...storage.tables import file_stem
 from ..figures.run import draw_figures
 from ..results import read_results
 from .data import page_data, page_words
-from .pair import MOST_POINTS, pair_view
+from .pair import MOST_POINTS, pair_data
 from .render import render
 
 PAGE = "report.html"
@@ -84,7 +84,7 @@ def write_report(
         plotly_source = _PLOTLY
         write_whole(folder / PAGES / _PLOTLY, get_plotlyjs().encode())
     for page, (names, note) in pages.items():
-        views = {name: pair_view(results, name, MOST_POINTS // len(names)) for name in names}
+        views = {name: pair_data(results, name, MOST_POINTS // len(names)) for name in names}
         content = render("report.html", {**data, "views": views}, plotly_source, view_note=note, **words)
         write_whole(page, content.encode())
     _remove_others(folder, {*pages, folder / PAGES / plotly_source})

@@ -44,7 +44,7 @@ _STEPS = 32767
 _RINGS_PER_RADIAN = 400
 
 
-def pair_view(results: RunResults, pair_id: str, most_points: int = MOST_POINTS) -> dict[str, Any]:
+def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS) -> dict[str, Any]:
     """One pair for the page: points of both sides, objects, aligned nodes, spectra.
 
     Parameters

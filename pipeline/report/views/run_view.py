@@ -23,7 +23,6 @@ from ....schemas.record import SURFACE_STATES, BaselineSummary, RunRecord, SeedS
 from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
-from ...inspect.frame_checks import frames_summary
 from ...jobs.baselines import OF_OBJECTS, OF_SCAN
 from ...results.floor import RunExcess
 from ...run import RunOutcome
@@ -71,13 +70,14 @@ def summary_view(
     excess : the run over a floor
     took : time and reused jobs of a run that just ended
     """
+    frames = [one.words for one in overview.trust if one.kind == "frames"] if overview else []
     return [
         *(_all_tables(rows, record) if with_all else ()),
         *(baselines_view(record.baselines) if record.baselines else ()),
         *(seeds_view(record.seeds) if record.seeds else ()),
         *([*excess_view(excess, HEADLINES), Note("")] if excess else ()),
         *_failures_parts(folder, rows, told),
-        *_frames_parts(rows, record),
+        *(Note(f"warning: {words}", "yellow") for words in frames),
         *answer_view(folder, record, overview, excess, with_all=with_all, took=took),
     ]
 
@@ -121,11 +121,6 @@ def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> 
     if len(new) > _MOST_PAIRS:
         parts.append(Note(f"  and {len(new) - _MOST_PAIRS} more, see pairs.parquet"))
     return parts
-
-
-def _frames_parts(rows: Sequence[Row], record: RunRecord) -> View:
-    suspects = record.frames or {}
-    return [Note(f"warning: {frames_summary(suspects, len(rows))}", "yellow")] if suspects else []
 
 
 def baselines_view(rows: Sequence[BaselineSummary]) -> View:

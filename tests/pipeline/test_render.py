@@ -1,0 +1,89 @@
+"""One view in each medium: what is bold, coloured, listed or left out, and names that no cell can break."""
+
+from io import StringIO
+
+from rich.console import Console
+
+from fidpipe.pipeline.report.page.render import _environment
+from fidpipe.pipeline.report.render import csv_table, markdown, terminal
+from fidpipe.pipeline.report.view import Answers, Note, Table, shortened
+
+TABLE = Table(
+    "Scores",
+    ("pair", "CDC", "verdict", "p\nvalue"),
+    [("[bold]a|b", 0.51249, "worse", None), ("x" * 60, 0.25, "same", 0.5)],
+    words=(0, 2),
+    digits={1: 2},
+    wide=(3,),
+)
+VIEW = [Note("worse: CDC", "bold red"), TABLE, Note("plain"), Note("note: one", "yellow"), Note("note: two", "yellow")]
+
+
+def in_terminal(view, width=80, **options):
+    console = Console(file=StringIO(), width=width, **options)
+    console.print(terminal(view))
+    return console.file.getvalue()
+
+
+def test_a_terminal_hides_wide_columns_shortens_words_and_colours_verdicts():
+    text = in_terminal(VIEW, 40)
+    assert max(map(len, text.splitlines())) <= 40
+    assert "[bold]a|b" in text
+    assert "0.51 " in text
+    assert "value" not in text
+    assert "…" in text
+    assert "x" * 60 in in_terminal(VIEW, 120)
+    assert "\x1b[31mworse" in in_terminal(VIEW, force_terminal=True, color_system="standard")
+
+
+def test_markdown_has_every_column_a_bold_heading_and_warnings_as_a_list():
+    assert markdown(VIEW).splitlines() == [
+        "**worse: CDC**",
+        "",
+        "**Scores**",
+        "",
+        "| pair | CDC | verdict | p value |",
+        "| :--- | ---: | :--- | ---: |",
+        "| [bold]a\\|b | 0.51 | worse | - |",
+        f"| {'x' * 60} | 0.25 | same | 0.500 |",
+        "",
+        "plain",
+        "",
+        "- one",
+        "- two",
+    ]
+
+
+def test_a_page_has_every_column_and_no_name_as_markup():
+    template = _environment().from_string('{% from "tables.html" import view %}{{ view(parts) }}')
+    page = template.render(parts=[Table("<b>", ("pair", "n"), [("<i>", 1)]), *VIEW[1:]])
+    assert "&lt;b&gt;" in page
+    assert "<i>" not in page
+    assert '<td class="text worse">worse</td>' in page
+    assert "<td>0.500</td>" in page
+    assert '<p class="note">Note: one.</p>' in page
+
+
+def test_csv_has_numbers_in_full():
+    assert csv_table(TABLE).splitlines()[-1] == f"{'x' * 60},0.25,same,0.5"
+    assert "0.51249" in csv_table(TABLE)
+
+
+def test_answers_stand_by_their_headings_and_lists_become_lists():
+    answers = [Answers([("Next", [("go", "", "")]), ("Fix first", [("1  a", "b", "c"), ("2  d", "", "")])])]
+    assert in_terminal(answers).splitlines()[0] == "Next          go"
+    assert markdown(answers) == "Next: go\n\nFix first:\n\n- 1  a; b; c\n- 2  d\n"
+
+
+def test_markdown_and_csv_hold_what_a_name_may_hold():
+    table = Table("", ["pair", "n", "CDC"], [["a|b\nc", None, 0.5], ['=1,"', 2, None]])
+    assert markdown([table]).splitlines()[2:] == ["| a\\|b\\u000ac | - | 0.500 |", '| =1," | 2 | - |']
+    assert csv_table(table) == 'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n'
+
+
+def test_short_names_stay_as_they_are_and_shortened_ones_differ():
+    assert shortened(["000", "001"], 8) == {"000": "000", "001": "001"}
+    names = [f"{'x' * 30}{i}{'y' * 30}" for i in range(3)]
+    short = shortened(names, 8)
+    assert len(set(short.values())) == 3
+    assert all(len(own) < 61 for own in short.values())
