@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
 from ..schemas.record import RunHeader, RunRecord
-from ..schemas.results import Findings, JsonObject, ObjectOverview, Overview, PreviousRun
+from ..schemas.results import Findings, JsonObject, ObjectOverview
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
@@ -33,8 +33,8 @@ from .inspect.frame_checks import shared_files, swapped_sides
 from .inspect.scan_checks import input_hashes
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
-from .results.findings import run_findings
-from .results.overview import Tally, overview_of
+from .results.findings import describe_objects
+from .results.overview import overview_of
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
@@ -42,10 +42,10 @@ from .storage.record import (
     SETTINGS_TOML,
     SUMMARISED,
     StageSeconds,
-    changed_inputs,
     changed_settings,
     has_ended,
-    has_same_summary,
+    last_results,
+    library_versions,
     read_run,
     replaced_results,
     run_header,
@@ -195,7 +195,7 @@ class _Run:
         before = read_run(self._out)
         self._changes = what_changed(before, self._settings, self._versions)
         self._other_settings = changed_settings(before, self._settings) if has_ended(before) else {}
-        self._before = before
+        self._before, self._last = before, last_results(before)
 
     def inspect(self, selected: Iterable[ScanPair]) -> None:
         """Reads every file once that is not known yet: of the wanted pairs, and of those with results."""
@@ -216,8 +216,6 @@ class _Run:
             for pair in self._dataset.pairs
             if pair.pair_id in self._engine.contents
         }
-        changes = [*self._changes, *changed_inputs(self._before, self._hashes)]
-        self._replaced = replaced_results(self._before, changes)
         self._end_phase("inspect")
 
     def survey(self, selected: Iterable[ScanPair]) -> Survey:
@@ -251,7 +249,7 @@ class _Run:
     def replace(self, survey: Survey) -> None:
         """Removes what is out of date; a finished record gives way to its head only if there is something to do."""
         if survey.todo or survey.unwanted:
-            self._write_record(self._header(self._replaced))
+            self._write_record(self._header())
         self._engine.replace(survey, self._changes, list(self._versions))
 
     def write(self, survey: Survey) -> RunOutcome:
@@ -266,10 +264,13 @@ class _Run:
                 notes[job.pair_id].append(f"{job.part} side: {note}")
             if OF_PAIR in job.facts:
                 keys += [job.pair_id, job.key]
-        key = key_of(keys, self._engine.failures)
+        times_s = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
+        key = key_of(library_versions(["fidpipe"]), keys, self._engine.failures, times_s)
         before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
-        if before is None or before.key != key:
-            self._write_record(self._header(self._replaced))
+        is_same = before is not None and before.key == key
+        header = self._header(is_same=is_same)
+        if not is_same:
+            self._write_record(header)
         pairs = self._write_table(PAIRS, key, self._pair_parts(survey))
         made_by = self._folder.token if self._engine.n_made else ""  # where nothing was made, all rows are reused
         self._write_table(TIMINGS, key_of(key, list(self._versions), made_by), self._timing_parts(pair_ids))
@@ -283,13 +284,13 @@ class _Run:
             if note := peaks_note(real_m, sim_m, self._settings.ground):
                 notes[row["pair_id"]].append(note)
         scored_ids = [row["pair_id"] for row in scored]
-        findings, objects = self._say_together(scored, key)
+        findings, objects = self._describe_objects(scored, times_s, is_same=is_same)
         extras: dict[str, Any] = {}
         for stage in self._stages:
             if stage.summarise:
                 extras |= stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
         record = run_record(
-            self._header(self._replaced),
+            header,
             self._hashes,
             rows,
             self._wall_s,
@@ -301,10 +302,8 @@ class _Run:
             notes,
             extras,
         )
-        if has_same_summary(self._before, record):  # the same results again: what they replaced stays as it was
-            record = record.model_copy(update={"previous": PreviousRun.recorded(self._before.get("previous"))})
-        if findings and objects:
-            record = record.model_copy(update={"overview": overview_of(findings.key, objects, record)})
+        if objects:
+            record = record.model_copy(update={"overview": overview_of(objects, record)})
         self._write_record(record)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
@@ -321,24 +320,20 @@ class _Run:
         """The jobs of a pair that are wanted."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
-    def _say_together(self, scored: list[Row], key: str) -> tuple[Findings | None, ObjectOverview | None]:
-        """The findings and the overview of the objects; those of the last record if nothing has changed."""
-        before = Overview.recorded(self._before.get("overview"))
-        tally = Tally()
-        findings = run_findings(
-            self._folder,
-            [row["pair_id"] for row in scored],
-            {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs},
-            self._hashes,
-            key,
-            Findings.recorded(self._before.get("findings")) if before else None,
-            by_reference=preset_of(self._settings) == "reference",
-            watch=tally.add,
-        )
-        is_same = findings is not None and before is not None and before.key == findings.key
-        return findings, before if is_same else tally.objects(scored) if scored else None
+    def _describe_objects(
+        self, scored: list[Row], times_s: dict[str, float | None], *, is_same: bool
+    ) -> tuple[Findings | None, ObjectOverview | None]:
+        """The findings and the overview of the objects; those of the last record if its tables are the same."""
+        if not scored:
+            return None, None
+        if is_same and self._last is not None and self._last.overview is not None:
+            return self._last.findings, self._last.overview
+        by_reference = preset_of(self._settings) == "reference"
+        return describe_objects(self._folder, scored, times_s, self._hashes, by_reference=by_reference)
 
-    def _header(self, previous: PreviousRun | None) -> RunHeader:
+    def _header(self, *, is_same: bool = False) -> RunHeader:
+        """What `run.json` holds from the start; results that are the same replace none."""
+        previous = replaced_results(self._before, self._last, is_same=is_same)
         return run_header(self._dataset.folder, self._settings, self._versions, previous)
 
     def _records(self, pair_ids: Iterable[str], stages: Iterable[str] | None = None) -> Iterator[JobRecord]:

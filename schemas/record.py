@@ -105,7 +105,7 @@ class RunHeader(Result):
     settings : by group and name, as they are in force
     stages : version of each stage's code
     libraries : version of each library, null where it is not installed
-    previous : the finished results of this folder that these replace; None where there were none, or none others
+    previous : the finished results of this folder that these replace; None if there were no other ones
     """
 
     fidpipe: str
@@ -125,14 +125,13 @@ class SurfaceStates(Result):
     """Unmatched objects of all pairs, by whether their surface is on the other side: see `stages.coverage`.
 
     there : it is, and only divided differently
-    road : of all three, those that lie mostly below the other side's ground cut: road that only one side's cut left;
-        None where an older fidpipe wrote the record
+    road : of all three, those that lie mostly below the other side's ground cut: road that only one side's cut left
     """
 
     there: int
     partly: int
     absent: int
-    road: int | None = None
+    road: int
 
 
 #: The names of the states.
@@ -159,11 +158,11 @@ class RunRecord(RunHeader):
     wall_s : seconds of the last command by phase
     summary : by column of `pairs`; `cdc_unmatched_worst_mean` and the like: with unmatched objects counted as worst
     findings : None ({} in JSON) where no pair is scored
-    overview : None where no pair is scored, or an older fidpipe wrote the record
+    overview : None where no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
-    frames : by pair, those whose simulated scan seems to lie in another frame; None where none were compared
+    frames : by pair, those whose simulated scan seems to lie in another frame
     notes : by pair, notes on its ground cut
-    metrics : what is behind the unmatched objects; None where an older fidpipe wrote the record
+    metrics : what is behind the unmatched objects
     baselines, seeds : only where they were asked for
     """
 
@@ -181,8 +180,8 @@ class RunRecord(RunHeader):
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
     overview: Overview | None = None
-    frames: dict[str, FrameSuspect] | None = None
-    notes: dict[str, tuple[str, ...]] | None = None
+    frames: dict[str, FrameSuspect]
+    notes: dict[str, tuple[str, ...]]
     metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic import BaseModel, ConfigDict, JsonValue
 
 #: What JSON calls an object.
 JsonObject = dict[str, JsonValue]
@@ -225,26 +225,13 @@ class ObjectFindings(Result):
     scans: Scans
 
 
-class _Key(Result):
-    key: str
-
-
-class Findings(ObjectFindings, _Key):  # in this order the key comes first in JSON
+class Findings(ObjectFindings):
     """The findings as they are recorded.
 
-    key : hash of all that they were made from; another key asks for new ones
     n_independent : pairs that count as independent: copies, and scans within 10 s, count once
     """
 
     n_independent: int
-
-    @classmethod
-    def recorded(cls, values: object) -> Findings | None:
-        """Findings from an earlier record; None where it has none, or another version of fidpipe wrote them."""
-        try:
-            return cls.model_validate(values) if values else None
-        except ValidationError:
-            return None
 
 
 class Cause(Result):
@@ -338,43 +325,21 @@ class ObjectOverview(Result):
     n_badly_aligned: int
 
 
-class Overview(ObjectOverview, _Key):  # in this order the key comes first in JSON
+class Overview(ObjectOverview):
     """The first answer of a run.
 
-    key : hash of all that the objects' part was made from; another key asks for a new one
     trust : limits to the trust in the numbers, most important first
     """
 
     trust: tuple[Caution, ...]
 
-    @classmethod
-    def recorded(cls, values: object) -> Overview | None:
-        """The overview of an earlier record; None if it has none, or another version of fidpipe wrote it."""
-        try:
-            return cls.model_validate(values) if values else None
-        except ValidationError:
-            return None
-
 
 class PreviousRun(Result):
-    """The results that a run has replaced in its folder.
+    """The finished results of the same folder that a run replaced.
 
-    written, fidpipe : when they were written, and by which version
-    n_pairs : scored pairs
-    changes : in words, what is other now: settings, libraries, code, scans, pairs
+    written : when
     means : by column of `pairs`
     """
 
     written: str
-    fidpipe: str
-    n_pairs: int
-    changes: tuple[str, ...]
     means: dict[str, float | None]
-
-    @classmethod
-    def recorded(cls, values: object) -> PreviousRun | None:
-        """Those of an earlier record; None where it has none, or another version of fidpipe wrote it."""
-        try:
-            return cls.model_validate(values) if values else None
-        except ValidationError:
-            return None

@@ -8,8 +8,8 @@ from ...stages.paper.claim_rules import Claim
 from ...stages.paper.claims import check_claims
 from ..report.view import Note, Table, View, number
 from ..results.compare import recorded_times_s
-from ..results.findings import read_objects
 from ..results.finished import FinishedRun
+from ..results.objects import STATISTICS_COLUMNS, arrays_of
 from ..results.overview import independence
 
 
@@ -18,9 +18,7 @@ def claims_of(run: FinishedRun) -> list[Claim]:
     names = [row["pair_id"] for row in run.scored]
     if not names:
         return []
-    for name in names:
-        run.check(name)
-    objects = read_objects(run.store, names, by_reference=run.preset == "reference")
+    objects = arrays_of([run.objects_of(names, STATISTICS_COLUMNS)])
     times_s = recorded_times_s(run)
     contents, real_scans = ([run.record.inputs[name][key] for name in names] for key in ("content", "real"))
     return check_claims(*objects, contents, real_scans, [times_s.get(name) for name in names])

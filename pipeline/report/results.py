@@ -6,7 +6,7 @@ where their largest shift is the stored one; and the distance of each point to t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,10 +23,8 @@ from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ..engine.pool import one_blas_thread
-from ..results.findings import SHAPE_COLUMNS, shape_of
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
-from ..results.quadrants import quadrant_of
 
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
@@ -94,8 +92,14 @@ def read_results(folder: Path) -> RunResults:
     names = pairs.pair_id.tolist()
     for name in names:
         run.check_tables(name)
-    objects = _with_class(_with_coverage(_read(run, "objects", names), _read(run, "coverage", names)), names)
-    matched, unmatched = _matched_and_not(_read(run, "metrics", names), _read(run, "matching", names), objects)
+    objects = run.objects_of(names)
+    is_labelled = bool(objects["label"].notna().any())
+    objects["group"] = objects["label"].fillna(NO_LABEL) if is_labelled else objects["shape"]
+    objects["name"] = objects["side"] + " " + objects["community_id"].astype(str)
+    for column, of_sides in (("covered_0p3m", OBJECT_COVERAGE), ("road_share", OBJECT_ROAD)):
+        for name, side in zip(of_sides, SIDES, strict=True):
+            objects[name] = objects[column].where(objects["side"] == side)
+    matched, unmatched = _matched_and_not(objects)
     return RunResults(
         run=run,
         pairs=pairs,
@@ -103,7 +107,7 @@ def read_results(folder: Path) -> RunResults:
         matched=matched,
         unmatched=unmatched,
         timings=run.read_table("timings").to_pandas(),
-        class_is="class" if objects.label.notna().any() else "shape",
+        class_is="class" if is_labelled else "shape",
     )
 
 
@@ -225,57 +229,16 @@ class PairTables:
         return rows
 
 
-def _read(run: FinishedRun, table: str, names: Iterable[str]) -> pd.DataFrame:
-    """A table of all pairs, one pair after the other."""
-    rows: pd.DataFrame = run.table(table, names).to_pandas()
-    return rows
-
-
-def _with_coverage(objects: pd.DataFrame, coverage: pd.DataFrame) -> pd.DataFrame:
-    """Objects with how much of each the other side has, and how much is road there, in the column of their own side."""
-    keys, own = ["pair_id", "side", "community_id"], coverage[coverage.community_id.notna()]
-    of_sides = {"covered_0p3m": OBJECT_COVERAGE, "road_share": OBJECT_ROAD}
-    rows = objects.merge(own[[*keys, *of_sides]], on=keys, validate="1:1")
-    columns = {
-        name: rows[share].where(rows.side == side)
-        for share, names in of_sides.items()
-        for name, side in zip(names, SIDES, strict=True)
-    }
-    return rows.drop(columns=list(of_sides)).assign(**columns)
-
-
-def _with_class(objects: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    """Objects with bearing (degrees, 0 ahead, 90 left), the class that the report goes by, their pair and name."""
-    shape = shape_of(*(objects[name].to_numpy() for name in SHAPE_COLUMNS))
-    return objects.assign(
-        bearing_deg=np.degrees(np.arctan2(objects.cy, objects.cx)),
-        group=objects.label.fillna(NO_LABEL) if objects.label.notna().any() else shape,
-        pair=objects.pair_id.map({name: i for i, name in enumerate(names)}),
-        name=objects.side + " " + objects.community_id.astype(str),
-    )
-
-
-def _matched_and_not(
-    metrics: pd.DataFrame, matching: pd.DataFrame, objects: pd.DataFrame
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Scores with what is known of the real objects, worst first; the objects without a partner, largest first."""
-    of_real, of_sim = zip(OBJECT_COVERAGE, OBJECT_ROAD, strict=True)
-    real, sim = (
-        objects[objects.side == side].rename(columns={"community_id": f"{side}_id"}).drop(columns=["n_points", *other])
-        for side, other in (("real", of_sim), ("sim", of_real))
-    )
-    matched = metrics.merge(real, on=["pair_id", "real_id"], validate="1:1")
-    matched = matched.merge(sim[["pair_id", "sim_id", *of_sim]], on=["pair_id", "sim_id"], validate="1:1")
-    matched["quadrant"] = quadrant_of(matched.cdc.to_numpy(), matched.r_lambda.to_numpy(dtype=float))
-    alone = [
-        objects[objects.side == side].merge(
-            matching.loc[matching.status == status, ["pair_id", f"{side}_id", "status"]],
-            left_on=["pair_id", "community_id"],
-            right_on=["pair_id", f"{side}_id"],
-        )
-        for side, status in zip(SIDES, ("missing", "hallucinated"), strict=True)
-    ]
-    unmatched = pd.concat(alone).drop(columns=[f"{side}_id" for side in SIDES])
+def _matched_and_not(objects: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The matched objects by their real side, worst first; the objects without a partner, largest first."""
+    of_sim = (OBJECT_COVERAGE[1], OBJECT_ROAD[1])
+    is_matched, is_real = objects["partner"] >= 0, objects["side"] == "real"
+    sim = objects.loc[is_matched & ~is_real, ["pair", "community_id", *of_sim]]
+    real = objects[is_matched & is_real].drop(columns=[*of_sim, "n_points"])
+    real = real.rename(columns={"community_id": "real_id", "partner": "sim_id"})
+    matched = real.merge(sim.rename(columns={"community_id": "sim_id"}), on=["pair", "sim_id"], validate="1:1")
+    unmatched = objects[objects["fate"].isin(["missing", "hallucinated"])]
+    unmatched = unmatched.assign(status=unmatched["fate"])
     unmatched = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
     return _worst_first(matched, ("cdc", "r_lambda")), unmatched
 

@@ -121,6 +121,10 @@ class GroupCoverage:
     n_points: FloatArray
     n_alone: FloatArray
 
+    def of_group(self, i: int) -> tuple[float, float]:
+        """Points of a group over all pairs, and those without a counterpart."""
+        return float(self.n_points[:, i].sum()), float(self.n_alone[:, i].sum())
+
 
 def find_causes(
     rows: Sequence[Row], floor: Mapping[str, Row] | None = None, surface: Sequence[Cause] = ()

@@ -35,7 +35,8 @@ from .causes import CAUSE_KINDS
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
-from .followed import GroupChange, ObjectChange, by_class, by_range, follow, same_real_side
+from .followed import FOLLOWED_COLUMNS, GroupChange, ObjectChange, by_class, by_range, follow
+from .objects import object_parts
 from .sectors import N_SECTORS, sector_rows
 
 #: So many runs fit into one table, and into one look.
@@ -195,21 +196,14 @@ def compare_two(
     if not comparable and not failed:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'none is scored'})")
-    changes: dict[str, list[ObjectChange]] = {}
-    for name in names:
-        before, after = base.objects_of(name), other.objects_of(name)
-        if same_real_side(before, after):
-            changes[name] = follow(name, before, after)
+    changes, unfollowed = _followed(base, other, names)
     excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
     blocks, blocking = _blocks(base, other, names, independent)
     rows = {name: (base.row(name), other.row(name)) for name in names}
     n_blocks, sectors = len(np.unique(blocks)), None
     if n_blocks < min(LEAST_FLIPPED, len(names)):
-        parts: dict[str, tuple[Row, Row]] = {
-            f"{name}/{i}": (before, after)
-            for name in names
-            for i, (before, after) in enumerate(zip(sector_rows(base, name), sector_rows(other, name), strict=True))
-        }
+        of_runs = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
+        parts = {f"{i}": rows_of_sector for i, rows_of_sector in enumerate(of_runs)}
         sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
         blocks = np.arange(len(names), dtype=np.int32)
     noise = {column: _both_seed_noise(base, other, names, column) for column in SEEDED_SCORES}
@@ -222,18 +216,28 @@ def compare_two(
         left_out=left_out,
         lost=lost,
         failed=failed,
-        unfollowed=tuple(name for name in names if name not in changes),
+        unfollowed=tuple(unfollowed),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
         families=judge_families(preset, rows, blocks, noise, floors, sectors) if names else (),
         causes=_causes(list(rows.values()), blocks),
-        objects=tuple(change for own in changes.values() for change in own),
+        objects=tuple(changes),
         n_blocks=n_blocks,
         blocking=blocking,
         by_direction=sectors is not None,
         on_partition=partition_note((base, other)),
         excess=excess,
     )
+
+
+def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[list[ObjectChange], list[str]]:
+    """What has become of the real objects of the pairs, and the pairs whose real objects differ."""
+    parts = (
+        object_parts(run.store, names, FOLLOWED_COLUMNS, by_reference=run.is_by_reference, sides=("real",))
+        for run in (base, other)
+    )
+    found = [follow(before, after) for before, after in zip(*parts, strict=True)]
+    return [change for changes, _ in found for change in changes], [name for _, own in found for name in own]
 
 
 def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, FidpipeError, RunError, ScanError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
@@ -194,35 +194,25 @@ def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, SideClouds]:
     RunError
         A table is damaged or gone.
     """
-    pair = run.covered_objects_of(pair_id)
+    every = run.objects_of([pair_id])
     frames = {side: run.points(pair_id, side) for side in SIDES}
     places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
     clouds = {}
-    for side, other, distance_m in zip(SIDES, reversed(SIDES), nearest_distances(*places), strict=True):
-        rows = pair.sides[side]
-        lone = pair.hallucinated if side == "sim" else []
-        objects = _objects(rows, [(row[f"{side}_id"], row[f"{other}_id"], row) for row in pair.matched], lone)
+    for side, distance_m in zip(SIDES, nearest_distances(*places), strict=True):
+        objects = _objects(every[every["side"] == side])
         clouds[side] = SideClouds(_points(frames[side], objects, distance_m), objects[objects["n_points"] > 0])
     return clouds
 
 
-def _objects(rows: list[Row], matched: list[tuple[int, int, Row]], hallucinated: list[int]) -> NDArray[np.void]:
-    """The objects of a side by id, from its rows, from own id, partner and scores of those that are matched."""
+def _objects(rows: pd.DataFrame) -> NDArray[np.void]:
+    """The objects of a side by id."""
     objects = np.zeros(len(rows), OBJECT)
-    for name, column in {"x": "cx", "y": "cy", "z": "cz"}.items():
-        objects[name] = _numbers(rows, column)
-    for name in (*_COVERAGE, "n_points"):
-        objects[name] = _numbers(rows, name)
-    objects["community"] = np.arange(len(rows))
-    objects["partner"], objects["status"] = -1, Status.MISSING
-    objects["status"][hallucinated] = Status.HALLUCINATED
-    ids = [own for own, _, _ in matched]
-    scores = [row for _, _, row in matched]
-    objects["partner"][ids] = [partner for _, partner, _ in matched]
-    objects["status"][ids] = [Status[row["status"].upper()] for row in scores]
-    for name in _SCORES:
-        objects[name] = np.nan
-        objects[name][ids] = _numbers(scores, name)
+    own = {"x": "cx", "y": "cy", "z": "cz", "community": "community_id"}
+    for name in OBJECT.names or ():
+        if name != "status":
+            objects[name] = rows[own.get(name, name)]
+    status = rows["status"].where(rows["fate"] == "matched", rows["fate"].replace("remnant", "missing"))
+    objects["status"] = [Status[word.upper()] for word in status]
     return objects
 
 
@@ -243,11 +233,6 @@ def _points(frame: pd.DataFrame, objects: NDArray[np.void], distance_m: NDArray[
         points[name] = np.nan
         points[name][is_object] = values
     return points
-
-
-def _numbers(rows: Sequence[Row], column: str) -> NDArray[np.float64]:
-    """A column of rows; NaN for null."""
-    return np.array([np.nan if row[column] is None else row[column] for row in rows], dtype=np.float64)
 
 
 def _refuse_others(files: Sequence[Path]) -> None:

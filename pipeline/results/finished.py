@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -29,7 +29,8 @@ from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.record import command_again, finished_record
-from ..storage.tables import plain_strings, table_name
+from ..storage.tables import plain_strings
+from .objects import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,29 +41,6 @@ _STAGE_OF = {table: stage for stage in (*STAGES, *EXTRAS) for table in stage.giv
 _OF_RUN = ("pairs", "timings")
 #: The scores of which it is said what another partition does to them.
 _BY_CHANCE = ("match_rate", "cdc_mean", "r_lambda_mean")
-
-
-@dataclass(frozen=True)
-class PairObjects:
-    """The objects of a pair.
-
-    row : of `pairs`
-    sides : by side, the rows of `objects`; the place in the list is the object's id
-    matched : rows of `metrics`
-    missing, hallucinated : ids of the unmatched objects of the real and of the simulated side
-    """
-
-    row: Row
-    sides: dict[str, list[Row]]
-    matched: list[Row]
-    missing: list[int]
-    hallucinated: list[int]
-
-    def remnant(self, real_id: int) -> Row | None:
-        """The few simulated points of a missing object, where the real side fixes the objects: they bear its number."""
-        own = {*self.hallucinated, *(row["sim_id"] for row in self.matched)}
-        is_left = real_id in self.missing and real_id not in own and real_id < len(self.sides["sim"])
-        return self.sides["sim"][real_id] if is_left else None
 
 
 class FinishedRun:
@@ -90,14 +68,11 @@ class FinishedRun:
         self.store = RunFolder(folder)
         try:
             self.record = RunRecord.from_dict(record)
-            if self.record.metrics is None:
-                raise ValueError("metrics")
         except ValueError as error:
             if self.store.is_locked:
                 raise RunError(f"run {folder}: another fidpipe is working on this run; wait until it ends") from error
             raise RunError(
-                f"run {folder}: the run has not ended, or an older fidpipe wrote it; "
-                f"finish it with: {command_again(folder, record.get('dataset'))}"
+                f"run {folder}: the run has not ended; finish it with: {command_again(folder, record.get('dataset'))}"
             ) from error
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
@@ -200,41 +175,21 @@ class FinishedRun:
             )
         return self._row_of[pair_id]
 
-    def check(self, pair_id: str) -> None:
-        """Raises `RunError` if a table of objects, scores or coverage of a scored pair is damaged."""
-        for side in SIDES:
-            self.check_file(table_name("objects", pair_id, side))
-        for table in ("metrics", "coverage"):
-            self.check_file(table_name(table, pair_id))
+    def objects_of(self, pairs: Sequence[str], columns: Collection[str] = ALL_COLUMNS) -> pd.DataFrame:
+        """The objects of scored pairs with coverage, fate and scores; see `objects.object_parts`.
 
-    def objects_of(self, pair_id: str) -> PairObjects:
-        """The objects of a scored pair; `RunError` if it failed or a table is damaged."""
-        row = self.row(self._scored(pair_id))
-        sides = {side: self.side_objects(pair_id, side) for side in SIDES}
-        matched = self.read_table("metrics", pair_id).to_pylist()
-        matching = self.read_table("matching", pair_id).to_pylist()
-        missing = [own["real_id"] for own in matching if own["status"] == "missing"]
-        hallucinated = [own["sim_id"] for own in matching if own["status"] == "hallucinated"]
-        ids = [("real", missing), ("sim", hallucinated)]
-        ids += [(side, [scores[f"{side}_id"] for scores in matched]) for side in SIDES]
-        is_numbered = all([own["community_id"] for own in rows] == list(range(len(rows))) for rows in sides.values())
-        if not is_numbered or not all(i in range(len(sides[side])) for side, of_side in ids for i in of_side):
-            raise self._mismatched(pair_id)
-        return PairObjects(row, sides, matched, missing, hallucinated)
+        Raises
+        ------
+        RunError
+            A pair failed, or a table is damaged or gone.
+        """
+        names = [self._scored(name) for name in pairs]
+        return read_objects(self.store, names, columns, by_reference=self.is_by_reference)
 
-    def covered_objects_of(self, pair_id: str) -> PairObjects:
-        """The same, each object with how much of it the other side has."""
-        pair = self.objects_of(pair_id)
-        covered = {(row["side"], row["community_id"]): row for row in self.read_table("coverage", pair_id).to_pylist()}
-        if not all((side, i) in covered for side, rows in pair.sides.items() for i in range(len(rows))):
-            raise self._mismatched(pair_id)
-        sides = {side: [row | covered[side, i] for i, row in enumerate(rows)] for side, rows in pair.sides.items()}
-        return replace(pair, sides=sides)
-
-    def side_objects(self, pair_id: str, side: str) -> list[Row]:
-        """The objects of one side of a scored pair."""
-        rows: list[Row] = self.read_table("objects", pair_id, side).to_pylist()
-        return rows
+    @property
+    def is_by_reference(self) -> bool:
+        """True if the real side fixes the objects."""
+        return self.preset == "reference"
 
     def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run where `pair_id` is "".
@@ -273,12 +228,6 @@ class FinishedRun:
         record = self.store.ledger.job_of_file(name)
         if record is None or not self.store.is_whole(record, by_content=True):
             raise self.store.damaged(name)
-
-    def _mismatched(self, pair_id: str) -> RunError:
-        return RunError(
-            f"run {self.folder}, pair {pair_id}: its tables name objects that are not in objects/; run it again with: "
-            f"{command_again(self.folder, self.record.dataset)}"
-        )
 
 
 def _frame(table: pa.Table) -> pd.DataFrame:
@@ -388,13 +337,13 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     row = run.row(pair_id)
     if row["status"] != "scored":
         return PairFacts(row, ())
-    pair = run.covered_objects_of(pair_id)
-    worst_first = sorted(
-        pair.matched, key=lambda scores: (scores["r_lambda"] is None, -(scores["r_lambda"] or 0.0), scores["real_id"])
+    found = _facts(run.objects_of([pair_id]))
+    matched = sorted(
+        (scores["r_lambda"] is None, -(scores["r_lambda"] or 0.0), i)
+        for i, each in enumerate(found)
+        if (scores := each.scores)
     )
-    matched = [_matched(pair, scores) for scores in worst_first]
-    missing = [_alone(pair, "real", i) for i in pair.missing]
-    return PairFacts(row, (*matched, *missing, *(_alone(pair, "sim", i) for i in pair.hallucinated)))
+    return PairFacts(row, (*(found[i] for *_, i in matched), *(each for each in found if each.scores is None)))
 
 
 def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
@@ -407,29 +356,41 @@ def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
     """
     side, _, number = name.rpartition(":")
     side = side or "real"
-    pair = run.covered_objects_of(pair_id)
-    if side not in SIDES or not re.fullmatch("[0-9]{1,9}", number) or int(number) >= len(pair.sides[side]):
-        counts = " and ".join(f"{len(pair.sides[s])} {s}" for s in SIDES)
+    objects = run.objects_of([pair_id])
+    n = {own: int((objects["side"] == own).sum()) for own in SIDES}
+    if side not in SIDES or not re.fullmatch("[0-9]{1,9}", number) or int(number) >= n[side]:
+        counts = " and ".join(f"{n[s]} {s}" for s in SIDES)
         raise RunError(
             f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {counts} objects, numbered from 0: "
             "7 is a real object, sim:7 a simulated one"
         )
-    i = int(number)
-    scores = next((row for row in pair.matched if row[f"{side}_id"] == i), None)
-    return _alone(pair, side, i) if scores is None else _matched(pair, scores)
+    found = ((each, getattr(each, side)) for each in _facts(objects))
+    return next(each for each, own in found if own and own["community_id"] == int(number))
 
 
-def _matched(pair: PairObjects, scores: Row) -> ObjectFacts:
-    real, sim = (_own(pair.sides[side][scores[f"{side}_id"]]) for side in SIDES)
-    return ObjectFacts("matched", real, sim, _own(scores))
+def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
+    """The objects of one pair: matched ones once, remnants with the missing object that they belong to."""
+    rows = {(row["side"], row["community_id"]): row for row in plain_rows(objects)}
+    found = []
+    for (side, i), row in rows.items():
+        if row["fate"] == "remnant" or (side == "sim" and row["partner"] >= 0):
+            continue
+        sim = row if side == "sim" else rows.get(("sim", row["partner"] if row["partner"] >= 0 else i))
+        if row["fate"] == "missing" and sim and sim["fate"] != "remnant":
+            sim = None
+        scores = {name: row[name] for name in COLUMNS_OF["metrics"]} if row["fate"] == "matched" else None
+        found.append(
+            ObjectFacts(
+                status=row["fate"],
+                real=_described(row) if side == "real" else None,
+                sim=sim and _described(sim),
+                scores=scores and {"real_id": i, "sim_id": row["partner"]} | scores,
+            )
+        )
+    return found
 
 
-def _alone(pair: PairObjects, side: str, i: int) -> ObjectFacts:
-    remnant = pair.remnant(i)
-    if side == "sim" and remnant is None:
-        return ObjectFacts("hallucinated", None, _own(pair.sides[side][i]), None)
-    return ObjectFacts("missing", _own(pair.sides["real"][i]), remnant and _own(remnant), None)
-
-
-def _own(row: Row) -> Row:
-    return {name: value for name, value in row.items() if name not in ("pair_id", "side")}
+def _described(row: Row) -> Row:
+    """The columns of `objects` and `coverage`."""
+    names = ("community_id", "n_points", *COLUMNS_OF["objects"], *COLUMNS_OF["coverage"])
+    return {name: row[name] for name in names}

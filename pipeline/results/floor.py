@@ -23,7 +23,6 @@ from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
 from ..storage.record import SETTINGS_TOML
-from .findings import read_columns
 from .finished import FinishedRun, differences, settings_changes
 
 FLOOR_DATASET = "dataset"
@@ -214,10 +213,8 @@ def _command(run: FinishedRun) -> str:
 
 def _of_objects(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:
     """By score, its values of all matched objects of the pairs; NaN where null."""
-    for name in names:
-        run.check(name)
-    columns, _ = read_columns([run.store.path("metrics", name) for name in names], list(OBJECT_METRICS))
-    return columns
+    matched = run.objects_of(names, OBJECT_METRICS).query("side == 'real' and partner >= 0")
+    return {name: matched[name].to_numpy() for name in OBJECT_METRICS}
 
 
 def _excess(

@@ -10,15 +10,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from ...stages.statistics.comparison import KINDS, kinds_of_change
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
-from ...stages.statistics.typical_objects import SHAPES
-from .finished import PairObjects
+from .objects import plain_rows
 
 #: Scores that are followed, columns of `metrics`.
 SHARED_SCORES = ("cdc", "r_lambda")
 _PLACE = ("n_points", "cx", "cy", "cz")
+#: Columns of the frame of objects that `follow` reads.
+FOLLOWED_COLUMNS = (*_PLACE[1:], *SHARED_SCORES, "label", "shape", "range_m")
 
 
 @dataclass(frozen=True)
@@ -74,41 +76,31 @@ class GroupChange:
     r_lambda: float | None
 
 
-def same_real_side(before: PairObjects, after: PairObjects) -> bool:
-    """Whether the real objects are the same, by number of points and centroids."""
-    a, b = ([tuple(row[name] for name in _PLACE) for row in pair.sides["real"]] for pair in (before, after))
-    return a == b
+def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange], list[str]]:
+    """What has become of each real object of some pairs, and the pairs whose real objects differ.
+
+    Parameters
+    ----------
+    before, after : the real objects of both runs in the order of pairs and ids (`objects.object_parts`)
+    """
+    a, b = ({str(name): own for name, own in objects.groupby("pair_id", sort=False)} for objects in (before, after))
+    differing = [name for name in {**a, **b} if name not in a or name not in b or not _is_same(a[name], b[name])]
+    before, after = (objects[~objects["pair_id"].isin(differing)] for objects in (before, after))
+    was_matched, is_matched = ((objects["partner"] >= 0).to_numpy() for objects in (before, after))
+    scores = {name: (before[name].to_numpy(), after[name].to_numpy()) for name in SHARED_SCORES}
+    columns = {name: before[name].to_numpy() for name in ("pair_id", "label", "shape", "range_m", "n_points")}
+    columns["real_id"] = before["community_id"].to_numpy()
+    columns["kind"] = kinds_of_change(was_matched, is_matched, scores["cdc"], scores["r_lambda"])
+    for i, (when, objects) in enumerate((("before", before), ("after", after))):
+        columns |= {f"{name}_{when}": scores[name][i] for name in SHARED_SCORES}
+        columns[f"sim_{when}"] = objects["partner"].astype("Int32").where(objects["partner"] >= 0).to_numpy()
+    return [ObjectChange(**row) for row in plain_rows(pd.DataFrame(columns))], differing
 
 
-def follow(pair_id: str, before: PairObjects, after: PairObjects) -> list[ObjectChange]:
-    """What has become of each real object of a pair."""
-    real = before.sides["real"]
-    matched = [{row["real_id"]: row for row in pair.matched} for pair in (before, after)]
-    is_before, is_after = (np.array([i in own for i in range(len(real))], dtype=np.bool_) for own in matched)
-    cdc, r_lambda, sim = (
-        [[own.get(i, {}).get(column) for i in range(len(real))] for own in matched]
-        for column in (*SHARED_SCORES, "sim_id")
-    )
-    floats = (tuple(np.array(scores, dtype=np.float64)) for scores in (cdc, r_lambda))  # None becomes NaN
-    kinds = kinds_of_change(is_before, is_after, *floats)
-    return [
-        ObjectChange(
-            pair_id=pair_id,
-            real_id=i,
-            label=row["label"],
-            shape=SHAPES[max(SHAPES, key=lambda name: row[name] or 0.0)],
-            range_m=row["range_m"],
-            n_points=row["n_points"],
-            kind=str(kinds[i]),
-            cdc_before=cdc[0][i],
-            cdc_after=cdc[1][i],
-            r_lambda_before=r_lambda[0][i],
-            r_lambda_after=r_lambda[1][i],
-            sim_before=sim[0][i],
-            sim_after=sim[1][i],
-        )
-        for i, row in enumerate(real)
-    ]
+def _is_same(before: pd.DataFrame, after: pd.DataFrame) -> bool:
+    """True if the real objects of a pair are the same, by number of points and centroids."""
+    a, b = (objects[[*_PLACE]].to_numpy(dtype=np.float64) for objects in (before, after))
+    return np.array_equal(a, b, equal_nan=True)
 
 
 def by_class(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:

@@ -18,8 +18,6 @@ from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.pairs import Dataset, read_dataset
 from ..inspect.scan_checks import input_hashes
-from ..storage.record import command_again
-from .findings import read_objects
 from .finished import FinishedRun
 from .floor import RunExcess
 from .measure_names import (
@@ -33,6 +31,7 @@ from .measure_names import (
     PLAIN_NAMES,
     STATES,
 )
+from .objects import STATISTICS_COLUMNS, arrays_of
 
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
 
@@ -139,9 +138,6 @@ class Measures:
         if state in ("scored", "failed"):
             return len([row for row in rows if row["status"] == state])
         if state == "frame_suspect":
-            if record.frames is None:
-                again = f"fidpipe run {record.dataset} --out {self.run.folder}"
-                raise _AbsentError(f"an older fidpipe wrote the run and did not compare frames; run again: {again}")
             return len(record.frames)
         if self.dataset_is_gone:
             if state == "to_do":
@@ -154,11 +150,6 @@ class Measures:
     def _n_changed(self, dataset: Dataset) -> int:
         """Pairs of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset."""
         before = self.run.record.inputs
-        if not all("content" in hashes for hashes in before.values()):
-            again = command_again(self.run.folder, self.run.record.dataset)
-            raise _AbsentError(
-                f"an older fidpipe wrote the run and did not note all that it is made of; run again: {again}"
-            )
         now = {pair.pair_id: pair for pair in dataset.pairs}
         try:
             return sum(
@@ -185,9 +176,7 @@ class Measures:
     @cached_property
     def _objects(self) -> tuple[SideObjects, SideObjects, MatchedObjects]:
         names = [row["pair_id"] for row in self._scored]
-        for name in names:
-            self.run.check(name)
-        return read_objects(self.run.store, names, by_reference=self.run.preset == "reference")
+        return arrays_of([self.run.objects_of(names, STATISTICS_COLUMNS)])
 
 
 def _column(score: str) -> str:

@@ -1,34 +1,36 @@
 """The overview of a run: what to fix first, the largest missing and invented pieces, and limits to the trust in them.
 
-The objects are counted while the findings read them (`Tally`), some pairs at a time, so that the overview needs no
-memory of its own.
+The objects are counted in one pass with the findings (`findings.describe_objects`).
 """
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from heapq import nlargest
 from pathlib import Path
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...schemas.columns import Row
+from ...schemas.columns import SIDES, Row
 from ...schemas.record import RunRecord
 from ...schemas.results import Caution, Findings, ObjectOverview, Overview, Piece, SurfaceGroup
 from ...schemas.settings import MatchingSettings
+from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
-from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
+from ...stages.statistics.findings import BAND_NAMES
 from ..inspect.frame_checks import frames_summary
 from ..storage.files import path_exists
+from ..storage.folder import RunFolder
 from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
-from .findings import ObjectRows, SideRows
 from .finished import FinishedRun
 from .floor import FLOOR_RECIPE
+from .objects import PAIRS_AT_ONCE, plain_rows
 from .places import moved_words, place_words
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Number of the largest pieces that are kept.
 N_PIECES = 4
@@ -41,6 +43,8 @@ BAD_ALIGNMENT_M = MatchingSettings().delta_m
 _MANY_BADLY_ALIGNED = 0.05
 BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
+#: Columns of the frame of objects that the overview uses.
+OVERVIEW_COLUMNS = ("band", "label", "covered_0p3m", "r_lambda", "alignment_rms_m", "diagonal_m")
 
 
 @overload
@@ -68,78 +72,61 @@ def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | Fl
 
 
 class Tally:
-    """Counts the objects of a run, some pairs at a time, and keeps the largest pieces.
-
-    A piece that moved is one piece, of the real side. Largest: most points; ties by pair, side and number.
-    """
+    """Sums over the objects of a run, some pairs at a time, so that they need not be in memory together."""
 
     def __init__(self) -> None:
-        self._n_pairs = self._n_aligned = self._n_badly_aligned = 0
-        self._bands: dict[str, list[FloatArray]] = {"real": [], "sim": []}  # (2, n, n_bands): points and those alone
-        self._classes: dict[str, dict[str, list[FloatArray]]] = {"real": {}, "sim": {}}  # by label, (2, n)
-        self._pieces: list[tuple[tuple[int, str, str, int], Piece]] = []
+        self._points: list[pd.DataFrame] = []
+        self._n_aligned = self._n_badly_aligned = 0
 
-    def add(self, rows: ObjectRows) -> None:
-        """Counts the objects of some more pairs."""
-        n = len(rows.pair_ids)
-        scores = rows.scores
-        for name, side in (("real", rows.real), ("sim", rows.sim)):
-            band = np.searchsorted(BAND_EDGES_M, side.range_m, side="right") - 1
-            self._bands[name].append(_points_of(side, band, n, len(BAND_EDGES_M)))
-            labels, index = np.unique(side.label.astype(np.str_), return_inverse=True)
-            by_label = _points_of(side, index, n, len(labels))
-            classes = self._classes[name]
-            for label in {*classes, *labels.tolist()}:
-                own = by_label[..., labels == label].sum(axis=-1)
-                classes.setdefault(label, [np.zeros((2, self._n_pairs))]).append(own)
-        is_bad = alignment_is_bad(scores["alignment_rms_m"], rows.real.diagonal_m[rows.real_rows])
-        has_r_lambda = ~np.isnan(scores["r_lambda"])
-        self._n_aligned += int(np.count_nonzero(has_r_lambda))
-        self._n_badly_aligned += int(np.count_nonzero(is_bad & has_r_lambda))
-        self._n_pairs += n
-        self._pieces = nlargest(N_PIECES, [*self._pieces, *_pieces_of(rows)], key=lambda piece: piece[0])
+    def add(self, objects: pd.DataFrame) -> None:
+        """Count the objects of some more pairs: a part of the frame of `objects`, with `OVERVIEW_COLUMNS`."""
+        own = objects[objects["fate"] != "remnant"]
+        alone = own["n_points"] * (1 - own["covered_0p3m"].fillna(0.0))
+        points = own[["side", "pair", "band"]].assign(label=own["label"].fillna(""), n=own["n_points"], alone=alone)
+        for kind in ("band", "label"):
+            sums = points.groupby(["side", "pair", kind], as_index=False)[["n", "alone"]].sum()
+            self._points.append(sums.rename(columns={kind: "group"}).assign(kind=kind))
+        scored = own[(own["side"] == "real") & own["r_lambda"].notna()]
+        is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
+        self._n_aligned += len(scored)
+        self._n_badly_aligned += int(np.count_nonzero(is_bad))
 
-    def objects(self, rows: Sequence[Row]) -> ObjectOverview:
+    def overview(self, rows: Sequence[Row], pieces: Sequence[Piece]) -> ObjectOverview:
         """The overview of the counted objects.
 
         Parameters
         ----------
         rows : of `pairs`, the scored ones
+        pieces : the largest ones
         """
-        bands = {side: np.concatenate(parts, axis=1) for side, parts in self._bands.items()}
-        classes = {
-            side: {label: np.concatenate(parts, axis=1) for label, parts in sorted(own.items())}
-            for side, own in self._classes.items()
-        }
-        real = classes["real"]
-        of_class = np.stack([*real.values()], axis=-1) if real else np.zeros((2, self._n_pairs, 0))
-        of_surface = surface_causes(GroupCoverage(BAND_NAMES, *bands["real"]), GroupCoverage(tuple(real), *of_class))
-        by_band = zip(BAND_NAMES, *(own.sum(axis=1).T for own in bands.values()), strict=True)
-        labels = sorted({label for own in classes.values() for label in own if label})
-        by_class = (
-            (label, *(own.get(label, np.zeros((2, 1))).sum(axis=1) for own in classes.values())) for label in labels
+        import pandas as pd
+
+        points = pd.concat(self._points, ignore_index=True)
+        labels = sorted(set(points.loc[points["kind"] == "label", "group"]))
+        bands, classes = (
+            {side: _coverage(points, kind, side, groups, len(rows)) for side in SIDES}
+            for kind, groups in (("band", list(range(len(BAND_NAMES)))), ("label", labels))
         )
+        names = {"range": BAND_NAMES, "class": labels}
+        surface = [
+            _group(kind, name, *(own[side].of_group(i) for side in SIDES))
+            for kind, own in (("range", bands), ("class", classes))
+            for i, name in enumerate(names[kind])
+            if name
+        ]
         return ObjectOverview(
-            causes=tuple(find_causes(rows, surface=of_surface)),
-            pieces=tuple(piece for _, piece in self._pieces),
-            surface=tuple(
-                _group(kind, *group) for kind, groups in (("range", by_band), ("class", by_class)) for group in groups
-            ),
+            causes=tuple(find_causes(rows, surface=surface_causes(bands["real"], classes["real"]))),
+            pieces=tuple(pieces),
+            surface=tuple(surface),
             n_aligned=self._n_aligned,
             n_badly_aligned=self._n_badly_aligned,
         )
 
 
-def overview_of(key: str, objects: ObjectOverview, record: RunRecord) -> Overview:
-    """The overview of a run: that of its objects, and the cautions of its record.
-
-    Parameters
-    ----------
-    key : hash of all that `objects` was made from
-    record : of the run, with or without an overview
-    """
+def overview_of(objects: ObjectOverview, record: RunRecord) -> Overview:
+    """The overview of a run: that of its objects, and the cautions of its record (with or without an overview)."""
     of_objects = {name: getattr(objects, name) for name in ObjectOverview.model_fields}
-    return Overview(key=key, **of_objects, trust=tuple(_cautions(objects, record)))
+    return Overview(**of_objects, trust=tuple(_cautions(objects, record)))
 
 
 def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
@@ -168,42 +155,50 @@ def independence(findings: Findings | None) -> list[str]:
     return []
 
 
-def _points_of(side: SideRows, group: NDArray[np.integer[Any]], n_pairs: int, n_groups: int) -> FloatArray:
-    """Points of each pair and group, and those without a counterpart within 0.3 m, (2, n_pairs, n_groups)."""
-    alone = side.n_points * (1 - np.nan_to_num(side.covered))
-    place = side.pair.astype(np.int64) * n_groups + group
-    counts = [np.bincount(place, own, n_pairs * n_groups) for own in (side.n_points.astype(np.float64), alone)]
-    return np.stack(counts).astype(np.float64).reshape(2, n_pairs, n_groups)
+def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
+    """The largest pieces of surface without a counterpart; one that moved counts once, on the real side."""
+    import pandas as pd
+
+    kept: list[pd.DataFrame] = []
+    for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
+        names = pair_ids[first : first + PAIRS_AT_ONCE]
+        table, n = store.read_pairs(names, {("pieces", ""): TABLES["pieces"].schema.names})["pieces", ""]
+        pieces: pd.DataFrame = table.to_pandas().assign(pair_id=np.repeat(np.array(names, dtype=object), n))
+        pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
+        kept.append(pieces.sort_values("n_points", ascending=False, kind="stable").head(N_PIECES))
+    order = ["n_points", "pair_id", "side", "piece_id"]
+    largest = pd.concat(kept).sort_values(order, ascending=False).head(N_PIECES)
+    return [_piece(row) for row in plain_rows(largest)]
 
 
-def _pieces_of(rows: ObjectRows) -> Iterator[tuple[tuple[int, str, str, int], Piece]]:
-    """The largest pieces of some pairs, each with its rank."""
-    pieces = rows.pieces
-    is_own = (pieces["side"] == "real") | (pieces["fate"] != "moved")
-    order = np.lexsort((-pieces["n_points"], ~is_own))[: np.count_nonzero(is_own)]
-    for i in order[:N_PIECES].tolist():
-        own: dict[str, Any] = {name: column[i] for name, column in pieces.items()}
-        is_moved = own["fate"] == "moved"
-        fate = "moved" if is_moved else "missing" if own["side"] == "real" else "invented"
-        extents = float(own["extent_x"]), float(own["extent_y"]), float(own["extent_z"])
-        piece = Piece(
-            pair_id=rows.pair_ids[own["pair"]],
-            side=own["side"],
-            piece_id=int(own["piece_id"]),
-            fate=fate,
-            label=own["label"],
-            n_points=int(own["n_points"]),
-            range_m=float(own["range_m"]),
-            bearing_deg=float(own["bearing_deg"]),
-            extents_m=extents,
-            words=place_words(own["label"], extents, float(own["range_m"]), float(own["bearing_deg"])),
-            fate_words=moved_words(*(float(own[f"moved_{axis}_m"]) for axis in "xyz")) if is_moved else fate,
-        )
-        yield (piece.n_points, piece.pair_id, piece.side, piece.piece_id), piece
+def _piece(row: Row) -> Piece:
+    extents = row["extent_x"], row["extent_y"], row["extent_z"]
+    fate = "moved" if row["fate"] == "moved" else "missing" if row["side"] == "real" else "invented"
+    return Piece(
+        **{name: row[name] for name in ("pair_id", "side", "piece_id", "n_points", "range_m", "bearing_deg")},
+        fate=fate,
+        label=row["label"],
+        extents_m=extents,
+        words=place_words(row["label"], extents, row["range_m"], row["bearing_deg"]),
+        fate_words=moved_words(*(row[f"moved_{axis}_m"] for axis in "xyz")) if fate == "moved" else fate,
+    )
 
 
-def _group(kind: str, name: str, real: FloatArray, sim: FloatArray) -> SurfaceGroup:
-    shares = [float(alone / n) if n else None for n, alone in (real, sim)]
+def _coverage(points: pd.DataFrame, kind: str, side: str, groups: list[Any], n_pairs: int) -> GroupCoverage:
+    """Points of a side by pair and group, and those without a counterpart within 0.3 m."""
+    own = points[(points["kind"] == kind) & (points["side"] == side)]
+    n_points, n_alone = (
+        own.pivot(index="pair", columns="group", values=column)
+        .reindex(index=range(n_pairs), columns=groups)
+        .fillna(0.0)
+        .to_numpy(dtype=np.float64)
+        for column in ("n", "alone")
+    )
+    return GroupCoverage(BAND_NAMES if kind == "band" else tuple(groups), n_points, n_alone)
+
+
+def _group(kind: str, name: str, real: tuple[float, float], sim: tuple[float, float]) -> SurfaceGroup:
+    shares = [alone / n if n else None for n, alone in (real, sim)]
     return SurfaceGroup(
         group=kind,
         name=name,

@@ -7,20 +7,26 @@ the left says nothing about the right. Simulators that are equal but for such de
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.metrics import COVERAGE_REACHES, METRIC, SHIFT_COLUMNS
 from ...stages.arrays import FloatArray, IndexArray
 from .finished import FinishedRun
+from .objects import PAIRS_AT_ONCE, object_parts
 
 #: Directions are divided into this number of sectors, the first one from straight ahead to the left.
 N_SECTORS = 8
+_COLUMNS = ("cx", "cy", *(f"covered_{reach}" for reach in COVERAGE_REACHES), "cdc", "r_lambda", "r_gap")
+_PIECES = ["side", "n_points", "cx", "cy"]
+_SURFACE = ["real_id", "n_points", *SHIFT_COLUMNS[:3]]
 
 
-def sector_rows(run: FinishedRun, pair_id: str) -> list[Row]:
-    """One row per sector with columns of `pairs`: coverage, pieces, displacement, scores of objects.
+def sector_rows(run: FinishedRun, pair_ids: Sequence[str]) -> list[Row]:
+    """One row per pair and sector with columns of `pairs`: coverage, pieces, displacement, scores of objects.
 
     An object or a piece belongs to the sector of its centroid. Each value is the sector's part of the pair's times the
     number of sectors, so that the mean over the sectors is the value of the pair. A displacement is the mean over the
@@ -29,48 +35,72 @@ def sector_rows(run: FinishedRun, pair_id: str) -> list[Row]:
     Parameters
     ----------
     run : a finished run
-    pair_id : of a scored pair
+    pair_ids : scored pairs
 
     Raises
     ------
     RunError
-        A table of the pair is damaged.
+        A table of a pair is damaged.
     """
-    pair = run.covered_objects_of(pair_id)
-    pieces = run.read_table("pieces", pair_id).to_pylist()
-    found: dict[str, FloatArray] = {}
+    rows: list[Row] = []
+    for part in object_parts(run.store, pair_ids, _COLUMNS, by_reference=run.is_by_reference):
+        names = pair_ids[len(rows) // N_SECTORS :][:PAIRS_AT_ONCE]
+        part["pair"] -= len(rows) // N_SECTORS
+        tables = run.store.read_pairs(names, {("pieces", ""): _PIECES, ("surface", ""): _SURFACE})
+        pieces, surface = (
+            table.to_pandas().assign(pair=np.repeat(np.arange(len(names)), n)) for table, n in tables.values()
+        )
+        surface = surface.dropna(subset="real_id").merge(
+            part.loc[part["side"] == "real", ["pair", "community_id", "cx", "cy"]],
+            left_on=["pair", "real_id"],
+            right_on=["pair", "community_id"],
+        )
+        found = {**_surface_parts(part, pieces, len(names)), **_object_parts(part, [run.row(name) for name in names])}
+        for column in SHIFT_COLUMNS[:3]:
+            known = surface.dropna(subset=column)
+            with np.errstate(invalid="ignore"):
+                found[column] = _parts(known, known["n_points"] * known[column], len(names)) / _parts(
+                    known, known["n_points"], len(names)
+                )
+        values = np.stack([*found.values()], axis=-1).reshape(-1, len(found))
+        rows += [dict(zip(found, own, strict=True)) for own in values.tolist()]
+    return rows
+
+
+def _surface_parts(objects: pd.DataFrame, pieces: pd.DataFrame, n_pairs: int) -> dict[str, FloatArray]:
+    """Coverage and pieces by pair and sector."""
+    found = {}
     for side, kind in zip(SIDES, ("missing", "invented"), strict=True):
-        own = pair.sides[side]
-        n_all = max(1, sum(row["n_points"] for row in own))
+        own, of_side = objects[objects["side"] == side], pieces[pieces["side"] == side]
+        n_all = np.maximum(1, np.bincount(own["pair"], own["n_points"], n_pairs))
         for reach in COVERAGE_REACHES:
-            shares = [row["n_points"] * (row[f"covered_{reach}"] or 0.0) / n_all for row in own]
-            found[f"covered_{side}_{reach}"] = _parts(own, shares)
-        of_side = [piece for piece in pieces if piece["side"] == side]
-        found[f"n_{kind}_pieces"] = _parts(of_side, [1.0] * len(of_side))
-        found[f"{kind}_pieces_share"] = _parts(of_side, [piece["n_points"] / n_all for piece in of_side])
-    real = pair.sides["real"]
+            covered = own["n_points"] * own[f"covered_{reach}"].fillna(0.0)
+            found[f"covered_{side}_{reach}"] = _parts(own, covered / n_all[own["pair"]], n_pairs)
+        found[f"n_{kind}_pieces"] = _parts(of_side, np.ones(len(of_side)), n_pairs)
+        found[f"{kind}_pieces_share"] = _parts(of_side, of_side["n_points"] / n_all[of_side["pair"]], n_pairs)
+    return found
+
+
+def _object_parts(objects: pd.DataFrame, rows: Sequence[Row]) -> dict[str, FloatArray]:
+    """Scores of objects, and shares of objects that are matched, by pair and sector."""
+    n_pairs, found = len(rows), {}
+    matched = objects[(objects["side"] == "real") & (objects["partner"] >= 0)]
     for name in ("cdc", "r_lambda", "r_gap"):
-        known = [row for row in pair.matched if row[name] is not None]
-        where = [real[row["real_id"]] for row in known]
-        found[METRIC[name].mean_column] = _parts(where, [row[name] / len(known) for row in known])
-    n_real, n_sim = (pair.row["n_matched"] + pair.row[name] for name in ("n_missing", "n_hallucinated"))
-    where = [real[row["real_id"]] for row in pair.matched]
-    found["found"] = _parts(where, [1 / n_real] * len(where))
-    found["match_rate"] = _parts(where, [1 / max(n_real, n_sim)] * len(where))
-    surface = [row for row in run.read_table("surface", pair_id).to_pylist() if row["real_id"] is not None]
-    for column in SHIFT_COLUMNS[:3]:
-        known = [row for row in surface if row[column] is not None]
-        where = [real[row["real_id"]] for row in known]
-        with np.errstate(invalid="ignore"):
-            found[column] = _parts(where, [row["n_points"] * row[column] for row in known]) / _parts(
-                where, [row["n_points"] for row in known]
-            )
-    return [dict(zip(found, values, strict=True)) for values in np.stack([*found.values()], axis=1).tolist()]
+        known = matched.dropna(subset=name)
+        n_known = np.bincount(known["pair"], minlength=n_pairs)
+        found[METRIC[name].mean_column] = _parts(known, known[name] / n_known[known["pair"]], n_pairs)
+    n_real, n_sim = (
+        np.array([row["n_matched"] + row[name] for row in rows]) for name in ("n_missing", "n_hallucinated")
+    )
+    found["found"] = _parts(matched, 1 / n_real[matched["pair"]], n_pairs)
+    found["match_rate"] = _parts(matched, 1 / np.maximum(n_real, n_sim)[matched["pair"]], n_pairs)
+    return found
 
 
-def _parts(objects: Sequence[Row], values: Sequence[float]) -> FloatArray:
-    """(8,) sums over the objects of each sector, times the number of sectors; one without points is in the first."""
-    bearing = np.array([np.arctan2(row["cy"] or 0.0, row["cx"] or 0.0) for row in objects], dtype=np.float64)
+def _parts(objects: pd.DataFrame, values: Any, n_pairs: int) -> FloatArray:
+    """(n_pairs, 8) sums over the objects of each sector times the number of sectors; without a place: the first."""
+    bearing = np.arctan2(*(objects[axis].fillna(0.0).to_numpy() for axis in ("cy", "cx")))
     sector: IndexArray = np.floor(bearing / (2 * np.pi) * N_SECTORS).astype(np.intp) % N_SECTORS
-    totals = np.bincount(sector, np.array(values, dtype=np.float64), N_SECTORS)
-    return np.asarray(N_SECTORS * totals, dtype=np.float64)
+    place = objects["pair"].to_numpy() * N_SECTORS + sector
+    totals = np.bincount(place, np.asarray(values, dtype=np.float64), n_pairs * N_SECTORS)
+    return np.asarray(N_SECTORS * totals, dtype=np.float64).reshape(n_pairs, N_SECTORS)

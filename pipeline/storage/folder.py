@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
+from ...stages.arrays import IntArray
 from .ledger import LEDGER, Ledger
 from .record import command_again, read_run
 from .tables import JobRecord, TableFolder, read_footer, table_name
@@ -110,6 +112,33 @@ class RunFolder(TableFolder):
         if record is None:
             raise self.damaged(name)
         return self.read(table, record.files[name], name, columns, is_plain=True)
+
+    def read_pairs(
+        self, pair_ids: Iterable[str], columns: Mapping[tuple[str, str], list[str]]
+    ) -> dict[tuple[str, str], tuple[pa.Table, IntArray]]:
+        """Tables of some pairs, each in one, pair after pair, and the number of rows of each pair.
+
+        Parameters
+        ----------
+        columns : by table and side ("" if it has both), the columns to read
+
+        Raises
+        ------
+        RunError
+            A file is damaged or gone.
+        """
+        parts: dict[tuple[str, str], list[pa.Table]] = {own: [] for own in columns}
+        for pair_id in pair_ids:
+            files = {name: file for job in self.ledger.jobs(pair_id).values() for name, file in job.files.items()}
+            for (table, side), names in columns.items():
+                name = table_name(table, pair_id, side)
+                if name not in files:
+                    raise self.damaged(name)
+                parts[table, side].append(self.read(table, files[name], name, names, is_plain=True))
+        return {
+            own: (pa.concat_tables(tables).combine_chunks(), np.array([len(table) for table in tables], dtype=np.int32))
+            for own, tables in parts.items()
+        }
 
     def damaged(self, name: str, cause: str = "") -> RunError:
         """The error of a file that is not as it was stored, with the command that makes it again."""

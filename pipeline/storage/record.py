@@ -189,46 +189,29 @@ def run_header(
     )
 
 
-def replaced_results(before: Mapping[str, Any], changes: Iterable[str]) -> PreviousRun | None:
-    """The finished results of a record: those that it holds, or, where it is that of a run that works, had before.
-
-    Parameters
-    ----------
-    changes : in words, what is other now
-    """
-    if not has_ended(before):
-        return PreviousRun.recorded(before.get("previous"))
+def last_results(before: Mapping[str, Any]) -> RunRecord | None:
+    """The last record of a folder; None if its run has not ended, or the record is not one of a run."""
     try:
-        return PreviousRun(
-            written=before["written"],
-            fidpipe=before["fidpipe"],
-            n_pairs=before["pairs"]["scored"],
-            changes=tuple(changes),
-            means={name: score["mean"] for name, score in before["summary"].items()},
-        )
-    except (KeyError, ValueError):  # of another version, which had other results
+        return RunRecord.from_dict(before)
+    except ValueError:
         return None
 
 
-def has_same_summary(before: Mapping[str, Any], record: RunRecord) -> bool:
-    """Whether the scores of a record that has ended are those of another, of those that both have."""
-    if not has_ended(before):
-        return False
-    now = {name: score.as_dict() for name, score in record.summary.items()}
-    return all(now.get(name, score) == score for name, score in before.get("summary", {}).items())
+def replaced_results(before: Mapping[str, Any], last: RunRecord | None, *, is_same: bool) -> PreviousRun | None:
+    """The last results, in short; if they are the same, or their run has not ended, those that they replaced.
 
-
-def changed_inputs(before: Mapping[str, Any], hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """In words, how many pairs have other scans than in the last record, or are new or gone."""
-    if not has_ended(before):
-        return []
-    old = before.get("inputs", {})
-    counts = {
-        "of other scans": sum(old[pair_id] != dict(own) for pair_id, own in hashes.items() if pair_id in old),
-        "more": len(hashes.keys() - old.keys()),
-        "less": len(old.keys() - hashes.keys()),
-    }
-    return [f"{n} pair{'s' * (n > 1)} {what}" for what, n in counts.items() if n]
+    Parameters
+    ----------
+    before : the last record
+    last : the same, from `last_results`
+    """
+    if last is not None and not is_same:
+        means = {name: score.mean for name, score in last.summary.items()}
+        return PreviousRun(written=last.written, means=means)
+    try:
+        return PreviousRun.from_dict(before["previous"])
+    except (LookupError, ValueError):
+        return None
 
 
 def run_record(

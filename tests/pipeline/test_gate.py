@@ -166,16 +166,6 @@ def test_a_dataset_that_is_there_but_broken_fails_with_the_reason(moved):
         assert "sim wanted as well" in found[measure].why
 
 
-def test_a_record_that_does_not_say_what_it_is_made_of_fails_with_the_command(moved):
-    path = moved / "run" / "run.json"
-    record = json.loads(path.read_text())
-    for hashes in record["inputs"].values():
-        del hashes["content"]
-    path.write_text(json.dumps(record))
-    assert (changed(moved).value, changed(moved).passed) == (None, False)
-    assert "run again: fidpipe run" in changed(moved).why
-
-
 def test_a_min_does_not_switch_off_the_max_of_failed_pairs(incomplete):
     result = judge_run(incomplete, [parse_word("pairs.failed=0", "min")])
     found = {of.criterion.bound: of.passed for of in result.judged if of.criterion.measure == "pairs.failed"}

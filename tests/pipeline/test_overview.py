@@ -6,6 +6,7 @@ from io import StringIO
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from rich.console import Console
 from typer.testing import CliRunner
@@ -17,11 +18,11 @@ from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.report.views.run_view import outcome_view
 from fidpipe.pipeline.report.views.show_view import show_view
-from fidpipe.pipeline.results.findings import ObjectRows, SideRows
+from fidpipe.pipeline.results.findings import describe_objects
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
-from fidpipe.pipeline.results.overview import Tally
-from fidpipe.schemas.results import ObjectOverview
+from fidpipe.pipeline.results.overview import Tally, largest_pieces
 from fidpipe.schemas.settings import Settings
+from fidpipe.stages.statistics.findings import BAND_EDGES_M
 from runs import command, run
 from scenes import drifted, street, write_bin
 
@@ -53,42 +54,36 @@ def invoked(*words):
     return CliRunner().invoke(app, list(map(str, words)))
 
 
-def side_of(rows):
+def objects_of(side, rows):
     """Objects as (range_m, n_points, covered, is_matched, label)."""
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
-    range_m, n_points, covered, is_matched, label = columns
-    ids = np.arange(len(rows), dtype=np.int32)
-    size = np.full(len(rows), 10.0)
-    return SideRows(0 * ids, ids, n_points, range_m, label.astype(object), size, covered, is_matched.astype(bool))
+    range_m, n_points, covered, is_matched, label = zip(*rows, strict=True)
+    return pd.DataFrame(
+        {
+            "side": side,
+            "pair": 0,
+            "fate": np.where(is_matched, "matched", "missing" if side == "real" else "hallucinated"),
+            "band": np.digitize(range_m, BAND_EDGES_M) - 1,
+            "n_points": n_points,
+            "label": [own or None for own in label],
+            "covered_0p3m": covered,
+            "diagonal_m": 10.0,
+            "r_lambda": np.nan,
+            "alignment_rms_m": np.nan,
+        }
+    )
 
 
-def pieces_of(*rows):
-    """Pieces as (pair, side, piece_id, n_points, fate, label)."""
-    pair, side, piece_id, n_points, fate, label = (np.array(column) for column in zip(*rows, strict=True))
-    n = len(rows)
-    place = {"range_m": np.full(n, 7.2), "bearing_deg": np.full(n, 40.0), "label": label.astype(object)}
-    size = dict(zip(("extent_x", "extent_y", "extent_z"), np.tile([[4.2], [1.8], [1.5]], n), strict=True))
-    moved = {f"moved_{axis}_m": np.where(fate == "moved", 0.5 * (axis == "y"), np.nan) for axis in "xyz"}
-    own = {"side": side.astype(object), "piece_id": piece_id, "n_points": n_points, "fate": fate.astype(object)}
-    return {"pair": pair, **own, **place, **size, **moved}
-
-
-NO_PIECES = {name: column[:0] for name, column in pieces_of((0, "real", 0, 1, "gone", None)).items()}
-
-
-def counted(real, sim, matched, pieces=NO_PIECES, names=("a",)):
-    """The overview of some pairs; matched objects as (real, sim, cdc, r_lambda, alignment)."""
-    real_rows, sim_rows, cdc, r_lambda, alignment = (np.array(column) for column in zip(*matched, strict=True))
-    scores = {"cdc": cdc, "r_lambda": r_lambda, "alignment_rms_m": alignment}
-    real, sim = side_of(real), side_of(sim)
-    scores["n_real"] = real.n_points[real_rows]
+def counted(real, sim, scores=()):
+    """The overview of one pair; scores of the first real objects as (r_lambda, alignment)."""
+    objects = objects_of("real", real)
+    for i, values in enumerate(scores):
+        objects.loc[i, ["r_lambda", "alignment_rms_m"]] = values
     tally = Tally()
-    tally.add(ObjectRows([*names], real, sim, 0 * real_rows, scores, real_rows, sim_rows, pieces))
-    return tally.objects([])
+    tally.add(pd.concat([objects, objects_of("sim", sim)], ignore_index=True))
+    return tally.overview([{"pair_id": "a"}], [])
 
 
 CARS = [(5.0, 500, 1.0, True, "car")] * 3
-MATCHED = [(0, 0, 0.0, 0.0, 0.1), (1, 1, 0.0, 0.0, 0.1), (2, 2, 0.0, 0.0, 0.1)]
 
 
 def test_the_overview_of_the_record_is_that_of_the_tables(finished):
@@ -108,26 +103,45 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
 
 
 def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(finished, monkeypatch):
-    from fidpipe.pipeline.results import findings
+    from fidpipe.pipeline.results import objects, overview
 
     _, folder, outcome = finished
-    monkeypatch.setattr(findings, "_FILES_AT_ONCE", 1)
     again = FinishedRun(folder)
     assert again.record.overview == outcome.record.overview
-    one_by_one = Tally()
-    findings.read_objects(again.store, NUSCENES, watch=one_by_one.add)
-    found = one_by_one.objects(again.scored)
-    assert found == ObjectOverview(
-        **{name: getattr(again.record.overview, name) for name in ObjectOverview.model_fields}
-    )
+    for module in (objects, overview):
+        monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
+    rows, times = again.scored, dict.fromkeys(NUSCENES)
+    findings, found = describe_objects(again.store, rows, times, again.record.inputs, by_reference=False)
+    assert findings == again.record.findings
+    assert found.as_dict() == {
+        name: value for name, value in again.record.overview.as_dict().items() if name != "trust"
+    }
 
 
 def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_once():
-    pieces = pieces_of(
-        *((0, "real", 0, 90, "gone", None), (1, "sim", 0, 500, "gone", "car"), (1, "real", 1, 300, "moved", None)),
-        *((1, "sim", 1, 310, "moved", None), (0, "sim", 2, 10, "gone", None)),
-    )
-    found = counted(CARS, CARS, MATCHED, pieces, names=("a", "b")).pieces
+    place = {"range_m": 7.2, "bearing_deg": 40.0, "extent_x": 4.2, "extent_y": 1.8, "extent_z": 1.5}
+    moved = {f"moved_{axis}_m": 0.5 * (axis == "y") for axis in "xyz"}
+
+    def table_of(*rows):
+        names = ("side", "piece_id", "n_points", "fate", "label")
+        return pa.Table.from_pylist([dict(zip(names, row, strict=True)) | place | moved for row in rows])
+
+    tables = {
+        "a": table_of(("real", 0, 90, "gone", None), ("sim", 2, 10, "gone", None)),
+        "b": table_of(("sim", 0, 500, "gone", "car"), ("real", 1, 300, "moved", None), ("sim", 1, 310, "moved", None)),
+    }
+
+    class Store:
+        def read_pairs(self, names, columns):
+            own = [tables[name] for name in names]
+            return {
+                ("pieces", ""): (
+                    pa.concat_tables(own, promote_options="default"),
+                    np.array([len(table) for table in own]),
+                )
+            }
+
+    found = largest_pieces(Store(), ["a", "b"])
     assert [(one.pair_id, one.fate_words, one.words) for one in found] == [
         ("b", "invented", "car, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
         ("b", "moved by 0.5 m to the left", "car-sized, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
@@ -138,7 +152,7 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
 
 def test_surface_is_counted_by_points_per_range_band_and_class():
     real = [(5.0, 300, 1.0, True, "car"), (60.0, 100, 0.2, False, "tree"), (5.0, 100, 0.0, False, "")]
-    found = counted(real, [real[0]], [(0, 0, 0.0, 0.0, 0.1)]).surface
+    found = counted(real, [real[0]]).surface
     known = {one.name: (one.n_real, one.missing_share, one.n_sim, one.invented_share) for one in found if one.n_real}
     assert known == {
         "0 to 10 m": (400, 0.25, 300, 0.0),
@@ -149,8 +163,7 @@ def test_surface_is_counted_by_points_per_range_band_and_class():
 
 
 def test_an_alignment_is_bad_for_its_object_or_for_any():
-    matched = [(0, 0, 0.0, 0.0, 2.4), (1, 1, 0.0, 0.0, 2.6), (2, 2, 0.0, np.nan, 9.0)]
-    found = counted(CARS, CARS, matched)
+    found = counted(CARS, CARS, [(0.0, 2.4), (0.0, 2.6), (np.nan, 9.0)])
     assert (found.n_aligned, found.n_badly_aligned) == (2, 1), "of 10 m; without r_lambda it does not matter"
 
 
@@ -162,8 +175,6 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     write_bin(data / "sim" / f"{NUSCENES[0]}.bin", drifted(street(0), noise=0.02, keep=0.9))
     (data / "sim" / f"{NUSCENES[0]}.label").unlink()
     after = run(data, folder).record
-    assert after.previous.changes == ("1 pair of other scans",)
-    assert after.previous.n_pairs == 2
     before = finished[2].record.summary
     assert after.previous.means["cdc_mean"] == before["cdc_mean"].mean
     again = run(data, folder).record
@@ -171,9 +182,8 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
     for shown in (text_of(show_view(FinishedRun(folder), None, None), 300), verdict_of(read_results(folder)).change):
         assert moved in shown
-        assert "(1 pair of other scans); chance: fidpipe compare" in shown
+        assert f"since {after.previous.written}; is it chance? fidpipe compare" in shown
     other = run(data, folder, Settings.model_validate({"matching": {"delta_m": 3.0}})).record
-    assert other.previous.changes == ("matching.delta_m was 5.0, is 3.0",)
     assert other.previous.means["cdc_mean"] == after.summary["cdc_mean"].mean
 
 
@@ -192,7 +202,6 @@ def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished
     assert "wall_s" not in json.loads((folder / "run.json").read_text())
     previous = run(data, folder, settings).record.previous
     assert previous.means["cdc_mean"] == finished[2].record.summary["cdc_mean"].mean
-    assert previous.changes == ("matching.delta_m was 5.0, is 3.0",)
 
 
 def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_step(finished):

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.paper.claims import claims_of
 from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.views.run_view import summary_view
-from fidpipe.pipeline.results import findings as findings_of_run
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from runs import command, run
@@ -62,7 +62,7 @@ def test_the_findings_agree_with_the_tables(finished):
 
 def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
     data, folder, outcome = finished
-    monkeypatch.setattr(findings_of_run, "read_objects", lambda *_: pytest.fail("the tables were read"))
+    monkeypatch.setattr(run_module, "describe_objects", lambda *_, **__: pytest.fail("the tables were read"))
     assert run(data, folder).record.as_dict()["findings"] == outcome.record.as_dict()["findings"]
 
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from fidpipe.schemas.record import RunRecord
-from fidpipe.schemas.results import Findings, ScoreSummary
+from fidpipe.schemas.results import ScoreSummary
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +38,6 @@ def test_what_a_later_version_adds_is_passed_on(record):
 def test_a_record_of_another_layout_is_refused(record, key):
     with pytest.raises(ValueError, match=key):
         RunRecord.from_dict({name: value for name, value in record.items() if name != key})
-
-
-def test_findings_of_another_version_are_made_again(record):
-    assert Findings.recorded(record["findings"]) == RunRecord.from_dict(record).findings
-    assert Findings.recorded({"key": "a", "n_pairs": 1}) is None
-    assert Findings.recorded({}) is Findings.recorded(None) is None
 
 
 def test_a_result_cannot_be_changed_and_has_no_unknown_field():

@@ -11,7 +11,7 @@ from ....schemas.columns import SIDES
 from ....schemas.metrics import METRIC
 from ....stages.arrays import FloatArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
-from ...results.findings import SHAPES
+from ....stages.statistics.typical_objects import SHAPES
 from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
 from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
@@ -253,7 +253,7 @@ def _choose_objects(results: RunResults) -> list[int]:
     """
     scored = results.matched[results.matched.r_lambda.notna()]
     frequent = scored.group.value_counts().index
-    first = _CLASSES if results.class_is == "class" else SHAPES
+    first = _CLASSES if results.class_is == "class" else tuple(SHAPES.values())
     classes = [name for name in first if name in frequent]
     if results.class_is == "class":
         classes += [name for name in frequent if name not in classes]

@@ -115,6 +115,4 @@ def change_words(record: RunRecord) -> str:
         and (before := last.means.get(column)) is not None
         and abs(now - before) >= 5e-3
     ]
-    more = len(last.changes) - 1
-    why = "".join(last.changes[:1]) + (f" and {more} more changes" if more > 0 else "")
-    return f"{', '.join(moved) or 'no score moved'}{f' ({why})' if why else ''}; chance: fidpipe compare"
+    return f"{', '.join(moved) or 'no score moved'} since {last.written}; is it chance? fidpipe compare"

@@ -1,0 +1,211 @@
+"""The objects of a run as one data frame: size, place, class, coverage, fate, and the scores of matched objects.
+
+Everything that describes many objects reads this frame: findings, overview, measures, comparisons, exports, reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from ...schemas.columns import SIDES, Row
+from ...schemas.errors import RunError
+from ...schemas.tables import TABLES
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.statistics.findings import BAND_EDGES_M, MatchedObjects, SideObjects
+from ...stages.statistics.typical_objects import SHAPES
+from ..storage.folder import RunFolder
+from .quadrants import quadrant_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PAIRS_AT_ONCE = 200
+#: Columns that identify rows; they are always read.
+_KEYS = {
+    "objects": ("community_id", "n_points"),
+    "coverage": ("side", "community_id"),
+    "metrics": ("real_id", "sim_id"),
+}
+#: Stored columns of the frame, by their table. Scores are those of the matched object on both sides.
+COLUMNS_OF = {
+    table: tuple(name for name in TABLES[table].schema.names if name not in {"pair_id", "side", *keys, "n_points"})
+    for table, keys in _KEYS.items()
+}
+
+
+def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArray) -> NDArray[np.str_]:
+    """Which of `SHAPES` objects are: the largest of the three, (n,) strings; "linear" where all are null.
+
+    Examples
+    --------
+    >>> shape_of(np.array([0.2]), np.array([0.7]), np.array([0.1])).tolist()
+    ['planar']
+    """
+    largest = np.nan_to_num(np.column_stack([linearity, planarity, scattering])).argmax(axis=1)
+    shapes: NDArray[np.str_] = np.array([*SHAPES.values()])[largest]
+    return shapes
+
+
+_EXTENTS = ("extent_x", "extent_y", "extent_z")
+#: Computed columns, with the columns that they are computed from.
+_COMPUTED: dict[str, tuple[tuple[str, ...], Callable[..., NDArray[Any]]]] = {
+    "shape": (tuple(SHAPES), shape_of),
+    "band": (("range_m",), lambda range_m: np.digitize(range_m, BAND_EDGES_M) - 1),
+    "bearing_deg": (("cx", "cy"), lambda x, y: np.degrees(np.arctan2(y, x))),
+    "diagonal_m": (_EXTENTS, lambda *extents: np.sqrt(np.sum([extent**2 for extent in extents], axis=0))),
+    "quadrant": (("cdc", "r_lambda"), quadrant_of),
+}
+ALL_COLUMNS = (*(name for names in COLUMNS_OF.values() for name in names), *_COMPUTED)
+
+
+def object_parts(
+    store: RunFolder,
+    pair_ids: Sequence[str],
+    columns: Collection[str] = ALL_COLUMNS,
+    *,
+    by_reference: bool,
+    sides: Sequence[str] = SIDES,
+) -> Iterator[pd.DataFrame]:
+    """The objects of scored pairs, 200 pairs at a time: one row per object, ordered by side, pair and id.
+
+    Each part has these columns, and those that are asked for:
+
+    - pair_id, side, community_id, n_points
+    - pair : index in `pair_ids`
+    - fate : matched, missing, hallucinated, or remnant (the few simulated points of a missing object where the real
+      side fixes the objects; it does not count as a simulated object)
+    - partner : id of the matched object of the other side, -1 without one
+
+    Parameters
+    ----------
+    columns : of `objects`, `coverage` and `metrics`, and shape (of `SHAPES`), band (index in `BAND_EDGES_M`),
+        bearing_deg (0 ahead, 90 left), diagonal_m (of the bounding box), quadrant. Scores of unmatched objects are
+        NaN, their counts 0
+    by_reference : True if the real side fixes the objects
+    sides : both, or only "real"
+
+    Raises
+    ------
+    RunError
+        A table is damaged or gone, or names objects that do not exist.
+    """
+    import pandas as pd
+
+    needed = {*columns, *(source for name in columns if name in _COMPUTED for source in _COMPUTED[name][0])}
+    stored = {table: [name for name in names if name in needed] for table, names in COLUMNS_OF.items()}
+    wanted = {("objects", side): [*_KEYS["objects"], *stored["objects"]] for side in sides}
+    wanted["metrics", ""] = [*_KEYS["metrics"], *stored["metrics"]]
+    if stored["coverage"]:
+        wanted["coverage", ""] = [*_KEYS["coverage"], *stored["coverage"]]
+    for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
+        names = pair_ids[first : first + PAIRS_AT_ONCE]
+        tables = store.read_pairs(names, wanted)
+        n_real = tables["objects", "real"][1]
+        frames = []
+        for side in sides:
+            found = _side_columns(store, side, tables, stored)
+            pair, is_matched = found["pair"], found["partner"] >= 0
+            found["fate"] = np.where(is_matched, "matched", "missing" if side == "real" else "hallucinated")
+            if by_reference and side == "sim":
+                found["fate"][~is_matched & (found["community_id"] < n_real[pair])] = "remnant"
+            found |= {
+                name: compute(*(found[source] for source in sources))
+                for name, (sources, compute) in _COMPUTED.items()
+                if name in columns
+            }
+            frames.append(pd.DataFrame({"pair_id": np.array(names, dtype=object)[pair], "side": side} | found))
+        part = pd.concat(frames, ignore_index=True)
+        part["pair"] += first
+        yield part
+
+
+def read_objects(
+    store: RunFolder,
+    pair_ids: Sequence[str],
+    columns: Collection[str] = ALL_COLUMNS,
+    *,
+    by_reference: bool,
+    sides: Sequence[str] = SIDES,
+) -> pd.DataFrame:
+    """The objects of scored pairs in one frame, of at least one pair; see `object_parts`."""
+    import pandas as pd
+
+    parts = object_parts(store, pair_ids, columns, by_reference=by_reference, sides=sides)
+    return pd.concat(parts, ignore_index=True)
+
+
+def _side_columns(
+    store: RunFolder, side: str, tables: dict[tuple[str, str], tuple[pa.Table, IntArray]], stored: dict[str, list[str]]
+) -> dict[str, Any]:
+    """The stored columns of the objects of one side of some pairs, with `pair` and `partner`."""
+    objects, n = tables["objects", side]
+    metrics, n_matched = tables["metrics", ""]
+    first, pair = np.cumsum(n) - n, np.repeat(np.arange(len(n), dtype=np.int32), n)
+    found = {name: _array(objects, name) for name in objects.column_names}
+    pair_of_match = np.repeat(np.arange(len(n)), n_matched)
+    ids, partners = (_array(metrics, f"{own}_id") for own in (SIDES if side == "real" else SIDES[::-1]))
+    is_known = np.array_equal(found["community_id"], np.arange(n.sum()) - first[pair])
+    is_known &= bool(np.all((ids >= 0) & (ids < n[pair_of_match])))
+    if is_known and ("coverage", "") in tables:
+        coverage = tables["coverage", ""][0]
+        own = (_array(coverage, "side") == side) & ~np.isnan(_array(coverage, "community_id"))
+        is_known = np.array_equal(_array(coverage, "community_id")[own], found["community_id"])
+        if is_known:
+            found |= {name: _array(coverage, name)[own] for name in stored["coverage"]}
+    if not is_known:
+        raise RunError(f"run {store.folder}: metrics/ or coverage/ name objects that are not in objects/; run it again")
+    rows = first[pair_of_match] + ids
+    for name, values in {"partner": partners, **{name: _array(metrics, name) for name in stored["metrics"]}}.items():
+        fill = -1 if name == "partner" else {"i": 0, "f": np.nan}.get(values.dtype.kind)
+        found[name] = np.full(len(pair), fill, dtype=values.dtype)
+        found[name][rows] = values
+    return {"pair": pair} | found
+
+
+def _array(table: pa.Table, name: str) -> NDArray[Any]:
+    """A column as an array; null numbers are NaN, null strings None."""
+    values: NDArray[Any] = table.column(name).to_numpy()
+    return values
+
+
+def counted(objects: pd.DataFrame, side: str) -> pd.DataFrame:
+    """The objects of a side that count as objects: all but remnants."""
+    return objects[(objects["side"] == side) & (objects["fate"] != "remnant")]
+
+
+#: Columns of the frame that the statistics over all objects use.
+STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", "cdc", "r_lambda", "r_gap")
+
+
+def arrays_of(objects: Sequence[pd.DataFrame]) -> tuple[SideObjects, SideObjects, MatchedObjects]:
+    """All objects of either side, and the matched ones, for the statistics over all objects."""
+    import pandas as pd
+
+    real, sim = (pd.concat([counted(part, side) for part in objects]) for side in SIDES)
+    sides = [
+        SideObjects(
+            pair=own["pair"].to_numpy(),
+            range_m=own["range_m"].to_numpy(),
+            label=own["label"].fillna("").to_numpy(dtype=np.str_),
+            is_matched=(own["fate"] == "matched").to_numpy(),
+        )
+        for own in (real, sim)
+    ]
+    is_matched = sides[0].is_matched
+    scores = {name: real[name].to_numpy()[is_matched] for name in STATISTICS_COLUMNS[2:]}
+    places = {name: getattr(sides[0], name)[is_matched] for name in ("pair", "range_m", "label")}
+    return sides[0], sides[1], MatchedObjects(**places, **scores)
+
+
+def plain_rows(rows: pd.DataFrame) -> list[Row]:
+    """The rows of a frame as dictionaries of Python's values, None for null."""
+    objects = rows.astype(object)
+    return [
+        {str(name): value for name, value in row.items()}
+        for row in objects.where(objects.notna(), None).to_dict("records")
+    ]
