@@ -80,14 +80,15 @@ def perturb(
     from ..engine.progress import Reporter
     from ..paper.experiment_figures import draw_perturbations
     from ..paper.experiment_views import perturb_view
-    from ..paper.perturb import LEVELS, NULL, PerturbRequest, parse_levels, perturb_source
+    from ..paper.perturb import LEVELS, NULL, parse_levels, perturb_source
 
     check_machines(workers, scheduler)
     baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
-    request = PerturbRequest(
-        source=source,
-        out=out or _experiment_folder(source, "perturb"),
-        settings=load(settings, [*(assignments or []), *baselines], preset=preset),
+    outcome = perturb_source(
+        source,
+        out or _experiment_folder(source, "perturb"),
+        load(settings, [*(assignments or []), *baselines], preset=preset),
+        Reporter(),
         levels=tuple(dict.fromkeys((NULL, *parse_levels(sweep)))) if sweep else LEVELS,
         repeats=repeats,
         global_repeats=global_repeats,
@@ -97,7 +98,6 @@ def perturb(
         machines=Machines(workers, scheduler),
         replace=replace,
     )
-    outcome = perturb_source(request, Reporter())
     draw_perturbations(outcome)
     print_outcome(perturb_view(outcome), outcome.failures)
 
@@ -146,23 +146,23 @@ def ablate(
     from ...schemas.settings import load
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..paper.ablate import AblateRequest, ablate_dataset
+    from ..paper.ablate import ablate_dataset
     from ..paper.experiment_figures import draw_ablation
     from ..paper.experiment_views import ablate_view
 
     check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}
-    request = AblateRequest(
-        source=dataset,
-        out=out or _experiment_folder(dataset, "ablate"),
-        settings=load(settings, assignments or [], preset=preset),
+    outcome = ablate_dataset(
+        dataset,
+        out or _experiment_folder(dataset, "ablate"),
+        load(settings, assignments or [], preset=preset),
+        Reporter(),
         values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
         grid=grid,
         pattern=pairs,
         machines=Machines(workers, scheduler),
         replace=replace,
     )
-    outcome = ablate_dataset(request, Reporter())
     draw_ablation(outcome)
     print_outcome(ablate_view(outcome), outcome.failures)
 
@@ -171,7 +171,7 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(word) for word in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"{text!r} found, numbers with commas are wanted", param_hint=option) from None
+        raise typer.BadParameter(f"expected numbers with commas, got {text!r}", param_hint=option) from None
 
 
 def _experiment_folder(source: Path, experiment: str) -> Path:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import rmtree
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Self
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError
@@ -39,7 +39,6 @@ _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 _OF_INPUT, _OF_READING = "input", "reading"  # keys of failures before all stages: a faulty file, a reader that died
 
 PlanPair = Callable[[ScanPair], PairPlan]
-Request = TypeVar("Request", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,6 @@ class Machines:
     pool: Pool | None = None
     policy: Policy = field(default_factory=Policy)
     pair_timeout_s: float | None = None
-
-
-def absolute_paths(request: Request) -> Request:
-    """The same request, with absolute paths if a cluster works on it: its workers may run in other folders."""
-    paths = {name: value.absolute() for name, value in vars(request).items() if isinstance(value, Path)}
-    return replace(request, **paths) if request.machines.scheduler else request
 
 
 @dataclass

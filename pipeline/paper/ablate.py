@@ -7,9 +7,10 @@ The paper names its choice (k = 90, tau = 0.2, delta = 5) and no ranges; those h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,11 @@ from ...schemas.metrics import DATASET_SCORES
 from ...schemas.settings import Settings, parse
 from ...stages.arrays import FloatArray
 from ...stages.paper.parameter_choice import Influence, ParameterSet, Trial, Verdict, influence, judge_parameters
-from ..engine.engine import absolute_paths
+from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
 from .ablate_jobs import STAGE
-from .experiment import ExperimentOutcome, ExperimentRequest, experimenting, mean_rows, read_source
+from .experiment import ExperimentOutcome, experimenting, mean_rows, read_source
 
 #: The ablated settings: column of `ablate`, group and name of the setting, and the values that are tried.
 PARAMETERS = {
@@ -41,18 +42,6 @@ PARAMETERS = {
 _NAMES = list(PARAMETERS)
 #: The settings that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
-
-
-@dataclass(frozen=True)
-class AblateRequest(ExperimentRequest):
-    """What the user asked for: a dataset, and settings around which one at a time is moved.
-
-    values : by parameter, those to try besides the value in force; by default those of `PARAMETERS`
-    grid : all combinations instead of one at a time
-    """
-
-    values: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    grid: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,38 +70,53 @@ class AblateOutcome(ExperimentOutcome):
         return values
 
 
-def ablate_dataset(request: AblateRequest, reporter: Reporter) -> AblateOutcome:
-    """Evaluates the pairs of a dataset under each choice of the settings, and writes the tables.
+def ablate_dataset(
+    dataset: Path,
+    out: Path,
+    settings: Settings,
+    reporter: Reporter,
+    *,
+    values: Mapping[str, Sequence[float]] | None = None,
+    grid: bool = False,
+    pattern: str | None = None,
+    machines: Machines | None = None,
+    replace: bool = False,
+) -> AblateOutcome:
+    """Evaluate the pairs of a dataset under each choice of the settings, and write the tables.
+
+    Parameters
+    ----------
+    settings : around which one at a time is moved
+    values : by parameter, those to try besides the value in force; by default those of `PARAMETERS`
+    grid : all combinations instead of one at a time
+    pattern : only pairs whose name matches (shell style)
+    machines, replace : see `experimenting`
 
     Raises
     ------
     FidpipeError
         The dataset, a setting or the folder is wrong; before any work.
     """
-    request = absolute_paths(request)
-    base = parameters_of(request.settings)
-    if request.settings.communities.objects == "reference":
-        if set(request.values.get("delta_m", ())) - {base.delta_m}:
+    base, asked = parameters_of(settings), dict(values or {})
+    if settings.communities.objects == "reference":
+        if {*asked.get("delta_m", ())} - {base.delta_m}:
             raise SettingsError("--delta: objects that the real side fixes are not matched by distance; leave it out")
-        request = replace(request, values={**request.values, "delta_m": ()})
-    values = {
-        name: _values(name, request.values.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES
-    }
-    settings_of = {
-        parameters: with_parameters(request.settings, parameters)
-        for parameters in parameter_sets(base, values, request.grid)
-    }
-    source = read_source(request.source, request.pattern)
+        asked["delta_m"] = ()
+    tried = {name: _values(name, asked.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES}
+    settings_of = {choice: with_parameters(settings, choice) for choice in parameter_sets(base, tried, grid)}
+    source = read_source(dataset, pattern, machines=machines)
     if source.is_scan:
-        raise SettingsError(f"{request.source}: is a scan; ablate compares real and simulated scans of a dataset")
-    with experimenting("ablate", source, request, reporter, stages=(STAGE,), sides=SIDES) as experiment:
-        facts = {"values": {name: list(tried) for name, tried in values.items()}, "grid": request.grid}
+        raise SettingsError(f"{dataset}: is a scan; ablate compares real and simulated scans of a dataset")
+    with experimenting(
+        "ablate", source, out, settings, reporter, stages=(STAGE,), sides=SIDES, machines=machines, replace=replace
+    ) as experiment:
+        facts = {"values": {name: list(own) for name, own in tried.items()}, "grid": grid}
         experiment.make({plan.pair_id: _parts(settings_of) for plan in experiment.prepare()}, facts)
         rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
         scores = rows.to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
         means = ({"n_pairs": row.pop("n"), **row} for row in mean_rows(scores, [*_NAMES, "metric"]))
         experiment.write_summary(ABLATE_SUMMARY, list(means))
-        return AblateOutcome(**experiment.finish(), base=base, values=values, grid=request.grid, rows=rows)
+        return AblateOutcome(**experiment.finish(), base=base, values=tried, grid=grid, rows=rows)
 
 
 def choose(outcome: AblateOutcome) -> list[Verdict]:

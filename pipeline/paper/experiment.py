@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -66,26 +66,6 @@ class Source:
     is_scan: bool = False
 
 
-@dataclass(frozen=True)
-class ExperimentRequest:
-    """What a user asks of any experiment.
-
-    source : a scan file or a dataset's folder
-    out : folder of the experiment
-    settings : in force
-    pattern : only pairs whose name matches (shell style)
-    machines : where work is done
-    replace : whether results of a finished experiment may be replaced because something else is asked for
-    """
-
-    source: Path
-    out: Path
-    settings: Settings
-    pattern: str | None = None
-    machines: Machines = field(default_factory=Machines)
-    replace: bool = False
-
-
 @dataclass(frozen=True, kw_only=True)
 class ExperimentOutcome:
     """What has become of an experiment, whichever it is.
@@ -101,7 +81,9 @@ class ExperimentOutcome:
     wall_s: float
 
 
-def read_source(path: Path, pattern: str | None, *, first_only: bool = False) -> Source:
+def read_source(
+    path: Path, pattern: str | None = None, *, first_only: bool = False, machines: Machines | None = None
+) -> Source:
     """The scan file at a path, or the pairs of the dataset there.
 
     Parameters
@@ -109,6 +91,7 @@ def read_source(path: Path, pattern: str | None, *, first_only: bool = False) ->
     path : a scan file or a dataset folder
     pattern : only pairs whose name matches (shell style)
     first_only : without a pattern the first pair alone
+    machines : workers of a cluster may run in other folders, and get absolute paths
 
     Raises
     ------
@@ -117,16 +100,18 @@ def read_source(path: Path, pattern: str | None, *, first_only: bool = False) ->
     ScanError
         The file is of no known format.
     """
+    if machines is not None and machines.scheduler:
+        path = path.absolute()
     if is_scan_path(path):
         if suffix_of(path) is None:
-            raise ScanError(f"{path}: not a known scan format; a scan file or a dataset folder is wanted")
+            raise ScanError(f"{path}: not a known scan format; expected a scan file or a dataset folder")
         if pattern is not None:
-            raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; a dataset folder is wanted with --pairs")
+            raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; --pairs needs a dataset folder")
         folder = address_of(path).file.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
         return Source(path, (ScanPair(stem_of(path), path, None),), names, is_scan=True)
     if not path.exists() and suffix_of(path) is not None:
-        raise ScanError(f"{path}: no such file; a scan file or a dataset folder is wanted")
+        raise ScanError(f"{path}: no such file; expected a scan file or a dataset folder")
     dataset = read_dataset(path)
     pairs = select_pairs(dataset, pattern)
     return Source(path, pairs[:1] if first_only and pattern is None else pairs, dataset.label_names)
@@ -290,11 +275,14 @@ class Experiment:
 def experimenting(
     name: str,
     source: Source,
-    request: ExperimentRequest,
+    out: Path,
+    settings: Settings,
     reporter: Reporter,
     *,
     stages: tuple[Stage, ...],
     sides: Sequence[str],
+    machines: Machines | None = None,
+    replace: bool = False,
 ) -> Iterator[Experiment]:
     """The folder of an experiment, locked.
 
@@ -302,18 +290,22 @@ def experimenting(
     ----------
     name : of the experiment, as the command has it
     source : the scans
+    out : the folder
+    settings : in force
     stages : of the experiment
     sides : of the pairs that it needs
+    machines : where work is done
+    replace : whether results of a finished experiment may be replaced because something else is requested
 
     Raises
     ------
     RunError
         The folder holds something else, or is in use.
     """
-    check_folder(request.out, source.path, name)
-    folder = RunFolder(request.out)
-    with folder.locked(), RunEngine(folder, request.settings, request.machines, reporter, (*STAGES, *stages)) as engine:
-        yield Experiment(name, engine, source, stages, sides, replace=request.replace)
+    check_folder(out, source.path, name)
+    folder = RunFolder(out.absolute() if machines and machines.scheduler else out)
+    with folder.locked(), RunEngine(folder, settings, machines or Machines(), reporter, (*STAGES, *stages)) as engine:
+        yield Experiment(name, engine, source, stages, sides, replace=replace)
 
 
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:

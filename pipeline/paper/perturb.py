@@ -6,9 +6,10 @@ on is run again. *Object level*: those of one community, its graph rebuilt from 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,17 +19,19 @@ from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, SettingsError
 from ...schemas.experiment_tables import PERTURB_SUMMARY
 from ...schemas.metrics import DATASET_SCORES, OBJECT_METRICS
+from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.generate.perturbations import KINDS, Perturbation
 from ...stages.paper.sweeps import Means
 from ...stages.statistics.typical_objects import ChosenObject
-from ..engine.engine import absolute_paths
+from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
 from ..jobs.points import column
+from ..stage import Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
-from .experiment import Experiment, ExperimentOutcome, ExperimentRequest, experimenting, mean_rows, read_source
+from .experiment import Experiment, ExperimentOutcome, experimenting, mean_rows, read_source
 from .perturb_jobs import BASELINE, GLOBAL, OBJECT
 from .perturb_objects import choose_objects, read_objects
 
@@ -56,23 +59,6 @@ _BOUNDS = {
 }
 
 
-@dataclass(frozen=True)
-class PerturbRequest(ExperimentRequest):
-    """What the user asked for; of a dataset without a pattern the real side of the first pair is taken.
-
-    levels : ways and amounts of altering
-    repeats, global_repeats : of each level at object level and of the whole scan
-    seed : another one gives other random numbers
-    objects : community ids and labels; None for the classes of the paper, or shapes
-    """
-
-    levels: tuple[Perturbation, ...] = LEVELS
-    repeats: int = 20
-    global_repeats: int = 5
-    seed: int = 0
-    objects: tuple[str, ...] | None = None
-
-
 @dataclass(frozen=True, kw_only=True)
 class PerturbOutcome(ExperimentOutcome):
     """What has become of the experiment.
@@ -93,38 +79,67 @@ class PerturbOutcome(ExperimentOutcome):
         return Means(self.summary.to_pylist())
 
 
-def perturb_source(request: PerturbRequest, reporter: Reporter) -> PerturbOutcome:
-    """Alters scans and objects, scores what came of it, and writes the tables.
+def perturb_source(
+    path: Path,
+    out: Path,
+    settings: Settings,
+    reporter: Reporter,
+    *,
+    levels: Sequence[Perturbation] = LEVELS,
+    repeats: int = 20,
+    global_repeats: int = 5,
+    seed: int = 0,
+    objects: Sequence[str] | None = None,
+    pattern: str | None = None,
+    machines: Machines | None = None,
+    replace: bool = False,
+) -> PerturbOutcome:
+    """Alter scans and objects, score the result, and write the tables.
+
+    Parameters
+    ----------
+    path : a scan file, or a dataset's folder; without a pattern the real side of its first pair is taken
+    levels : ways and amounts of altering
+    repeats, global_repeats : of each level at object level and of the whole scan
+    seed : of the random numbers
+    objects : community ids and labels; None for the classes of the paper, or shapes
+    machines, replace : see `experimenting`
 
     Raises
     ------
     FidpipeError
         The scan, the dataset, a setting or the folder is wrong; before any work.
     """
-    request = absolute_paths(request)
-    source = read_source(request.source, request.pattern, first_only=True)
-    if request.objects and any(word.isdigit() for word in request.objects) and len(source.pairs) > 1:
+    source = read_source(path, pattern, first_only=True, machines=machines)
+    if objects and any(word.isdigit() for word in objects) and len(source.pairs) > 1:
         raise DatasetError(
-            f"--objects {','.join(request.objects)}: an object's number belongs to one scan, {len(source.pairs)} are "
+            f"--objects {','.join(objects)}: an object's number belongs to one scan, {len(source.pairs)} are "
             "chosen; name one with --pairs, or give labels"
         )
-    stages = (GLOBAL, OBJECT, BASELINE)
-    with experimenting("perturb", source, request, reporter, stages=stages, sides=("real",)) as experiment:
+    stages, sides = (GLOBAL, OBJECT, BASELINE), ("real",)
+    with experimenting(
+        "perturb", source, out, settings, reporter, stages=stages, sides=sides, machines=machines, replace=replace
+    ) as experiment:
         chosen = {}
         for plan in experiment.prepare():
             scan = read_objects(experiment.folder, plan.pair_id)
-            chosen[plan.pair_id] = choose_objects(scan, request.objects, request.settings.graph.k, reporter.say)
-        objects = tuple(each for own in chosen.values() for each in own)
+            chosen[plan.pair_id] = choose_objects(scan, objects, settings.graph.k, reporter.say)
+        all_chosen = tuple(each for own in chosen.values() for each in own)
         facts = {
-            "seed": request.seed,
-            "repeats": {"global": request.global_repeats, "object": request.repeats},
-            "levels": [vars(level) for level in request.levels],
-            "objects": [vars(each) for each in objects],
+            "seed": seed,
+            "repeats": {"global": global_repeats, "object": repeats},
+            "levels": [vars(level) for level in levels],
+            "objects": [vars(each) for each in all_chosen],
         }
-        experiment.make({scan: _parts(request, scan, own) for scan, own in chosen.items()}, facts)
+        own_stages = stages if settings.metrics.baselines else stages[:2]
+        parts = {
+            name: [part for level in levels for part in _parts(name, level, own, own_stages, facts)]
+            for name, own in chosen.items()
+        }
+        experiment.make(parts, facts)
         summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
         return PerturbOutcome(
-            **experiment.finish(), scans=tuple(chosen), objects=objects, levels=request.levels, summary=summary
+            **experiment.finish(), scans=tuple(chosen), objects=all_chosen, levels=tuple(levels), summary=summary
         )
 
 
@@ -176,27 +191,23 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
     return level
 
 
-def _parts(request: PerturbRequest, scan: str, objects: Sequence[ChosenObject]) -> list[Part]:
-    """The wanted parts of one scan: each level of the whole scan, and of each chosen object."""
-    parts = []
+def _parts(
+    scan: str, level: Perturbation, objects: Sequence[ChosenObject], stages: Sequence[Stage], facts: Mapping[str, Any]
+) -> Iterator[Part]:
+    """The parts of one level: the whole scan, and each chosen object."""
+    about = (level.kind, level.amount, level.shift_m)
 
-    def seeds_of(what: int | str, level: Perturbation, n: int) -> list[int]:
+    def seeds_of(what: int | str, n: int) -> list[int]:
         """Seeds of n repeats: 60 bits of the hash of what each is about."""
-        name = ("perturb", request.seed, scan, what, level.kind, level.amount, level.shift_m)
-        return [int(key_of(*name, i)[:15], 16) for i in range(n)]
+        return [int(key_of("perturb", facts["seed"], scan, what, *about, i)[:15], 16) for i in range(n)]
 
-    for level in request.levels:
-        seeds = seeds_of("all", level, request.global_repeats)
-        if seeds:
-            parts.append(Part(GLOBAL, _name(level), (level, seeds)))
-        for chosen in objects:
-            number = chosen.community_id
-            seeds = seeds_of(number, level, request.repeats)
-            name, arguments = f"{number}-{_name(level)}", (number, chosen.name, level, seeds)
-            parts.append(Part(OBJECT, name, arguments))
-            if request.settings.metrics.baselines:
-                parts.append(Part(BASELINE, name, arguments))
-    return parts
+    if seeds := seeds_of("all", facts["repeats"]["global"]):
+        yield Part(GLOBAL, _name(level), (level, seeds))
+    for chosen in objects:
+        number = chosen.community_id
+        arguments = (number, chosen.name, level, seeds_of(number, facts["repeats"]["object"]))
+        for stage in stages[1:]:
+            yield Part(stage, f"{number}-{_name(level)}", arguments)
 
 
 def _name(level: Perturbation) -> str:

@@ -15,7 +15,6 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.paper.ablate import (
     AblateOutcome,
-    AblateRequest,
     ablate_dataset,
     choose,
     influences,
@@ -38,8 +37,8 @@ VALUES = {"k": (8, 12), "tau_m": (0.2,), "delta_m": (0.5, 5.0), "t": (0.5, 1.0)}
 
 def ablated(dataset, out, *, workers=1, **options):
     options = {"settings": SETTINGS, "values": VALUES} | options
-    request = AblateRequest(dataset, out, machines=Machines(workers), **options)
-    return ablate_dataset(request, Reporter(Console(quiet=True)))
+    settings, machines = options.pop("settings"), Machines(workers)
+    return ablate_dataset(dataset, out, settings, Reporter(Console(quiet=True)), machines=machines, **options)
 
 
 @pytest.fixture(scope="module")

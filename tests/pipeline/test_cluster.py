@@ -23,8 +23,8 @@ from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.jobs import STAGES, metrics, selection
-from fidpipe.pipeline.paper.ablate import AblateRequest, ablate_dataset
-from fidpipe.pipeline.paper.perturb import PerturbRequest, perturb_source
+from fidpipe.pipeline.paper.ablate import ablate_dataset
+from fidpipe.pipeline.paper.perturb import perturb_source
 from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
@@ -173,10 +173,10 @@ def test_relative_paths_are_those_of_the_command_not_of_workers_in_other_folders
     assert outcome.n_made == JOBS_PER_PAIR
     assert run(named, tmp_path / "run", **one).n_reused == JOBS_PER_PAIR
     assert run_floor(named, Path("floor"), Settings(), QUIET, machines=machines, **one).failures == {}
-    asked = {"settings": Settings(), "machines": machines, **one}
-    assert ablate_dataset(AblateRequest(named, Path("ablate"), values=NO_VALUES, **asked), QUIET).failures == {}
+    own = {"machines": machines, **one}
+    assert ablate_dataset(named, Path("ablate"), Settings(), QUIET, values=NO_VALUES, **own).failures == {}
     levels = {"levels": (Perturbation("noise", 0.01),), "repeats": 1, "global_repeats": 1}
-    assert perturb_source(PerturbRequest(named, Path("perturb"), **levels, **asked), QUIET).failures == {}
+    assert perturb_source(named, Path("perturb"), Settings(), QUIET, **levels, **own).failures == {}
     assert [path.name for path in (tmp_path / "cluster").iterdir() if path.is_dir()] == []
 
 

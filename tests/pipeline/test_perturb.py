@@ -20,7 +20,6 @@ from fidpipe.pipeline.paper.experiment_figures import draw_perturbations
 from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
 from fidpipe.pipeline.paper.perturb import (
     NULL,
-    PerturbRequest,
     object_points,
     parse_levels,
     perturb_source,
@@ -44,8 +43,9 @@ LEVELS = parse_levels(["noise=0.01", "dropout=0.1,0.4", "rigid=0:1,0:2"])
 
 def perturbed(source, out, *, workers=1, pool=None, reporter=None, **options):
     options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2, "settings": SETTINGS} | options
-    request = PerturbRequest(source, out, machines=Machines(workers, pool=pool), **options)
-    return perturb_source(request, reporter or Reporter(Console(quiet=True)))
+    settings, machines = options.pop("settings"), Machines(workers, pool=pool)
+    reporter = reporter or Reporter(Console(quiet=True))
+    return perturb_source(source, out, settings, reporter, machines=machines, **options)
 
 
 def rows(out, table="perturb_objects"):
@@ -271,10 +271,9 @@ def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes):
 
 def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
-    request = PerturbRequest(scan, out, SETTINGS, machines=Machines(workers=1))
-    at = (read_source(scan, None), request, Reporter(Console(quiet=True)))
+    at = (read_source(scan), out, SETTINGS, Reporter(Console(quiet=True)))
     part = Part(GLOBAL, "noise-1.0", (Perturbation("noise", 1.0), [1]))
-    with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",)) as experiment:
+    with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",), machines=Machines(workers=1)) as experiment:
         experiment.prepare()
         with pytest.raises(ValueError, match=r"perturb_global street noise-1\.0 is there twice"):
             experiment.make({"street": [part, replace(part, arguments=(Perturbation("noise", 1.0), [2]))]}, {})
