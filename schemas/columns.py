@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from .metrics import Metric
+from .metrics import OBJECT_METRICS, Metric
 
 SIDES = ("real", "sim")
 #: A row of a table, by column; the table says which columns there are and of which type.
@@ -96,6 +96,16 @@ def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional:
     if unit:
         metadata["unit"] = unit
     return pa.field(name, kind, nullable=optional, metadata=metadata)
+
+
+def table(name: str, keys: tuple[str, ...], *columns: pa.Field) -> Table:
+    """A table of some columns, whose rows are sorted by `keys`."""
+    return Table(name, pa.schema(columns), keys)
+
+
+def mean_columns(of: str) -> list[pa.Field]:
+    """The means of all object scores."""
+    return [column(f"{name}_mean", FLOAT64, f"mean of {name} over {of}", optional=True) for name in OBJECT_METRICS]
 
 
 def score_column(metric: Metric, *, optional: bool | None = None) -> pa.Field:

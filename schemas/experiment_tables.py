@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-from .columns import FLOAT64, INT32, PAIR, STRING, Table, column
+from .columns import FLOAT64, INT32, PAIR, STRING, column, mean_columns, table
 from .metrics import OBJECT_METRICS
 
 _LEVEL = [
@@ -22,81 +22,66 @@ _UNDER_TEST = [
     column("object", STRING, "class of the object: its label or its shape, or its number"),
 ]
 
-PERTURB_GLOBAL = Table(
+_SPREAD = [
+    column("mean", FLOAT64, "over these", optional=True),
+    column("std", FLOAT64, "standard deviation (n - 1) over these", optional=True),
+]
+
+PERTURB_GLOBAL = table(
     "perturb_global",
-    pa.schema(
-        [
-            PAIR.with_type(STRING),
-            *_LEVEL,
-            *_REPEAT,
-            column("n_points", INT32, "object points of the unaltered scan"),
-            column("n_points_altered", INT32, "object points of the altered scan"),
-            column("n_communities", INT32, "objects of the unaltered scan"),
-            column("n_communities_altered", INT32, "objects of the altered scan", optional=True),
-            column("n_matched", INT32, "objects that both have", optional=True),
-            column("n_identical", INT32, "matched objects whose Laplacians do not differ", optional=True),
-            column("n_too_small", INT32, "matched objects with fewer than 3 nodes", optional=True),
-            column("match_rate", FLOAT64, "matched / max(communities of either)", optional=True),
-            *(
-                column(f"{name}_mean", FLOAT64, f"mean of {name} over matched objects", optional=True)
-                for name in OBJECT_METRICS
-            ),
-            column("reason", STRING, "why nothing could be computed", optional=True),
-        ]
-    ),
     ("pair_id", "kind", "shift_m", "amount", "repeat"),
+    PAIR.with_type(STRING),
+    *_LEVEL,
+    *_REPEAT,
+    column("n_points", INT32, "object points of the unaltered scan"),
+    column("n_points_altered", INT32, "object points of the altered scan"),
+    column("n_communities", INT32, "objects of the unaltered scan"),
+    column("n_communities_altered", INT32, "objects of the altered scan", optional=True),
+    column("n_matched", INT32, "objects that both have", optional=True),
+    column("n_identical", INT32, "matched objects whose Laplacians do not differ", optional=True),
+    column("n_too_small", INT32, "matched objects with fewer than 3 nodes", optional=True),
+    column("match_rate", FLOAT64, "matched / max(communities of either)", optional=True),
+    *mean_columns("matched objects"),
+    column("reason", STRING, "why nothing could be computed", optional=True),
 )
 
-PERTURB_OBJECTS = Table(
+PERTURB_OBJECTS = table(
     "perturb_objects",
-    pa.schema(
-        [
-            *_UNDER_TEST,
-            *_LEVEL,
-            *_REPEAT,
-            column("n_points", INT32, "points of the unaltered object"),
-            column("n_points_altered", INT32, "points of the altered object"),
-            *(
-                column(name, FLOAT64, "of the altered against the unaltered object, as in metrics", optional=True)
-                for name in OBJECT_METRICS
-            ),
-            column("status", STRING, "scored, identical or too_small"),
-            column("reason", STRING, "why a score is null", optional=True),
-        ]
-    ),
     ("pair_id", "community_id", "kind", "shift_m", "amount", "repeat"),
+    *_UNDER_TEST,
+    *_LEVEL,
+    *_REPEAT,
+    column("n_points", INT32, "points of the unaltered object"),
+    column("n_points_altered", INT32, "points of the altered object"),
+    *(
+        column(name, FLOAT64, "of the altered against the unaltered object, as in metrics", optional=True)
+        for name in OBJECT_METRICS
+    ),
+    column("status", STRING, "scored, identical or too_small"),
+    column("reason", STRING, "why a score is null", optional=True),
 )
 
-PERTURB_BASELINES = Table(
+PERTURB_BASELINES = table(
     "perturb_baselines",
-    pa.schema(
-        [
-            *_UNDER_TEST,
-            *_LEVEL,
-            *_REPEAT,
-            column("baseline", STRING, "name of the distance, with its convention and unit, as in baselines"),
-            column("unit", STRING, "of the value; null for a plain number", optional=True),
-            column("value", FLOAT64, "of the altered against the unaltered object", optional=True),
-            column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
-        ]
-    ),
     ("pair_id", "community_id", "kind", "shift_m", "amount", "repeat", "baseline"),
+    *_UNDER_TEST,
+    *_LEVEL,
+    *_REPEAT,
+    column("baseline", STRING, "name of the distance, with its convention and unit, as in baselines"),
+    column("unit", STRING, "of the value; null for a plain number", optional=True),
+    column("value", FLOAT64, "of the altered against the unaltered object", optional=True),
+    column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
 )
 
-PERTURB_SUMMARY = Table(
+PERTURB_SUMMARY = table(
     "perturb_summary",
-    pa.schema(
-        [
-            column("scope", STRING, "global (whole scan) or object"),
-            column("object", STRING, "class of the object; null where global", optional=True),
-            *_LEVEL,
-            column("metric", STRING, "column of perturb_global or perturb_objects, or baseline of perturb_baselines"),
-            column("n", INT32, "repeats, over all scans, in which the metric could be computed"),
-            column("mean", FLOAT64, "over these", optional=True),
-            column("std", FLOAT64, "standard deviation (n - 1) over these", optional=True),
-        ]
-    ),
     ("scope", "object", "kind", "shift_m", "amount", "metric"),
+    column("scope", STRING, "global (whole scan) or object"),
+    column("object", STRING, "class of the object; null where global", optional=True),
+    *_LEVEL,
+    column("metric", STRING, "column of perturb_global or perturb_objects, or baseline of perturb_baselines"),
+    column("n", INT32, "repeats, over all scans, in which the metric could be computed"),
+    *_SPREAD,
 )
 
 _ABLATED = [
@@ -106,37 +91,25 @@ _ABLATED = [
     column("t", FLOAT64, "selection.t"),
 ]
 
-ABLATE = Table(
+ABLATE = table(
     "ablate",
-    pa.schema(
-        [
-            PAIR.with_type(STRING),
-            *_ABLATED,
-            column("n_communities_real", INT32, "objects of the real side"),
-            column("n_communities_sim", INT32, "objects of the simulated side"),
-            column("n_matched", INT32, "objects that both sides have"),
-            column("match_rate", FLOAT64, "matched / max(communities of either side)"),
-            *(
-                column(f"{name}_mean", FLOAT64, f"mean of {name} over matched objects", optional=True)
-                for name in OBJECT_METRICS
-            ),
-        ]
-    ),
     ("pair_id", "k", "tau_m", "delta_m", "t"),
+    PAIR.with_type(STRING),
+    *_ABLATED,
+    column("n_communities_real", INT32, "objects of the real side"),
+    column("n_communities_sim", INT32, "objects of the simulated side"),
+    column("n_matched", INT32, "objects that both sides have"),
+    column("match_rate", FLOAT64, "matched / max(communities of either side)"),
+    *mean_columns("matched objects"),
 )
 
-ABLATE_SUMMARY = Table(
+ABLATE_SUMMARY = table(
     "ablate_summary",
-    pa.schema(
-        [
-            *_ABLATED,
-            column("metric", STRING, "column of ablate"),
-            column("n_pairs", INT32, "pairs in which the metric could be computed"),
-            column("mean", FLOAT64, "over these", optional=True),
-            column("std", FLOAT64, "standard deviation (n - 1) over these", optional=True),
-        ]
-    ),
     ("k", "tau_m", "delta_m", "t", "metric"),
+    *_ABLATED,
+    column("metric", STRING, "column of ablate"),
+    column("n_pairs", INT32, "pairs in which the metric could be computed"),
+    *_SPREAD,
 )
 
 EXPERIMENT_TABLES = (PERTURB_GLOBAL, PERTURB_OBJECTS, PERTURB_BASELINES, PERTURB_SUMMARY, ABLATE, ABLATE_SUMMARY)

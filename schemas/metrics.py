@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import Any, Literal
 
 _METHOD_SECTION = 'paper, section "Graph-Based Validation Metrics"'
 
@@ -96,6 +97,14 @@ def unit_words(unit: str | None) -> str:
     return {"m2": "m²", None: ""}.get(unit, unit or "")
 
 
+_spectral = partial(Metric, source=_METHOD_SECTION)
+_metres = partial(Metric, unit="m", source="fidpipe")
+_count = partial(Metric, is_count=True)
+#: A share of what is right: 1 is best.
+_BEST_ONE: dict[str, Any] = {"high": 1.0, "better": "higher", "equal": 1.0}
+_share = partial(Metric, **_BEST_ONE)
+_SIDES = (("real", "real"), ("sim", "simulated"))
+
 #: The scores of a matched object, in the order of the columns of `metrics`.
 OBJECT_SCORES = (
     Metric(
@@ -117,39 +126,35 @@ OBJECT_SCORES = (
         paper=PaperMean(0.75, 0.02),
         is_nullable=False,
     ),
-    Metric(
+    _spectral(
         "r_lambda",
         "r_lambda",
         "max_eigenvalue_shift / laplacian_change, 0 to 1",
         "structure: share of the Laplacian's change that shifts its spectrum; 0 best, 1 worst",
         high=1.0,
-        source=_METHOD_SECTION,
         paper=PaperMean(0.37, 0.03),
     ),
-    Metric(
+    _spectral(
         "r_gap",
         "r_gap",
         "change of the spectral gap / (2 laplacian_change), 0 to 0.5",
         "structure: change of the overall connectivity; 0 best, 0.5 worst",
         high=0.5,
-        source=_METHOD_SECTION,
         paper=PaperMean(0.028, 0.014),
     ),
-    Metric(
+    _spectral(
         "max_eigenvalue_shift",
         "shift",
         "largest shift of an ordered eigenvalue",
         "largest shift of an ordered eigenvalue: the numerator of r_lambda",
         high=2.0,
-        source=_METHOD_SECTION,
     ),
-    Metric(
+    _spectral(
         "laplacian_change",
         "change",
         "spectral norm of the difference of the Laplacians",
         "spectral norm of the difference of the Laplacians: the denominator of r_lambda",
         high=2.0,
-        source=_METHOD_SECTION,
     ),
     Metric(
         "eigenspectrum_distance",
@@ -158,27 +163,18 @@ OBJECT_SCORES = (
         "Euclidean distance of the ordered spectra; grows with the number of nodes",
         source='paper, section "Controlled Perturbation Analysis", d_lambda',
     ),
-    Metric(
-        "gap_real",
-        "gap, real",
-        "second smallest eigenvalue less the smallest, real",
-        "second smallest eigenvalue of the real object",
-        high=2.0,
-        better=None,
-        equal=None,
-        source=_METHOD_SECTION,
-        has_mean=False,
-    ),
-    Metric(
-        "gap_sim",
-        "gap, sim",
-        "second smallest eigenvalue less the smallest, simulated",
-        "second smallest eigenvalue of the simulated object",
-        high=2.0,
-        better=None,
-        equal=None,
-        source=_METHOD_SECTION,
-        has_mean=False,
+    *(
+        _spectral(
+            f"gap_{side}",
+            f"gap, {side}",
+            f"second smallest eigenvalue less the smallest, {words}",
+            f"second smallest eigenvalue of the {words} object",
+            high=2.0,
+            better=None,
+            equal=None,
+            has_mean=False,
+        )
+        for side, words in _SIDES
     ),
     Metric(
         "alignment_rms_m",
@@ -194,38 +190,25 @@ OBJECT_SCORES = (
 
 #: What is said of a pair as a whole, in the order of the columns of `seeds` and then of `pairs`.
 PAIR_SCORES = (
-    Metric("n_communities_real", "real objects", "objects of the real side", better=None, equal=None, is_count=True),
-    Metric(
-        "n_communities_sim",
-        "simulated objects",
-        "objects of the simulated side",
-        better=None,
-        equal=None,
-        is_count=True,
+    *(
+        _count(f"n_communities_{side}", f"{words} objects", f"objects of the {words} side", better=None, equal=None)
+        for side, words in _SIDES
     ),
-    Metric("n_matched", "matched objects", "objects that both sides have", better="higher", equal=None, is_count=True),
-    Metric(
-        "n_missing",
-        "missing objects",
-        "real objects without a simulated one",
-        "real objects without a simulated counterpart",
-        is_count=True,
+    _count("n_matched", "matched objects", "objects that both sides have", better="higher", equal=None),
+    *(
+        _count(
+            f"n_{kind}",
+            f"{kind} objects",
+            f"{own} objects without a {other} one",
+            f"{own} objects without a {other} counterpart",
+        )
+        for kind, own, other in (("missing", "real", "simulated"), ("hallucinated", "simulated", "real"))
     ),
-    Metric(
-        "n_hallucinated",
-        "hallucinated objects",
-        "simulated objects without a real one",
-        "simulated objects without a real counterpart",
-        is_count=True,
-    ),
-    Metric(
+    _share(
         "match_rate",
         "match rate",
         "matched / max(communities of either side)",
         "objects that both sides have, over those of the side with more; 1 is best",
-        high=1.0,
-        better="higher",
-        equal=1.0,
         source="paper, Algorithm 1",
         paper=PaperMean(0.594, 0.066),
     ),
@@ -242,15 +225,12 @@ def reach_words(reach: str) -> str:
 
 #: What is said of both surfaces of a pair, in the order of the columns of `pairs`.
 COVERAGE_SCORES = tuple(
-    Metric(
+    _share(
         f"covered_{side}_{reach}",
         f"{words} covered, {reach_words(reach)}",
         f"share of {words} object points with {an_other} object point at most {reach_words(reach)} away",
         f"surface: share of the {words} points that the other side has within {reach_words(reach)}; 1 is best",
         short=f"{side} in {reach_words(reach)}",
-        high=1.0,
-        better="higher",
-        equal=1.0,
         source="fidpipe",
     )
     for side, words, an_other in (("real", "real", "a simulated"), ("sim", "simulated", "a real"))
@@ -283,25 +263,16 @@ SURFACE_SCORES = (
         unit="m",
         source="fidpipe; Chen and Medioni 1992",
     ),
-    Metric(
-        "roughness_real_m",
-        "roughness, real",
-        f"median over real points: {_ROUGHNESS}",
-        _MEDIAN,
-        unit="m",
-        better=None,
-        equal=None,
-        source="fidpipe",
-    ),
-    Metric(
-        "roughness_sim_m",
-        "roughness, simulated",
-        f"median over simulated points: {_ROUGHNESS}",
-        _MEDIAN,
-        unit="m",
-        better=None,
-        equal=None,
-        source="fidpipe",
+    *(
+        _metres(
+            f"roughness_{side}_m",
+            f"roughness, {words}",
+            f"median over {words} points: {_ROUGHNESS}",
+            _MEDIAN,
+            better=None,
+            equal=None,
+        )
+        for side, words in _SIDES
     ),
     Metric(
         "roughness_bias_m",
@@ -348,14 +319,11 @@ PIECE_SCORES = (
         )
         for kind, own, *_ in _PIECES
     ),
-    Metric(
+    _share(
         "found",
         "found",
         "n_matched / (n_matched + n_missing)",
         "share of the real objects that have a simulated counterpart; 1 is best",
-        high=1.0,
-        better="higher",
-        equal=1.0,
         source="fidpipe",
     ),
 )
@@ -363,113 +331,84 @@ PIECE_SCORES = (
 #: Those that say how far the simulated surface is displaced.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 
-#: The distances of others, in the order in which they are computed and shown.
+
+def _baseline(method: str, column: str, meaning: str, **others: Any) -> Metric:
+    """A baseline: its heading is its column; a column that ends with _m or _m2 is in that unit."""
+    ending = column.rpartition("_")[2]
+    return Metric(column, column, meaning, unit=ending if ending in ("m", "m2") else None, method=method, **others)
+
+
+#: The baseline metrics, in the order in which they are computed and shown.
 BASELINES = (
-    Metric(
-        "chamfer_mean_m",
+    _baseline(
+        "chamfer",
         "chamfer_mean_m",
         "mean distance to the nearest point of the other side, from both sides, added; not squared",
-        unit="m",
-        method="chamfer",
     ),
-    Metric(
-        "chamfer_squared_m2",
+    _baseline(
+        "chamfer",
         "chamfer_squared_m2",
         "mean squared distance to the nearest point of the other side, from both sides, added",
-        unit="m2",
-        method="chamfer",
     ),
-    Metric(
-        "chamfer_one_way_sum_m",
+    _baseline(
+        "chamfer",
         "chamfer_one_way_sum_m",
         "sum over real points of the distance to the nearest simulated point",
-        unit="m",
         source="paper, equation of the Chamfer distance",
-        method="chamfer",
     ),
-    Metric(
-        "hausdorff_m",
-        "hausdorff_m",
-        "largest distance of a point of either side to the other side",
-        unit="m",
-        method="hausdorff",
-    ),
-    Metric(
+    _baseline("hausdorff", "hausdorff_m", "largest distance of a point of either side to the other side"),
+    _baseline(
         "f_score",
         "f_score",
         "harmonic mean of the shares of points nearer than metrics.f_score_distance_m to the other side",
-        high=1.0,
-        better="higher",
-        equal=1.0,
-        method="f_score",
+        **_BEST_ONE,
     ),
-    Metric(
+    _baseline(
         "dcd",
         "dcd",
         "published density-aware Chamfer distance, the real object scaled to a bounding box of diagonal 1",
         high=1.0,
         source="Wu et al., Density-aware Chamfer Distance, NeurIPS 2021",
-        method="dcd",
     ),
-    Metric(
-        "emd_mean_m",
+    _baseline(
+        "emd",
         "emd_mean_m",
         "exact earth mover's distance of all points of the object, every point of a side weighs the same",
-        unit="m",
         source="Rubner et al., The earth mover's distance, IJCV 2000",
-        method="emd",
     ),
-    Metric(
-        "emd_kept_mean_m",
+    _baseline(
+        "emd",
         "emd_kept_mean_m",
         "exact earth mover's distance of the kept nodes alone, as many on either side, mean per node",
-        unit="m",
-        method="emd",
     ),
-    Metric(
-        "emd_centred_mean_m",
+    _baseline(
+        "emd",
         "emd_centred_mean_m",
         "earth mover's distance of the kept nodes with both sides centred: the cost of the alignment",
-        unit="m",
-        method="emd",
     ),
-    Metric(
-        "sliced_wasserstein_m",
-        "sliced_wasserstein_m",
-        "mean earth mover's distance along random lines",
-        unit="m",
-        method="sliced_wasserstein",
+    _baseline("sliced_wasserstein", "sliced_wasserstein_m", "mean earth mover's distance along random lines"),
+    _baseline(
+        "histogram", "histogram", "Minkowski distance of the histograms of pairwise distances over their maximum"
     ),
-    Metric(
-        "histogram",
-        "histogram",
-        "Minkowski distance of the histograms of pairwise distances over their maximum",
-        method="histogram",
-    ),
-    Metric(
-        "icp_fitness",
+    _baseline(
+        "icp",
         "icp_fitness",
         "share of simulated points within metrics.icp_distance_m of a real one after point-to-point ICP",
-        high=1.0,
-        better="higher",
-        equal=1.0,
-        method="icp",
+        **_BEST_ONE,
     ),
-    Metric("icp_rmse_m", "icp_rmse_m", "root mean square distance of these points", unit="m", method="icp"),
-    Metric(
+    _baseline("icp", "icp_rmse_m", "root mean square distance of these points"),
+    _baseline(
         "netlsd",
         "netlsd",
         "distance of the heat-trace signatures of both graphs, all nodes",
         source="Tsitsulin et al., NetLSD, KDD 2018",
-        method="netlsd",
     ),
-    Metric(
+    _baseline(
         "r_h",
         "r_h",
         "change of the heat kernel over t times the change of the Laplacian, 0 to 1",
         high=1.0,
         source="source of the paper, not in its text",
-        method="r_h",
     ),
 )
 

@@ -23,7 +23,9 @@ from .columns import (
     STRING,
     Table,
     column,
+    mean_columns,
     score_column,
+    table,
 )
 from .experiment_tables import EXPERIMENT_TABLES
 from .metrics import (
@@ -39,256 +41,203 @@ from .metrics import (
     reach_words,
 )
 
-GROUND = Table(
+GROUND = table(
     "ground",
-    pa.schema(
-        [
-            PAIR,
-            SIDE,
-            POINT,
-            column("x", FLOAT64, "forward, real sensor's frame", "m"),
-            column("y", FLOAT64, "left, real sensor's frame", "m"),
-            column("z", FLOAT64, "up, real sensor's frame", "m"),
-            column("height_m", FLOAT64, "height along the ground axis, from the road's peak", "m"),
-            column("is_ground", BOOL, "below the ground threshold; only the others go on"),
-            column("intensity", FLOAT64, "as in the input file", optional=True),
-            LABEL,
-            column("instance", INT32, "thing that the point belongs to, as in the input; 0 for none", optional=True),
-        ]
-    ),
     ("point_id",),
+    PAIR,
+    SIDE,
+    POINT,
+    column("x", FLOAT64, "forward, real sensor's frame", "m"),
+    column("y", FLOAT64, "left, real sensor's frame", "m"),
+    column("z", FLOAT64, "up, real sensor's frame", "m"),
+    column("height_m", FLOAT64, "height along the ground axis, from the road's peak", "m"),
+    column("is_ground", BOOL, "below the ground threshold; only the others go on"),
+    column("intensity", FLOAT64, "as in the input file", optional=True),
+    LABEL,
+    column("instance", INT32, "thing that the point belongs to, as in the input; 0 for none", optional=True),
 )
 
-SENSOR = Table(
+SENSOR = table(
     "sensor",
-    pa.schema(
-        [
-            PAIR,
-            SIDE,
-            column("model", STRING, "known sensor with these beams", optional=True),
-            column("n_beams", INT32, "beams", optional=True),
-            column("lowest_deg", FLOAT64, "elevation of the lowest beam", "deg", optional=True),
-            column("highest_deg", FLOAT64, "elevation of the highest beam", "deg", optional=True),
-            column(
-                "origin_height_m",
-                FLOAT64,
-                "height above the origin of the file's frame at which beams start; the mean of two blocks",
-                "m",
-                optional=True,
-            ),
-            column("azimuth_step_deg", FLOAT64, "between two firings of a beam", "deg", optional=True),
-            column("range_quantum_m", FLOAT64, "ranges are multiples of it; null if none is seen", "m", optional=True),
-            column("range_noise_m", FLOAT64, "standard deviation along the ray on smooth surfaces", "m", optional=True),
-            column(
-                "lost_share", FLOAT64, "share of the pulses within visible surfaces that have no return", optional=True
-            ),
-            column("reason", STRING, "why a value is null", optional=True),
-        ]
-    ),
     ("side",),
+    PAIR,
+    SIDE,
+    column("model", STRING, "known sensor with these beams", optional=True),
+    column("n_beams", INT32, "beams", optional=True),
+    column("lowest_deg", FLOAT64, "elevation of the lowest beam", "deg", optional=True),
+    column("highest_deg", FLOAT64, "elevation of the highest beam", "deg", optional=True),
+    column(
+        "origin_height_m",
+        FLOAT64,
+        "height above the origin of the file's frame at which beams start; the mean of two blocks",
+        "m",
+        optional=True,
+    ),
+    column("azimuth_step_deg", FLOAT64, "between two firings of a beam", "deg", optional=True),
+    column("range_quantum_m", FLOAT64, "ranges are multiples of it; null if none is seen", "m", optional=True),
+    column("range_noise_m", FLOAT64, "standard deviation along the ray on smooth surfaces", "m", optional=True),
+    column("lost_share", FLOAT64, "share of the pulses within visible surfaces that have no return", optional=True),
+    column("reason", STRING, "why a value is null", optional=True),
 )
 
-GRAPH = Table(
+GRAPH = table(
     "graph",
-    pa.schema(
-        [
-            PAIR,
-            SIDE,
-            column("src", INT32, "point id, the smaller of the two"),
-            column("dst", INT32, "point id, the larger of the two"),
-            column("length_m", pa.float32(), "Euclidean distance: the weight of the edge", "m"),
-        ]
-    ),
     ("src", "dst"),
+    PAIR,
+    SIDE,
+    column("src", INT32, "point id, the smaller of the two"),
+    column("dst", INT32, "point id, the larger of the two"),
+    column("length_m", pa.float32(), "Euclidean distance: the weight of the edge", "m"),
 )
 
-COMMUNITIES = Table("communities", pa.schema([PAIR, SIDE, POINT, COMMUNITY]), ("point_id",))
+COMMUNITIES = table("communities", ("point_id",), PAIR, SIDE, POINT, COMMUNITY)
 
-OBJECTS = Table(
+OBJECTS = table(
     "objects",
-    pa.schema(
-        [
-            PAIR,
-            SIDE,
-            COMMUNITY,
-            column(
-                "n_points",
-                INT32,
-                "object points of the community; 0 for a real object of which nothing is simulated (reference objects)",
-            ),
-            column("cx", FLOAT64, "centroid: mean of the member points; null without any", "m", optional=True),
-            column("cy", FLOAT64, "centroid", "m", optional=True),
-            column("cz", FLOAT64, "centroid", "m", optional=True),
-            column("range_m", FLOAT64, "distance of the centroid from the sensor", "m", optional=True),
-            column("extent_x", FLOAT64, "axis-aligned size", "m", optional=True),
-            column("extent_y", FLOAT64, "axis-aligned size", "m", optional=True),
-            column("extent_z", FLOAT64, "axis-aligned size", "m", optional=True),
-            column(
-                "linearity",
-                FLOAT64,
-                "(l1 - l2) / l1 of the covariance eigenvalues l1 >= l2 >= l3; 0 where l1 is 0",
-                optional=True,
-            ),
-            column("planarity", FLOAT64, "(l2 - l3) / l1", optional=True),
-            column("scattering", FLOAT64, "l3 / l1", optional=True),
-            column("label", STRING, "most frequent label of the member points", optional=True),
-        ]
-    ),
     ("community_id",),
+    PAIR,
+    SIDE,
+    COMMUNITY,
+    column(
+        "n_points",
+        INT32,
+        "object points of the community; 0 for a real object of which nothing is simulated (reference objects)",
+    ),
+    column("cx", FLOAT64, "centroid: mean of the member points; null without any", "m", optional=True),
+    column("cy", FLOAT64, "centroid", "m", optional=True),
+    column("cz", FLOAT64, "centroid", "m", optional=True),
+    column("range_m", FLOAT64, "distance of the centroid from the sensor", "m", optional=True),
+    column("extent_x", FLOAT64, "axis-aligned size", "m", optional=True),
+    column("extent_y", FLOAT64, "axis-aligned size", "m", optional=True),
+    column("extent_z", FLOAT64, "axis-aligned size", "m", optional=True),
+    column(
+        "linearity",
+        FLOAT64,
+        "(l1 - l2) / l1 of the covariance eigenvalues l1 >= l2 >= l3; 0 where l1 is 0",
+        optional=True,
+    ),
+    column("planarity", FLOAT64, "(l2 - l3) / l1", optional=True),
+    column("scattering", FLOAT64, "l3 / l1", optional=True),
+    column("label", STRING, "most frequent label of the member points", optional=True),
 )
 
-MATCHING = Table(
+MATCHING = table(
     "matching",
-    pa.schema(
-        [
-            PAIR,
-            column("real_id", INT32, "community of the real side; null where hallucinated", optional=True),
-            column("sim_id", INT32, "community of the simulated side; null where missing", optional=True),
-            column("centroid_distance_m", FLOAT64, "between matched centroids", "m", optional=True),
-            column("status", STRING, "matched, missing (real only) or hallucinated (simulated only)"),
-        ]
-    ),
     ("real_id", "sim_id"),
+    PAIR,
+    column("real_id", INT32, "community of the real side; null where hallucinated", optional=True),
+    column("sim_id", INT32, "community of the simulated side; null where missing", optional=True),
+    column("centroid_distance_m", FLOAT64, "between matched centroids", "m", optional=True),
+    column("status", STRING, "matched, missing (real only) or hallucinated (simulated only)"),
 )
 
-SELECTION = Table(
+SELECTION = table(
     "selection",
-    pa.schema(
-        [
-            PAIR,
-            column("real_id", INT32, "community of the real side"),
-            column("sim_id", INT32, "community of the simulated side"),
-            column("rank", INT32, "from 0, by decreasing real influence, ties by point id"),
-            column("real_point_id", INT32, "kept node of the real side"),
-            column("sim_point_id", INT32, "kept node of the simulated side that is aligned with it"),
-            column("real_influence", FLOAT64, "row sum of the heat kernel, rounded to 1e-9"),
-            column("sim_influence", FLOAT64, "the same of the simulated node"),
-        ]
-    ),
     ("real_id", "sim_id", "rank"),
+    PAIR,
+    column("real_id", INT32, "community of the real side"),
+    column("sim_id", INT32, "community of the simulated side"),
+    column("rank", INT32, "from 0, by decreasing real influence, ties by point id"),
+    column("real_point_id", INT32, "kept node of the real side"),
+    column("sim_point_id", INT32, "kept node of the simulated side that is aligned with it"),
+    column("real_influence", FLOAT64, "row sum of the heat kernel, rounded to 1e-9"),
+    column("sim_influence", FLOAT64, "the same of the simulated node"),
 )
 
-METRICS = Table(
+METRICS = table(
     "metrics",
-    pa.schema(
-        [
-            PAIR,
-            column("real_id", INT32, "community of the real side"),
-            column("sim_id", INT32, "community of the simulated side"),
-            column("n_real", INT32, "points of the real object"),
-            column("n_sim", INT32, "points of the simulated object"),
-            column("n_keep", INT32, "aligned nodes, the smaller of the two"),
-            *map(score_column, OBJECT_SCORES),
-            column("status", STRING, "scored, identical or too_small"),
-            column("reason", STRING, "why a score is null", optional=True),
-        ]
-    ),
     ("real_id", "sim_id"),
+    PAIR,
+    column("real_id", INT32, "community of the real side"),
+    column("sim_id", INT32, "community of the simulated side"),
+    column("n_real", INT32, "points of the real object"),
+    column("n_sim", INT32, "points of the simulated object"),
+    column("n_keep", INT32, "aligned nodes, the smaller of the two"),
+    *map(score_column, OBJECT_SCORES),
+    column("status", STRING, "scored, identical or too_small"),
+    column("reason", STRING, "why a score is null", optional=True),
 )
 
-COVERAGE = Table(
+COVERAGE = table(
     "coverage",
-    pa.schema(
-        [
-            PAIR,
-            column("side", STRING, "real or sim"),
-            column("community_id", INT32, "object of this side; null for the whole side", optional=True),
-            column("n_points", INT32, "its object points"),
-            *(
-                column(
-                    f"covered_{reach}",
-                    FLOAT64,
-                    f"share of them with an object point of the other side at most {reach_words(reach)} away",
-                    optional=True,
-                )
-                for reach in COVERAGE_REACHES
-            ),
-            column("median_distance_m", FLOAT64, "of their distances to the other side", "m", optional=True),
-            column(
-                "road_share",
-                FLOAT64,
-                "share of them below the other side's ground cut, so that they are road there; null where it made none",
-                optional=True,
-            ),
-        ]
-    ),
     ("side", "community_id"),
+    PAIR,
+    column("side", STRING, "real or sim"),
+    column("community_id", INT32, "object of this side; null for the whole side", optional=True),
+    column("n_points", INT32, "its object points"),
+    *(
+        column(
+            f"covered_{reach}",
+            FLOAT64,
+            f"share of them with an object point of the other side at most {reach_words(reach)} away",
+            optional=True,
+        )
+        for reach in COVERAGE_REACHES
+    ),
+    column("median_distance_m", FLOAT64, "of their distances to the other side", "m", optional=True),
+    column(
+        "road_share",
+        FLOAT64,
+        "share of them below the other side's ground cut, so that they are road there; null where it made none",
+        optional=True,
+    ),
 )
 
-SURFACE = Table(
+SURFACE = table(
     "surface",
-    pa.schema(
-        [
-            PAIR,
-            column("real_id", INT32, "object of the real side; null for the whole side", optional=True),
-            column("n_points", INT32, "sampled real points on planes that the simulated side covers"),
-            column("n_directions", INT32, "in how many directions, 0 to 3, their normals tell a displacement"),
-            *(score_column(METRIC[name]) for name in SHIFT_COLUMNS),
-        ]
-    ),
     ("real_id",),
+    PAIR,
+    column("real_id", INT32, "object of the real side; null for the whole side", optional=True),
+    column("n_points", INT32, "sampled real points on planes that the simulated side covers"),
+    column("n_directions", INT32, "in how many directions, 0 to 3, their normals tell a displacement"),
+    *(score_column(METRIC[name]) for name in SHIFT_COLUMNS),
 )
 
-PIECES = Table(
+PIECES = table(
     "pieces",
-    pa.schema(
-        [
-            PAIR,
-            column("side", STRING, "real: the piece is missing; sim: it is invented"),
-            column("piece_id", INT32, "piece of this side; 0 is the largest"),
-            column("n_points", INT32, "its points"),
-            *(column(f"c{axis}", FLOAT64, "centroid: mean of its points", "m") for axis in "xyz"),
-            column("range_m", FLOAT64, "distance of the centroid from the sensor", "m"),
-            column("bearing_deg", FLOAT64, "direction of the centroid: 0 ahead, 90 left, -90 right", "deg"),
-            *(column(f"extent_{axis}", FLOAT64, "axis-aligned size", "m") for axis in "xyz"),
-            column("height_m", FLOAT64, "height of its lowest point above the road of its side", "m"),
-            column("label", STRING, "most frequent label of its points", optional=True),
-            column("fate", STRING, "gone, or moved: a piece of similar size is missing and another invented nearby"),
-            column("partner_id", INT32, "piece of the other side that it moved to or from", optional=True),
-            *(
-                column(f"moved_{axis}_m", FLOAT64, "vector from the real to the simulated piece", "m", optional=True)
-                for axis in "xyz"
-            ),
-        ]
-    ),
     ("side", "piece_id"),
+    PAIR,
+    column("side", STRING, "real: the piece is missing; sim: it is invented"),
+    column("piece_id", INT32, "piece of this side; 0 is the largest"),
+    column("n_points", INT32, "its points"),
+    *(column(f"c{axis}", FLOAT64, "centroid: mean of its points", "m") for axis in "xyz"),
+    column("range_m", FLOAT64, "distance of the centroid from the sensor", "m"),
+    column("bearing_deg", FLOAT64, "direction of the centroid: 0 ahead, 90 left, -90 right", "deg"),
+    *(column(f"extent_{axis}", FLOAT64, "axis-aligned size", "m") for axis in "xyz"),
+    column("height_m", FLOAT64, "height of its lowest point above the road of its side", "m"),
+    column("label", STRING, "most frequent label of its points", optional=True),
+    column("fate", STRING, "gone, or moved: a piece of similar size is missing and another invented nearby"),
+    column("partner_id", INT32, "piece of the other side that it moved to or from", optional=True),
+    *(
+        column(f"moved_{axis}_m", FLOAT64, "vector from the real to the simulated piece", "m", optional=True)
+        for axis in "xyz"
+    ),
 )
 
-BASELINES = Table(
+BASELINES = table(
     "baselines",
-    pa.schema(
-        [
-            PAIR,
-            column("real_id", INT32, "community of the real side; null for the whole scans", optional=True),
-            column("sim_id", INT32, "community of the simulated side; null for the whole scans", optional=True),
-            column("baseline", STRING, "name of the distance, with its convention and unit"),
-            column("value", FLOAT64, "in the unit beside it", optional=True),
-            column("unit", STRING, "m or m2; null for a plain number", optional=True),
-            column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
-        ]
-    ),
     ("real_id", "sim_id", "baseline"),
+    PAIR,
+    column("real_id", INT32, "community of the real side; null for the whole scans", optional=True),
+    column("sim_id", INT32, "community of the simulated side; null for the whole scans", optional=True),
+    column("baseline", STRING, "name of the distance, with its convention and unit"),
+    column("value", FLOAT64, "in the unit beside it", optional=True),
+    column("unit", STRING, "m or m2; null for a plain number", optional=True),
+    column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
 )
 
 
-SEEDS = Table(
+SEEDS = table(
     "seeds",
-    pa.schema(
-        [
-            PAIR,
-            column("seed", INT32, "of the communities; the first is that of the other tables"),
-            *(score_column(metric, optional=False) for metric in PAIR_SCORES),
-            *(
-                column(f"{metric}_mean", FLOAT64, f"mean of {metric} over the objects", optional=True)
-                for metric in OBJECT_METRICS
-            ),
-        ]
-    ),
     ("seed",),
+    PAIR,
+    column("seed", INT32, "of the communities; the first is that of the other tables"),
+    *(score_column(metric, optional=False) for metric in PAIR_SCORES),
+    *mean_columns("the objects"),
 )
 
 
-def _pairs_schema() -> pa.Schema:
+def _pair_columns() -> list[pa.Field]:
     """Columns of `pairs`: of a failed pair all but its name, status and reason may be null."""
 
     def count(name: str, meaning: str) -> pa.Field:
@@ -338,34 +287,26 @@ def _pairs_schema() -> pa.Schema:
             number(f"sensor_{side}_range_noise_m", "standard deviation along the ray on smooth surfaces", "m"),
             number(f"sensor_{side}_lost_share", "share of the pulses within visible surfaces that have no return"),
         ]
-    return pa.schema(fields)
+    return fields
 
 
-PAIRS = Table("pairs", _pairs_schema(), ("pair_id",))
+PAIRS = table("pairs", ("pair_id",), *_pair_columns())
 
-TIMINGS = Table(
+TIMINGS = table(
     "timings",
-    pa.schema(
-        [
-            PAIR.with_type(STRING),
-            column("side", STRING, "real, sim, or null for a step of the pair", optional=True),
-            column(
-                "stage",
-                STRING,
-                "name of the stage, such as ground",
-            ),
-            column("step", STRING, "read, write, or a step of the method"),
-            column("seconds", FLOAT64, "wall time of the step", "s"),
-            column("reused", BOOL, "the result was reused: the seconds are of the run that made it"),
-        ]
-    ),
     ("pair_id", "stage", "side", "step"),
+    PAIR.with_type(STRING),
+    column("side", STRING, "real, sim, or null for a step of the pair", optional=True),
+    column("stage", STRING, "name of the stage, such as ground"),
+    column("step", STRING, "read, write, or a step of the method"),
+    column("seconds", FLOAT64, "wall time of the step", "s"),
+    column("reused", BOOL, "the result was reused: the seconds are of the run that made it"),
 )
 
 #: All tables by name; the name is also the folder or file in a run.
 TABLES = {
-    table.name: table
-    for table in (
+    own.name: own
+    for own in (
         *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, SELECTION, METRICS),
         *(BASELINES, SEEDS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,12 +30,12 @@ class SensorModel:
     elevation_deg: tuple[float, ...]
     azimuth_offset_deg: tuple[float, ...]
     azimuth_step_deg: float
-    min_range_m: float
-    max_range_m: float
-    range_noise_m: float
-    range_quantum_m: float
-    lost_share: float
-    signal_range_m: float
+    min_range_m: float = 1.0
+    max_range_m: float = 100.0
+    range_noise_m: float = 0.03
+    range_quantum_m: float = 0.002
+    lost_share: float = 0.03
+    signal_range_m: float = 60.0
     title: str = ""
     source: str = ""
     unit_deg: float = 0.0
@@ -88,65 +88,100 @@ _PANDAR40P_DEG = (
 # fmt: on
 _DEG_PER_S = 600 / 60 * 360.0
 
+
+def _even(highest_deg: float, lowest_deg: float, n: int) -> tuple[float, ...]:
+    """Elevations at equal distances."""
+    return tuple(np.linspace(highest_deg, lowest_deg, n).tolist())
+
+
+_VLP16 = SensorModel(
+    "vlp16",
+    _even(-15.0, 15.0, 16),
+    (0.0,) * 16,
+    55.296e-6 * _DEG_PER_S,
+    title="Velodyne VLP-16",
+    source="velodyne_decoder, calibrations/VLP-16.yml; nebula, calibration/velodyne/VLP16.yaml",
+    focal_m=0.04191,
+)
+_PANDAR64 = SensorModel(
+    "pandar64",
+    _PANDAR64_DEG,
+    (-1.042,) * 6 + (1.042, 3.125, 5.208, -5.208, -3.125, -1.042) * 8 + (-1.042,) * 10,
+    0.2,
+    min_range_m=0.3,
+    max_range_m=200.0,
+    range_noise_m=0.02,
+    range_quantum_m=0.004,
+    title="Hesai Pandar64",
+    source="HesaiLidar_General_SDK, pandarGeneral_internal.cc",
+    unit_deg=0.2,
+    column_deg=0.2,
+)
+_XT32 = SensorModel(
+    "xt32",
+    _even(15.0, -16.0, 32),
+    (0.0,) * 32,
+    0.18,
+    min_range_m=0.05,
+    max_range_m=120.0,
+    range_noise_m=0.005,
+    range_quantum_m=0.004,
+    title="Hesai PandarXT-32",
+    source="PandarXT-32 user manual; nebula, calibration PandarXT32.csv",
+    unit_deg=0.2,
+    column_deg=0.09,
+)
+
 #: Sensors by name. Firing cycle at 600 rpm: 55.296 us (VLP-16, VLP-32C), 46.08 us (HDL-32E), 48 us (HDL-64E).
 #: HDL-64E: nominal angles, as each unit has its own calibration. Ouster: 2048 columns. CARLA: its ray_cast sensor with
 #: default field of view, channels and drop-off; the usual 100 m and 0.2 degrees for 10 m and 2. Range, noise and
 #: quantum are those of the data sheets; signal_range_m of what was not measured here is that of the HDL-64E. Focal
 #: distances: velodyne_decoder, calib_db.cpp.
-SENSORS = {
-    "vlp32c": SensorModel(
-        name="vlp32c",
-        elevation_deg=tuple(elevation for elevation, _ in _VLP32C_DEG),
-        azimuth_offset_deg=tuple(offset for _, offset in _VLP32C_DEG),
-        azimuth_step_deg=55.296e-6 * _DEG_PER_S,
-        min_range_m=1.0,
+_ALL = (
+    SensorModel(
+        "vlp32c",
+        tuple(elevation for elevation, _ in _VLP32C_DEG),
+        tuple(offset for _, offset in _VLP32C_DEG),
+        55.296e-6 * _DEG_PER_S,
         max_range_m=200.0,
-        range_noise_m=0.03,
         range_quantum_m=0.004,
-        lost_share=0.03,
         signal_range_m=65.0,
         title="Velodyne VLP-32C",
         source="VLP-32C user manual 63-9325; velodyne_decoder, calibrations/VLP-32C.yml; nebula",
         focal_m=0.0424,
     ),
-    "hdl64": SensorModel(
-        name="hdl64",
-        elevation_deg=(*np.linspace(2.0, -8.333, 32).tolist(), *np.linspace(-8.833, -24.333, 32).tolist()),
-        azimuth_offset_deg=(0.0,) * 64,
-        azimuth_step_deg=48e-6 * _DEG_PER_S,
+    SensorModel(
+        "hdl64",
+        (*_even(2.0, -8.333, 32), *_even(-8.833, -24.333, 32)),
+        (0.0,) * 64,
+        48e-6 * _DEG_PER_S,
         min_range_m=0.9,
         max_range_m=120.0,
         range_noise_m=0.02,
-        range_quantum_m=0.002,
-        lost_share=0.03,
-        signal_range_m=60.0,
         title="Velodyne HDL-64E",
         source="HDL-64E S3 manual 63-HDL64ES3 (1/3 degree above, 1/2 degree below)",
         unit_deg=1.0,
     ),
-    "os1-64": SensorModel(
-        name="os1-64",
-        elevation_deg=tuple(np.linspace(16.611, -16.611, 64).tolist()),
-        azimuth_offset_deg=(-3.164, -1.055, 1.055, 3.164) * 16,
-        azimuth_step_deg=360.0 / 2048,
+    SensorModel(
+        "os1-64",
+        _even(16.611, -16.611, 64),
+        (-3.164, -1.055, 1.055, 3.164) * 16,
+        360.0 / 2048,
         min_range_m=0.8,
         max_range_m=120.0,
-        range_noise_m=0.03,
         range_quantum_m=0.001,
-        lost_share=0.03,
         signal_range_m=55.0,
         title="Ouster OS1-64 (gen 1)",
         source="ouster-sdk, gen1_altitude_angles",
         unit_deg=0.6,
         column_deg=360.0 / 2048,
     ),
-    "carla": SensorModel(
-        name="carla",
-        elevation_deg=tuple(np.linspace(10.0, -30.0, 32).tolist()),
-        azimuth_offset_deg=(0.0,) * 32,
-        azimuth_step_deg=0.2,
+    SensorModel(
+        "carla",
+        _even(10.0, -30.0, 32),
+        (0.0,) * 32,
+        0.2,
         min_range_m=0.1,
-        max_range_m=100.0,
         range_noise_m=0.0,
         range_quantum_m=0.0,
         lost_share=0.45,
@@ -154,116 +189,53 @@ SENSORS = {
         title="CARLA's default channels",
         source="CARLA, LidarDescription.h (Channels, UpperFovLimit, LowerFovLimit)",
     ),
-    "vlp16": SensorModel(
-        name="vlp16",
-        elevation_deg=tuple(np.linspace(-15.0, 15.0, 16).tolist()),
-        azimuth_offset_deg=(0.0,) * 16,
-        azimuth_step_deg=55.296e-6 * _DEG_PER_S,
-        min_range_m=1.0,
-        max_range_m=100.0,
-        range_noise_m=0.03,
-        range_quantum_m=0.002,
-        lost_share=0.03,
-        signal_range_m=60.0,
-        title="Velodyne VLP-16",
-        source="velodyne_decoder, calibrations/VLP-16.yml; nebula, calibration/velodyne/VLP16.yaml",
-        focal_m=0.04191,
-    ),
-    "vlp16-hires": SensorModel(
+    _VLP16,
+    replace(
+        _VLP16,
         name="vlp16-hires",
-        elevation_deg=tuple(np.linspace(-10.0, 10.0, 16).tolist()),
-        azimuth_offset_deg=(0.0,) * 16,
-        azimuth_step_deg=55.296e-6 * _DEG_PER_S,
-        min_range_m=1.0,
-        max_range_m=100.0,
-        range_noise_m=0.03,
-        range_quantum_m=0.002,
-        lost_share=0.03,
-        signal_range_m=60.0,
+        elevation_deg=_even(-10.0, 10.0, 16),
         title="Velodyne Puck Hi-Res",
         source="velodyne_decoder, calibrations/Puck Hi-Res.yml",
-        focal_m=0.04191,
     ),
-    "hdl32": SensorModel(
-        name="hdl32",
-        elevation_deg=tuple((4.0 / 3.0 * np.arange(-23, 9)).tolist()),
-        azimuth_offset_deg=(0.0,) * 32,
-        azimuth_step_deg=46.08e-6 * _DEG_PER_S,
-        min_range_m=1.0,
-        max_range_m=100.0,
+    SensorModel(
+        "hdl32",
+        tuple((4.0 / 3.0 * np.arange(-23, 9)).tolist()),
+        (0.0,) * 32,
+        46.08e-6 * _DEG_PER_S,
         range_noise_m=0.02,
-        range_quantum_m=0.002,
-        lost_share=0.03,
-        signal_range_m=60.0,
         title="Velodyne HDL-32E",
         source="ros-drivers/velodyne, velodyne_pointcloud/params/32db.yaml",
         focal_m=0.02883,
     ),
-    "os1-128": SensorModel(
-        name="os1-128",
-        elevation_deg=_OS1_128_DEG,
-        azimuth_offset_deg=(4.2, 1.4, -1.4, -4.2) * 32,
-        azimuth_step_deg=360.0 / 2048,
+    SensorModel(
+        "os1-128",
+        _OS1_128_DEG,
+        (4.2, 1.4, -1.4, -4.2) * 32,
+        360.0 / 2048,
         min_range_m=0.5,
         max_range_m=120.0,
-        range_noise_m=0.03,
         range_quantum_m=0.001,
-        lost_share=0.03,
-        signal_range_m=60.0,
         title="Ouster OS1-128",
         source="ouster-sdk, tests/pcaps/OS-1-128_v2.3.0_1024x10.json (one unit)",
         unit_deg=0.6,
         column_deg=360.0 / 2048,
     ),
-    "pandar64": SensorModel(
-        name="pandar64",
-        elevation_deg=_PANDAR64_DEG,
-        azimuth_offset_deg=(-1.042,) * 6 + (1.042, 3.125, 5.208, -5.208, -3.125, -1.042) * 8 + (-1.042,) * 10,
-        azimuth_step_deg=0.2,
-        min_range_m=0.3,
-        max_range_m=200.0,
-        range_noise_m=0.02,
-        range_quantum_m=0.004,
-        lost_share=0.03,
-        signal_range_m=60.0,
-        title="Hesai Pandar64",
-        source="HesaiLidar_General_SDK, pandarGeneral_internal.cc",
-        unit_deg=0.2,
-        column_deg=0.2,
-    ),
-    "pandar40p": SensorModel(
+    _PANDAR64,
+    replace(
+        _PANDAR64,
         name="pandar40p",
         elevation_deg=_PANDAR40P_DEG,
         azimuth_offset_deg=(-1.042,) * 6 + (3.125, -5.208, -1.042) * 8 + (-1.042,) * 10,
-        azimuth_step_deg=0.2,
-        min_range_m=0.3,
-        max_range_m=200.0,
-        range_noise_m=0.02,
-        range_quantum_m=0.004,
-        lost_share=0.03,
-        signal_range_m=60.0,
         title="Hesai Pandar40P",
-        source="HesaiLidar_General_SDK, pandarGeneral_internal.cc",
-        unit_deg=0.2,
-        column_deg=0.2,
     ),
-}
-SENSORS |= {
-    name: SensorModel(
-        name=name,
-        elevation_deg=tuple(np.linspace(15.0, lowest_deg, n_beams).tolist()),
-        azimuth_offset_deg=(0.0,) * n_beams,
-        azimuth_step_deg=0.18,
-        min_range_m=0.05,
-        max_range_m=120.0,
-        range_noise_m=0.005,
-        range_quantum_m=0.004,
-        lost_share=0.03,
-        signal_range_m=60.0,
-        title=f"Hesai PandarXT-{n_beams}",
-        source=f"PandarXT-{n_beams} user manual; nebula, calibration PandarXT{n_beams}.csv",
-        unit_deg=0.2,
-        column_deg=0.09,
-    )
-    for name, n_beams, lowest_deg in (("xt32", 32, -16.0), ("xt16", 16, -15.0))
-}
+    _XT32,
+    replace(
+        _XT32,
+        name="xt16",
+        elevation_deg=_even(15.0, -15.0, 16),
+        azimuth_offset_deg=(0.0,) * 16,
+        title="Hesai PandarXT-16",
+        source="PandarXT-16 user manual; nebula, calibration PandarXT16.csv",
+    ),
+)
+SENSORS = {sensor.name: sensor for sensor in _ALL}
