@@ -100,9 +100,7 @@ def unit_words(unit: str | None) -> str:
 _spectral = partial(Metric, source=_METHOD_SECTION)
 _metres = partial(Metric, unit="m", source="fidpipe")
 _count = partial(Metric, is_count=True)
-#: A share of what is right: 1 is best.
-_BEST_ONE: dict[str, Any] = {"high": 1.0, "better": "higher", "equal": 1.0}
-_share = partial(Metric, **_BEST_ONE)
+_share = partial(Metric, high=1.0, better="higher", equal=1.0)
 _SIDES = (("real", "real"), ("sim", "simulated"))
 
 #: The scores of a matched object, in the order of the columns of `metrics`.
@@ -361,7 +359,9 @@ BASELINES = (
         "f_score",
         "f_score",
         "harmonic mean of the shares of points nearer than metrics.f_score_distance_m to the other side",
-        **_BEST_ONE,
+        high=1.0,
+        better="higher",
+        equal=1.0,
     ),
     _baseline(
         "dcd",
@@ -394,7 +394,9 @@ BASELINES = (
         "icp",
         "icp_fitness",
         "share of simulated points within metrics.icp_distance_m of a real one after point-to-point ICP",
-        **_BEST_ONE,
+        high=1.0,
+        better="higher",
+        equal=1.0,
     ),
     _baseline("icp", "icp_rmse_m", "root mean square distance of these points"),
     _baseline(
