@@ -160,24 +160,10 @@ class RunFolder(TableFolder):
 
     def remove_strays(self) -> int:
         """Removes files that no finished job accounts for, half-written ones among them; gives how many were whole."""
-        n_whole = 0
-        for name in list(self._unknown_files(self.ledger)):
-            if self._is_known_by_its_job(name):
-                continue
-            n_whole += not Path(name).name.startswith(".")
+        strays = list(self._unknown_files(self.ledger))
+        for name in strays:
             (self.folder / name).unlink()
-        return n_whole
-
-    def _is_known_by_its_job(self, name: str) -> bool:
-        """Whether a finished job made a file that the ledger's list of files has lost; it is then put back there."""
-        told = None if Path(name).name.startswith(".") else read_footer(self.folder, name)
-        if told is None:
-            return False
-        record = self.ledger.jobs(told[0].pair_id).get((told[0].stage, told[0].part))
-        if record is None or name not in record.files:
-            return False
-        self.ledger.put_job(record)
-        return True
+        return sum(not Path(name).name.startswith(".") for name in strays)
 
     def _open_ledger(self, *, is_writable: bool) -> Ledger:
         """The ledger; if it may not know every finished job, with those that the footers of their files tell of."""
@@ -200,14 +186,16 @@ class RunFolder(TableFolder):
 
     def _unknown_files(self, ledger: Ledger) -> Iterator[str]:
         """Tables of pairs and of the whole run that the ledger does not know, by name relative to the run."""
+        known = ledger.files("")
         for table in TABLES:
             whole = f"{table}.parquet"
-            if not ledger.knows_file(whole) and (self.folder / whole).is_file():
+            if whole not in known and (self.folder / whole).is_file():
                 yield whole
             if (self.folder / table).is_dir():
+                of_table = ledger.files(table)
                 for entry in os.scandir(self.folder / table):
                     name = f"{table}/{entry.name}"
-                    if not entry.is_dir(follow_symlinks=False) and not ledger.knows_file(name):
+                    if name not in of_table and not entry.is_dir(follow_symlinks=False):
                         yield name
 
 

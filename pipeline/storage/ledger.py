@@ -1,18 +1,17 @@
-"""A run's ledger: finished jobs, what was learnt of each input file, and why pairs failed. In SQLite.
+"""A run's ledger: finished jobs, the inspection of each input file, and why pairs failed. In SQLite.
 
-A cache that the command alone writes: the same stands in the footers of the tables, from which a lost ledger is made
-again. Nothing of it is kept in memory, so that a command over ten thousand pairs stays small.
+A cache that the command alone writes: the same stands in the footers of the tables. It is believed if it has the hash
+that was noted when it was closed in order; else it is deleted, and made again from the footers. Nothing of it is kept
+in memory, so that a command over ten thousand pairs stays small.
 """
 
 from __future__ import annotations
 
-import hashlib
 import sqlite3
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict
-from functools import cache
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -20,55 +19,55 @@ from typing import Any
 import orjson
 
 from ...schemas.errors import RunError
-from .files import disk_full
+from .files import disk_full, hash_file, write_whole
 from .tables import JobRecord, job_record
 
 LEDGER = "ledger.sqlite"
-_VERSION = 2
+_SEAL = "ledger.sha256"
 _SECONDS_BETWEEN_COMMITS = 1.0
 _LONGEST_PATH = 511
 _SECONDS_FOR_READERS = 60.0
 
-_TABLES = f"""
+_TABLES = """
 PRAGMA page_size = 16384;
-CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB, hash TEXT);
+CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB);
 CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
-CREATE TABLE inputs (name TEXT PRIMARY KEY, entry BLOB, hash TEXT);
-CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB, hash TEXT) WITHOUT ROWID;
-CREATE TABLE state (name TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;
-PRAGMA user_version = {_VERSION};
+CREATE TABLE inputs (name TEXT PRIMARY KEY, entry BLOB);
+CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB) WITHOUT ROWID;
 """
 
 
-_SCHEMA = "SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY type, name"
-
-
 class Ledger:
-    """The ledger of a run's folder, or an empty one in memory where there is none and nothing may be written.
-
-    Entries that do not agree with the hash beside them are not believed.
+    """The ledger of a run's folder, or an empty one in memory if there is none to be believed and none may be written.
 
     Parameters
     ----------
     path : of the file
     is_writable : else nothing is written to disk, whatever is put in
 
+    Attributes
+    ----------
+    is_complete : whether it was closed in order, and so knows every finished job
+
     Raises
     ------
     RunError
-        It cannot be written: here, and later where something is put in.
+        It cannot be written: here, and later when something is put in.
     """
 
     def __init__(self, path: Path, *, is_writable: bool) -> None:
         self._path = path
         self._begun: float | None = None
+        self._seal = path.with_name(_SEAL)
         try:
-            self._db = self._open(path, is_writable)
-        except sqlite3.DatabaseError:  # not a database, torn, or of another version: it is made again
+            self.is_complete = self._is_sealed()
+            self._db = self._open() if is_writable else _read_only(path, self.is_complete)
+        except sqlite3.DatabaseError:  # damaged
+            self.is_complete = False
             if is_writable:
-                path.unlink(missing_ok=True)
-                path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
-            self._db = self._open(path, is_writable) if is_writable else _in_memory()
+                for file in (path, path.with_name(f"{path.name}-journal"), self._seal):
+                    file.unlink(missing_ok=True)
+            self._db = self._open() if is_writable else _in_memory()
         weakref.finalize(self, self._db.close)
 
     def close(self) -> None:
@@ -83,15 +82,14 @@ class Ledger:
             with self._writing():
                 self._db.execute("COMMIT")
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether it was closed in order: it then knows every finished job."""
-        return _is_complete(self._db)
-
     def set_complete(self, is_complete: bool) -> None:
         """Notes, at once, that it knows every finished job, or that jobs may be finished without it."""
-        self._change("INSERT OR REPLACE INTO state VALUES ('is_complete', ?)", "1" if is_complete else "0")
         self.commit()
+        if is_complete:
+            write_whole(self._seal, hash_file(self._path).encode())
+        else:
+            self._seal.unlink(missing_ok=True)
+        self.is_complete = is_complete
 
     def jobs(self, pair_id: str) -> dict[tuple[str, str], JobRecord]:
         """The finished jobs of a pair, by stage and part; those of the whole run under ""."""
@@ -103,9 +101,12 @@ class Ledger:
         records = self.jobs(row[0]).values() if row is not None else ()
         return next((record for record in records if name in record.files), None)
 
-    def knows_file(self, name: str) -> bool:
-        """Whether a finished job made a file of this name."""
-        return self._db.execute("SELECT 1 FROM files WHERE name = ?", (name,)).fetchone() is not None
+    def files(self, folder: str) -> set[str]:
+        """Names of the files of finished jobs in a folder of the run; those outside of folders for ""."""
+        if not folder:
+            return {name for (name,) in self._db.execute("SELECT name FROM files WHERE instr(name, '/') = 0")}
+        span = f"{folder}/", f"{folder}0"  # 0 follows / in ASCII
+        return {name for (name,) in self._db.execute("SELECT name FROM files WHERE name >= ? AND name < ?", span)}
 
     def pair_ids(self) -> Iterator[str]:
         """The pairs with finished jobs, by name."""
@@ -133,31 +134,29 @@ class Ledger:
             self._change("DELETE FROM files WHERE name = ?", name)
 
     def _records(self, pair_id: str) -> list[JobRecord]:
-        """The finished jobs of a pair; none of an entry that is not as this ledger writes them."""
-        row = self._db.execute("SELECT entry, hash FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
+        row = self._db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
         try:
-            records = [job_record(entry) for entry in orjson.loads(row[0])] if row and _agrees(*row) else []
-        except (ValueError, TypeError):
-            return []
-        return [record for record in records if record.pair_id == pair_id]
+            return [] if row is None else [job_record(entry) for entry in orjson.loads(row[0])]
+        except (ValueError, TypeError, LookupError, AttributeError) as error:  # of a run that was not closed in order
+            raise RunError(f"{self._path}: damaged; remove it, it is made again from the tables") from error
 
     def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
         if records:
-            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?, ?)", pair_id, [asdict(record) for record in records])
+            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, [asdict(record) for record in records])
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
 
     def input(self, name: str) -> dict[str, Any] | None:
         """What was learnt of an input file; None if nothing."""
-        return self._entry("SELECT entry, hash FROM inputs WHERE name = ?", name)
+        return self._entry("SELECT entry FROM inputs WHERE name = ?", name)
 
     def put_input(self, name: str, facts: Mapping[str, Any]) -> None:
         """Adds what was learnt of an input file."""
-        self._put("INSERT OR REPLACE INTO inputs VALUES (?, ?, ?)", name, facts)
+        self._put("INSERT OR REPLACE INTO inputs VALUES (?, ?)", name, facts)
 
     def failure(self, pair_id: str) -> dict[str, Any] | None:
         """Why a pair failed (`key` of the job that did, `reason`); None if it did not."""
-        return self._entry("SELECT entry, hash FROM failures WHERE pair_id = ?", pair_id)
+        return self._entry("SELECT entry FROM failures WHERE pair_id = ?", pair_id)
 
     def failed_pairs(self) -> list[str]:
         """The pairs that failed, by name."""
@@ -165,7 +164,7 @@ class Ledger:
 
     def put_failure(self, pair_id: str, facts: Mapping[str, Any]) -> None:
         """Adds why a pair failed."""
-        self._put("INSERT OR REPLACE INTO failures VALUES (?, ?, ?)", pair_id, facts)
+        self._put("INSERT OR REPLACE INTO failures VALUES (?, ?)", pair_id, facts)
 
     def drop_failure(self, pair_id: str) -> None:
         """Forgets why a pair failed, if it did."""
@@ -173,15 +172,10 @@ class Ledger:
 
     def _entry(self, question: str, name: str) -> dict[str, Any] | None:
         row = self._db.execute(question, (name,)).fetchone()
-        try:
-            entry = orjson.loads(row[0]) if row is not None and _agrees(*row) else None
-        except ValueError:
-            return None
-        return entry if isinstance(entry, dict) else None
+        return None if row is None else orjson.loads(row[0])
 
     def _put(self, order: str, name: str, facts: Any) -> None:
-        entry = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
-        self._change(order, name, entry, _hash(entry))
+        self._change(order, name, orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY))
 
     def _change(self, order: str, *values: Any) -> None:
         now = monotonic()
@@ -193,26 +187,29 @@ class Ledger:
         if now - self._begun > _SECONDS_BETWEEN_COMMITS:
             self.commit()
 
-    @staticmethod
-    def _open(path: Path, is_writable: bool) -> sqlite3.Connection:
-        if not is_writable:
-            return _read_only(path) if path.exists() else _in_memory()
+    def _is_sealed(self) -> bool:
+        """True if the ledger was closed in order; raises `sqlite3.DatabaseError` if it has changed since."""
+        if not (self._seal.is_file() and self._path.is_file()):
+            return False
+        if self._seal.read_text(errors="replace") != hash_file(self._path):
+            raise sqlite3.DatabaseError("the ledger is not as it was closed")
+        return True
+
+    def _open(self) -> sqlite3.Connection:
         try:
-            db = _connect(path, timeout=_SECONDS_FOR_READERS)
+            db = _connect(self._path, timeout=_SECONDS_FOR_READERS)
         except sqlite3.OperationalError as error:
-            n = len(str(path.absolute()))
+            n = len(str(self._path.absolute()))
             why = f"a path of {n} characters, SQLite takes {_LONGEST_PATH}" if n > _LONGEST_PATH else str(error)
-            raise RunError(f"{path}: cannot be opened ({why}); give another --out") from error
+            raise RunError(f"{self._path}: cannot be opened ({why}); give another --out") from error
         try:
-            with _damage_named():
-                if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
-                    db.executescript(_TABLES)
-                _check(db)
+            if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
+                db.executescript(_TABLES)
         except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
             db.close()
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
-                raise disk_full(path, error) from error
-            raise RunError(f"{path}: cannot be written ({error}); give another --out") from error
+                raise disk_full(self._path, error) from error
+            raise RunError(f"{self._path}: cannot be written ({error}); give another --out") from error
         except sqlite3.DatabaseError:
             db.close()
             raise
@@ -241,64 +238,24 @@ def _in_memory() -> sqlite3.Connection:
     return db
 
 
-def _read_only(path: Path) -> sqlite3.Connection:
+def _read_only(path: Path, is_complete: bool) -> sqlite3.Connection:
     """The ledger for a reader, who writes nothing, not even a lock where the medium is read-only.
 
     One that does not know every finished job is copied into memory, where the others can be added.
     """
+    if not path.exists():
+        return _in_memory()
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         db = _connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
         try:
-            with _damage_named():
-                _check(db)
+            db.execute("SELECT 1 FROM jobs").fetchone()
         except sqlite3.OperationalError:
             db.close()
             continue
-        except sqlite3.DatabaseError:
-            db.close()
-            raise
-        if _is_complete(db):
+        if is_complete:
             return db
         copy = _connect(":memory:")
         db.backup(copy)
         db.close()
         return copy
     raise sqlite3.DatabaseError(f"{path} cannot be opened")
-
-
-def _check(db: sqlite3.Connection) -> None:
-    """Raises `sqlite3.DatabaseError` where it is no ledger of this version, or damaged."""
-    if db.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
-        raise sqlite3.DatabaseError("a ledger of another version")
-    if db.execute("PRAGMA quick_check(1)").fetchone()[0] != "ok":
-        raise sqlite3.DatabaseError("a damaged ledger")
-    if db.execute(_SCHEMA).fetchall() != _own_schema():  # views and triggers of others would run with our statements
-        raise sqlite3.DatabaseError("a ledger with other tables")
-
-
-@contextmanager
-def _damage_named() -> Iterator[None]:
-    """Makes text that is none, in names or in what SQLite says of them, an error of the database."""
-    try:
-        yield
-    except UnicodeDecodeError as error:
-        raise sqlite3.DatabaseError("a damaged ledger") from error
-
-
-def _is_complete(db: sqlite3.Connection) -> bool:
-    row = db.execute("SELECT value FROM state WHERE name = 'is_complete'").fetchone()
-    return row is not None and row[0] == "1"
-
-
-@cache
-def _own_schema() -> list[tuple[str, ...]]:
-    with closing(_in_memory()) as db:
-        return db.execute(_SCHEMA).fetchall()
-
-
-def _hash(entry: bytes) -> str:
-    return hashlib.blake2b(entry, digest_size=8).hexdigest()
-
-
-def _agrees(entry: object, check: object) -> bool:
-    return isinstance(entry, bytes) and _hash(entry) == check

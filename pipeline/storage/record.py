@@ -299,7 +299,9 @@ class StageSeconds:
         self._pairs: dict[str, dict[str, float]] = {}
 
     def add(self, record: JobRecord) -> None:
-        """Counts a finished job."""
+        """Counts a finished job, unless its seconds went with the ledger."""
+        if not record.steps:
+            return
         total, of_pair = self._steps.setdefault(record.stage, {}), self._pairs.setdefault(record.pair_id, {})
         of_pair.setdefault(record.stage, 0.0)
         for step, seconds in record.steps:

@@ -1,7 +1,7 @@
 """The tables of a run's folder: where each lies, how it is written and read, and what its footer tells of the job.
 
 A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the job that made it: the
-wanted key, small facts, seconds by step, so that the tables are the truth and the ledger beside them a cache.
+wanted key and small facts, so that the tables are the truth and the ledger next to them a cache.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from urllib.parse import quote
 import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import TypeAdapter
 
 from ...schemas.columns import CONSTANT
 from ...schemas.errors import RunError
@@ -66,7 +65,7 @@ class StoredFile:
         if not by_content and (status.st_mtime_ns, status.st_ctime_ns) == (self.mtime_ns, self.ctime_ns):
             return True
         try:
-            return hash_file(Path(path)) == self.sha256
+            return hash_file(path) == self.sha256
         except OSError:  # the disk cannot read it any more, or it may not be read: it can be made again
             return False
 
@@ -121,9 +120,6 @@ class JobRecord:
     def name(self) -> JobName:
         """What the job is called."""
         return self.stage, self.pair_id, self.part
-
-
-_JOB_RECORD = TypeAdapter(JobRecord)
 
 
 def plain_facts(facts: dict[str, Any]) -> dict[str, Any]:
@@ -326,14 +322,16 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
     return (record, names) if name in names else None
 
 
-def job_record(entry: object) -> JobRecord:
-    """A finished job from plain values, as `dataclasses.asdict` gives them; `ValueError` where they are none."""
-    return _JOB_RECORD.validate_python(entry)
+def job_record(entry: dict[str, Any]) -> JobRecord:
+    """A finished job from plain values, as `dataclasses.asdict` gives them."""
+    files = {name: StoredFile(**stored) for name, stored in entry["files"].items()}
+    steps = tuple((name, seconds) for name, seconds in entry.get("steps", ()))
+    return JobRecord(**entry | {"files": files, "reads": tuple(entry["reads"]), "steps": steps})
 
 
 def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
-    """A job as the footers of its files have it, without what is known only when they are written."""
-    own = {name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "facts", "steps")}
+    """A job as the footers of its files have it: without seconds, so that files of equal content are equal."""
+    own = {name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "facts")}
     return orjson.dumps(own | {"files": list(names)}).decode()
 
 
