@@ -1,33 +1,39 @@
-"""The tables of one pair as they are stored, and what of it is computed again."""
+"""The tables of one pair as stored, and the sample of it that is recomputed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 from scipy import sparse
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.settings import Settings
+from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.literal import method
 from ..datasets.pairs import ScanPair
-from ..jobs import EXTRAS, STAGES
+from ..datasets.readers import read_scan
+from ..datasets.readers.scan import Scan
 from ..results.finished import FinishedRun
-from ..stage import Stage
 from ..storage.record import library_versions
-from .comparisons import Place
+
+#: The table in which the values stand that a check of another name compares.
+TABLE_OF = {"scan": "ground"}
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """What of a pair is computed again.
+class Sample:
+    """What of a pair is recomputed.
 
     rows : of `matching`
     all_nodes : compare the edges of every node, not only of some of the drawn objects
-    whole_sides : compare what is told of both whole sides
+    whole_sides : compare what is stored about both whole sides
     rng : draws the nodes
     """
 
@@ -37,100 +43,113 @@ class Drawn:
     rng: np.random.Generator
 
 
-class StoredPair:
-    """The tables of one pair as they are stored.
+@dataclass(frozen=True)
+class Part:
+    """Rows of a table, stored and recomputed, indexed by the same keys; `compare` says what `is_whole` means."""
 
-    Parameters
-    ----------
-    drawn : what of it is computed again
-    scans : where the scans lie; None where they are gone or others
+    table: str
+    stored: pd.DataFrame
+    recomputed: pd.DataFrame
+    side: str = ""
+    is_whole: bool = True
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """What is not recomputed, why, and the columns (`table.column`) or tables that this leaves uncompared."""
+
+    why: str
+    columns: Sequence[str] = ()
+
+
+@dataclass
+class StoredPair:
+    """The tables of one pair as stored.
+
+    sample : what of it is recomputed
+    scans : the scans of the pair; None where they are gone or others
     """
 
-    def __init__(
-        self,
-        run: FinishedRun,
-        pair_id: str,
-        settings: Settings,
-        drawn: Drawn,
-        scans: ScanPair | None = None,
-        label_names: dict[int, str] | None = None,
-    ) -> None:
-        self.pair_id, self.settings, self.drawn = pair_id, settings, drawn
-        self.scans, self.label_names = scans, label_names or {}
-        self.row = run.row(pair_id)
-        self._run = run
-        self._columns: dict[tuple[str, str], dict[str, Any]] = {}
+    run: FinishedRun
+    pair_id: str
+    settings: Settings
+    sample: Sample
+    scans: ScanPair | None = None
+    label_names: dict[int, str] = field(default_factory=dict)
 
-    def place(self, table: str, side: str = "", object_: str = "") -> Place:
-        """Where a number of this pair stands."""
-        return Place(table, self.pair_id, side, object_)
+    def __post_init__(self) -> None:
+        self.table: Callable[..., pd.DataFrame] = cache(self._table)
+        self.row = self.run.row(self.pair_id)
 
-    def columns(self, table: str, side: str = "") -> dict[str, Any]:
-        """The columns of a table as arrays; null numbers are NaN, null words None."""
-        if (table, side) not in self._columns:
-            rows = self._run.read_table(table, self.pair_id, side)
-            self._columns[table, side] = {
-                name: rows.column(name).to_numpy(zero_copy_only=False) for name in rows.column_names
-            }
-        return self._columns[table, side]
+    def _table(self, name: str, side: str = "") -> pd.DataFrame:
+        """A stored table; null keys are -1, other null numbers NaN."""
+        rows = self.run.read_table(name, self.pair_id, side)
+        frame: pd.DataFrame = rows.to_pandas()
+        for key in TABLES[name].keys:
+            if pa.types.is_integer(rows.schema.field(key).type):
+                frame[key] = frame[key].fillna(-1).astype(np.intp)
+        return frame
 
-    def rows(self, table: str, side: str = "") -> list[Row]:
-        """The rows of a table."""
-        rows: list[Row] = self._run.read_table(table, self.pair_id, side).to_pylist()
-        return rows
+    def part(self, table: str, recomputed: pd.DataFrame, side: str = "", *, is_whole: bool = True) -> Part:
+        """Recomputed rows of a table next to the stored ones, by the keys of the recomputed."""
+        stored = self.table(TABLE_OF.get(table, table), side).set_index(recomputed.index.names)
+        return Part(table, stored, recomputed, side, is_whole)
+
+    def in_pairs(self, recomputed: Row) -> Part:
+        """Recomputed columns of the pair's row of `pairs`."""
+        return values("pairs", {name: self.row[name] for name in recomputed}, recomputed)
+
+    def scan(self, side: str) -> Scan | None:
+        """The scan of a side, None where it is gone or another."""
+        path = self.scans and self.scans.path(side)
+        return read_scan(path, self.settings.input.columns_of(side), self.label_names) if path else None
 
     @cached_property
     def matching(self) -> list[Row]:
-        """The rows of `matching`."""
-        return self.rows("matching")
+        """The rows of `matching`; None for null."""
+        rows: list[Row] = self.run.read_table("matching", self.pair_id).to_pylist()
+        return rows
 
     @property
     def matched(self) -> list[Row]:
-        """The rows of `matching` whose objects both sides have."""
+        """The rows of `matching` with an object of each side."""
         return [row for row in self.matching if row["status"] == "matched"]
-
-    def n_kept(self, match: Row) -> int:
-        """How many aligned nodes a matched object must have: the points of the smaller side."""
-        return min(int(self.columns("objects", side)["n_points"][match[f"{side}_id"]]) for side in SIDES)
 
     @property
     def drawn_matches(self) -> list[Row]:
-        """The drawn rows of `matching` whose objects both sides have."""
-        return [self.matching[i] for i in self.drawn.rows if self.matching[i]["status"] == "matched"]
+        """The matched rows of the sample."""
+        return [self.matching[i] for i in self.sample.rows if self.matching[i]["status"] == "matched"]
 
     def drawn_ids(self, side: str) -> list[int]:
-        """The drawn objects of a side."""
-        ids = [self.matching[i][f"{side}_id"] for i in self.drawn.rows]
+        """The objects of a side in the sample."""
+        ids = [self.matching[i][f"{side}_id"] for i in self.sample.rows]
         return [i for i in ids if i is not None]
+
+    def n_kept(self, match: Row) -> int:
+        """The number of aligned nodes that a matched object must have: the points of the smaller side."""
+        return min(int(self.table("objects", side)["n_points"][match[f"{side}_id"]]) for side in SIDES)
 
     def members(self, match: Row) -> dict[str, IndexArray]:
         """The points of a matched object, by side."""
         return {side: self.sides[side].members(match[f"{side}_id"]) for side in SIDES}
 
+    def selected(self, match: Row) -> pd.DataFrame:
+        """The stored rows of `selection` of a matched object."""
+        table = self.table("selection")
+        return table.loc[table["real_id"] == match["real_id"]]
+
     def kept(self, match: Row) -> dict[str, IndexArray]:
-        """Its aligned nodes, by side."""
-        stored = self.columns("selection")
-        own = stored["real_id"] == match["real_id"]
-        return {side: self.sides[side].index(stored[f"{side}_point_id"][own]) for side in SIDES}
-
-    @property
-    def tables(self) -> list[tuple[str, str]]:
-        """The tables of the pair that today's stages have made, each with its side, "" where it has both."""
-        versions, stages = self._run.record.stages, wanted_stages(self.settings)
-        stages = [stage for stage in stages if versions.get(stage.name, stage.version) == stage.version]
-        return [(table, side) for stage in stages for side in stage.parts for table in stage.gives]
-
-    def n_objects(self, side: str) -> int:
-        """How many objects `objects` has of a side."""
-        return len(self.columns("objects", side)["community_id"])
+        """The aligned nodes of a matched object, by side."""
+        rows = self.selected(match)
+        return {side: self.sides[side].index(rows[f"{side}_point_id"]) for side in SIDES}
 
     def has_same_library(self, name: str) -> bool:
-        """Whether the installed version of a library is that of the run."""
-        return self._run.record.libraries.get(name) == library_versions([name])[name]
+        """True if the installed version of a library is that of the run."""
+        return self.run.record.libraries.get(name) == library_versions([name])[name]
 
     def facts(self, stage: str, side: str = "") -> dict[str, Any]:
-        """What the job of a stage noted."""
-        return self._run.store.ledger.jobs(self.pair_id)[stage, side].facts
+        """The facts that the job of a stage stored."""
+        return self.run.store.ledger.jobs(self.pair_id)[stage, side].facts
 
     @cached_property
     def sides(self) -> dict[str, StoredSide]:
@@ -143,40 +162,45 @@ class StoredSide:
 
     def __init__(self, pair: StoredPair, side: str) -> None:
         self._pair, self.side = pair, side
-        self._nearest: dict[int, frozenset[int]] = {}
-        ground = pair.columns("ground", side)
-        self.all_points: FloatArray = np.column_stack([ground[axis] for axis in "xyz"])
-        self.is_object = ~ground["is_ground"].astype(bool)
-        self.point_ids: IndexArray = ground["point_id"][self.is_object].astype(np.intp)
+        ground = pair.table("ground", side)
+        self.all_points: FloatArray = ground[["x", "y", "z"]].to_numpy()
+        self.is_object = ~ground["is_ground"].to_numpy()
+        self.point_ids: IndexArray = ground["point_id"].to_numpy()[self.is_object]
         self.points = self.all_points[self.is_object]
+        self.nearest = cache(self._nearest)
 
     @cached_property
     def labels(self) -> IndexArray:
-        """The object of each point, (n,)."""
-        communities = self._pair.columns("communities", self.side)
-        index_of = self.index(communities["point_id"])
+        """The object of each point, (n,); -1 for none."""
+        communities = self._pair.table("communities", self.side)
         labels = np.full(len(self.points), -1, dtype=np.intp)
-        labels[index_of] = communities["community_id"]
+        labels[self.index(communities["point_id"])] = communities["community_id"]
         return labels
+
+    @property
+    def sizes(self) -> IndexArray:
+        """The number of points of each object of the side, by id."""
+        n_objects = len(self._pair.table("objects", self.side))
+        return np.bincount(self.labels[self.labels >= 0], minlength=n_objects)
 
     def members(self, community: int) -> IndexArray:
         """The points of an object, by index."""
         return np.flatnonzero(self.labels == community)
 
     def index(self, point_ids: Any) -> IndexArray:
-        """Indices of some points by their ids; ValueError where one is no object point."""
-        wanted = np.asarray(point_ids, dtype=np.intp)
-        index: IndexArray = np.minimum(np.searchsorted(self.point_ids, wanted), len(self.point_ids) - 1)
-        strange = self.point_ids[index] != wanted
-        if strange.any():
-            raise ValueError(f"point {wanted[strange][0]} is no object point of the {self.side} side")
+        """Indices of some points by their ids; ValueError if one is not an object point."""
+        ids = np.asarray(point_ids, dtype=np.intp)
+        index: IndexArray = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
+        is_strange = self.point_ids[index] != ids
+        if is_strange.any():
+            raise ValueError(f"point {ids[is_strange][0]} is not an object point of the {self.side} side")
         return index
 
     @cached_property
     def edges(self) -> tuple[IndexArray, IndexArray, FloatArray]:
         """Both ends of each edge by index, and its length."""
-        graph = self._pair.columns("graph", self.side)
-        return self.index(graph["src"]), self.index(graph["dst"]), graph["length_m"].astype(np.float64)
+        graph = self._pair.table("graph", self.side)
+        return self.index(graph["src"]), self.index(graph["dst"]), graph["length_m"].to_numpy(dtype=np.float64)
 
     @cached_property
     def adjacency(self) -> sparse.csr_array:
@@ -186,15 +210,13 @@ class StoredSide:
         ends = np.concatenate([src, dst]), np.concatenate([dst, src])
         return sparse.coo_array((np.concatenate([length, length]), ends), shape=(n, n)).tocsr()
 
-    def nearest(self, node: int) -> frozenset[int]:
+    def _nearest(self, node: int) -> frozenset[int]:
         """The k nearest neighbours of a node, found among all points."""
-        if node not in self._nearest:
-            settings = self._pair.settings.graph
-            self._nearest[node] = frozenset(method.nearest(self.points, node, settings.k, settings.ties))
-        return self._nearest[node]
+        settings = self._pair.settings.graph
+        return frozenset(method.nearest(self.points, node, settings.k, settings.ties))
 
     def neighbours(self, node: int) -> set[int]:
-        """The nodes that an edge joins with one."""
+        """The nodes connected to one by an edge."""
         row = slice(self.adjacency.indptr[node], self.adjacency.indptr[node + 1])
         return set(self.adjacency.indices[row].tolist())
 
@@ -204,11 +226,8 @@ class StoredSide:
         return dense
 
 
-def wanted_stages(settings: Settings) -> list[Stage]:
-    """The stages that a run under these settings has, in their order."""
-    return [stage for stage in (*STAGES, *EXTRAS) if stage.is_wanted is None or stage.is_wanted(settings)]
-
-
-def object_name(match: Row) -> str:
-    """An object in words, such as "real 3, sim 5"."""
-    return ", ".join(f"{side} {match[f'{side}_id']}" for side in SIDES if match[f"{side}_id"] is not None)
+def values(table: str, stored: Row, recomputed: Row, side: str = "", **keys: Any) -> Part:
+    """Single values, such as facts of a job, as frames of one row; `keys` say what they belong to."""
+    index = pd.MultiIndex.from_arrays([[key] for key in keys.values()], names=list(keys)) if keys else None
+    a, b = (pd.DataFrame([row], index=index, columns=list(recomputed)) for row in (stored, recomputed))
+    return Part(table, a, b, side, is_whole=False)

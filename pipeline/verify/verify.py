@@ -1,18 +1,21 @@
-"""Whether the numbers of a finished run are right: some are computed again, another way, and compared.
+"""Checks whether the numbers of a finished run are right: a sample is recomputed, another way, and compared.
 
-Objects are drawn at random; from the stored tables that a stage read, its numbers are made again by the literal twin
-(`stages.literal`), which shares no code with the stages. What is computed of each table stands in `sides` and
-`objects`; here it is decided which objects are drawn, and what is said of them all. Nothing is written.
+Objects are drawn at random; `recompute` computes their rows of every table again from the stored tables before it, by
+the literal twin (`stages.literal`), which shares no code with the stages. Nothing is written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
+from ...schemas.columns import Row
 from ...schemas.errors import FidpipeError, RunError
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.results import JsonObject
@@ -24,57 +27,84 @@ from ..inspect.scan_checks import input_hashes
 from ..jobs import EXTRAS, STAGES
 from ..results.finished import FinishedRun
 from ..storage.record import unmatched_worst
-from . import objects, sides
-from .comparisons import LENGTH_M, NOT_COMPARED, Comparisons, Mismatch, Place, TableCheck
-from .stored import Drawn, StoredPair, wanted_stages
+from .compare_frames import NOT_COMPARED, ColumnComparison, compare
+from .recompute import RECOMPUTED, UNMATCHED, stages_of
+from .stored import TABLE_OF, Part, Sample, Skipped, StoredPair, values
 
 DEFAULT_OBJECTS = 20
-#: One of so many drawn objects has both sides of its pair computed again as a whole, from all distances between them.
+#: One of so many drawn objects has both sides of its pair recomputed as a whole, from all distances between them.
 _OBJECTS_PER_WHOLE_PAIR = 20
+#: Mismatches listed per table.
+_MOST_SHOWN = 5
 
-#: What is compared of each table of a pair, in the order of the stages.
-_CHECKS: dict[str, Callable[[StoredPair, Comparisons], None]] = {
-    "rows": sides.check_rows,
-    "scan": sides.check_scan,
-    "ground": sides.check_ground,
-    "sensor": sides.check_sensor,
-    "graph": sides.check_graph,
-    "communities": sides.check_communities,
-    "objects": sides.check_objects,
-    "matching": objects.check_matching,
-    "coverage": sides.check_coverage,
-    "surface": sides.check_surface,
-    "pieces": sides.check_pieces,
-    "selection": objects.check_selection,
-    "metrics": objects.check_metrics,
-    "baselines": objects.check_baselines,
-    "seeds": objects.check_seeds,
-    "pairs": objects.check_pairs,
+#: What is compared of each table, for people, in the order of the report.
+WORDS = {
+    "files": "content as it was written (SHA-256)",
+    "rows": "names of pair and side, order by keys, none twice",
+    "scan": "points kept of the scan, and where they lie",
+    "ground": "cut, heights, flags of all points",
+    "sensor": "the scan, described again by the same code",
+    "graph": "all edge lengths; all edges of drawn nodes",
+    "communities": "Louvain again; numbering; reference: nearest real points",
+    "objects": "sizes; place and shape of drawn objects",
+    "matching": "which objects match, and how far apart",
+    "coverage": "drawn objects, from all distances",
+    "surface": "displacement of drawn objects",
+    "pieces": "counts, shares and moves of all pieces",
+    "selection": "influence, nodes kept, optimal alignment",
+    "metrics": "scores from dense matrices",
+    "baselines": "distances of others",
+    "seeds": "row of the set seed",
+    "pairs": "counts, cuts, means, deviations, medians",
+    "run.json": "means and deviations over pairs",
 }
-#: The stage that makes a table, where it has another name.
+#: The stage that gives a table, where it has another name.
 _STAGE_OF = {"scan": "ground", "objects": "communities", "pairs": "metrics"}
-#: The columns of `pairs` that the check of another table compares, by how they begin.
-_IN_PAIRS = {
-    "scan": ("n_real_raw", "n_sim_raw"),
-    "ground": ("ground_", "n_real_", "n_sim_"),
-    "coverage": ("covered_",),
-    "sensor": ("sensor_",),
-    "surface": ("shift_", "roughness_"),
-    "pieces": ("n_missing_pieces", "n_invented_pieces", "missing_pieces_", "invented_pieces_"),
-}
 _VERSIONS = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
 
 PairDone = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Verification:
-    """What was compared, and what does not agree.
+class Mismatch:
+    """A stored value that differs from the recomputed one."""
 
-    n_objects, n_drawn : matched, missing and hallucinated objects of all scored pairs, and how many were drawn
+    table: str
+    pair_id: str
+    side: str
+    object: str
+    column: str
+    stored: str
+    recomputed: str
+
+
+@dataclass
+class TableCheck:
+    """The comparisons of one table.
+
+    columns : those with at least one compared value
+    largest : largest absolute difference; 0 if all are equal
+    where : its pair, row and column
+    n_wrong : values that differ by more than rounding allows
+    """
+
+    table: str
+    what: str
+    columns: tuple[str, ...] = ()
+    n_numbers: int = 0
+    largest: float = 0.0
+    where: str = ""
+    n_wrong: int = 0
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The outcome of a verification.
+
+    n_objects, n_drawn : matched, missing and hallucinated objects of all scored pairs, and the number drawn
     n_scored, n_pairs, n_scans : scored pairs, those of the drawn objects, and of how many of these the scans are there
-    tables : one for each table, in the order in which they were compared
-    mismatches : of each table the first few
+    tables : one for each table, in the order of the stages
+    mismatches : the first few of each table
     not_compared : in words, what could not be
     unknown : columns, as `table.column`, that nothing recomputes though no reason is declared: the literal twin has yet
         to learn them
@@ -94,34 +124,101 @@ class Verification:
 
     @property
     def n_numbers(self) -> int:
-        """How many numbers were compared."""
+        """The number of compared values."""
         return sum(table.n_numbers for table in self.tables)
 
     @property
     def n_wrong(self) -> int:
-        """How many of them do not agree."""
+        """The number of values that do not agree."""
         return sum(table.n_wrong for table in self.tables)
 
     @property
     def passed(self) -> bool:
-        """Whether all agree."""
+        """True if all agree."""
         return not self.n_wrong
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
         plain: JsonObject = asdict(self)
-        return plain | {
-            "run": str(self.run),
-            "passed": self.passed,
-            "n_numbers": self.n_numbers,
-            "n_wrong": self.n_wrong,
-        }
+        counts = {"passed": self.passed, "n_numbers": self.n_numbers, "n_wrong": self.n_wrong}
+        return plain | {"run": str(self.run)} | counts
+
+
+@dataclass
+class _Tally:
+    """The comparisons so far.
+
+    compared, excused : columns (`table.column`) of which values were compared; columns or tables that need not be
+    n_drawn : by table, rows of drawn objects; a table that has none cannot be compared
+    """
+
+    checks: dict[str, TableCheck] = field(default_factory=dict)
+    mismatches: dict[str, list[Mismatch]] = field(default_factory=dict)
+    skipped: Counter[str] = field(default_factory=Counter)
+    compared: set[str] = field(default_factory=set)
+    excused: set[str] = field(default_factory=lambda: {*NOT_COMPARED})
+    n_drawn: Counter[str] = field(default_factory=Counter)
+    is_damaged: bool = False
+
+    def add(self, parts: Iterable[Part | Skipped], pair_id: str = "") -> None:
+        """Compares the parts of a table."""
+        for part in parts:
+            if isinstance(part, Skipped):
+                self.skipped.update([part.why] if part.why else [])
+                self.excused.update(part.columns)
+                continue
+            table = TABLE_OF.get(part.table, part.table)
+            if not part.is_whole:
+                self.n_drawn[table] += len(part.recomputed)
+            for column in compare(table, part.stored, part.recomputed, is_whole=part.is_whole):
+                self._count(part, pair_id, column)
+                if len(column.rows):
+                    self.compared.add(column.column if "." in column.column else f"{table}.{column.column}")
+
+    def check(self, table: str) -> TableCheck:
+        """The comparisons of a table."""
+        self.mismatches.setdefault(table, [])
+        return self.checks.setdefault(table, TableCheck(table, WORDS[table]))
+
+    def refuse(self, table: str, pair_id: str, why: str) -> None:
+        """Counts a table from which nothing can be computed as a mismatch."""
+        self.is_damaged = True
+        self.check(table).n_wrong += 1
+        shown = Mismatch(table, pair_id, "", "", "the table", "cannot be computed with", why)
+        self.mismatches[table] += [shown] if len(self.mismatches[table]) < _MOST_SHOWN else []
+
+    def unknown(self, tables: Iterable[str]) -> Iterator[str]:
+        """The columns that were not compared, though nothing says why; none where a table is damaged."""
+        without_rows = {table for table, n in self.n_drawn.items() if not n}
+        for table in tables:
+            if not (self.is_damaged or table in self.excused | without_rows):
+                columns = (f"{table}.{name}" for name in TABLES[table].schema.names)
+                yield from (name for name in columns if name not in self.compared | self.excused)
+
+    def columns(self, table: str) -> tuple[str, ...]:
+        """The compared columns of a table, in its order."""
+        names = TABLES[table].schema.names if table in TABLES else []
+        return tuple(name for name in names if f"{table}.{name}" in self.compared)
+
+    def _count(self, part: Part, pair_id: str, column: ColumnComparison) -> None:
+        check, listed = self.check(part.table), self.mismatches[part.table]
+        check.n_numbers += len(column.rows)
+        check.n_wrong += int(column.is_wrong.sum())
+        if len(column.rows) and column.difference.max() > check.largest:
+            i = int(column.difference.argmax())
+            place = _object(column.rows, i, part.side) or part.side
+            words = (f"pair {pair_id}" if pair_id else "", place, column.column)
+            check.largest, check.where = float(column.difference[i]), ", ".join(filter(None, words))
+        for i in np.flatnonzero(column.is_wrong)[: _MOST_SHOWN - len(listed)].tolist():
+            name = _object(column.rows, i, part.side)
+            shown = column.column, _word(column.stored[i]), _word(column.recomputed[i])
+            listed.append(Mismatch(part.table, pair_id, part.side, name, *shown))
 
 
 def verify_run(
     folder: Path, n_objects: int | None = DEFAULT_OBJECTS, seed: int = 0, pair_done: PairDone | None = None
 ) -> Verification:
-    """Compares the tables of a finished run with what the literal twin makes of the tables before them.
+    """Compares the tables of a finished run with what the literal twin computes from the tables before them.
 
     Parameters
     ----------
@@ -133,36 +230,44 @@ def verify_run(
     Raises
     ------
     RunError
-        The folder is no run, the run has not ended, or its table of pairs cannot be read.
+        The folder is not a run, the run has not ended, or its table of pairs cannot be read.
     """
     run = FinishedRun(folder)
     settings = parse({group: own for group, own in run.record.settings.items() if group in Settings.model_fields})
-    comparisons, rng = Comparisons(), np.random.default_rng(seed)
-    _compare_files(run, comparisons)
-    _compare_pair_names(run, comparisons)
+    tally, rng, scans = _Tally(), np.random.default_rng(seed), _Scans(run)
+    tally.add(_files(run))
+    tally.add(_pair_names(run))
     counts = [(row["pair_id"], _n_rows(run, row["pair_id"])) for row in run.scored]
     total = sum(n for _, n in counts)
     n_drawn = total if n_objects is None else min(n_objects, total)
-    drawn = _draw(counts, np.sort(rng.choice(total, n_drawn, replace=False)) if total else np.empty(0, dtype=np.intp))
-    scans = _Scans(run)
+    drawn = _draw(counts, np.sort(rng.choice(total, n_drawn, replace=False)).tolist() if total else [])
     n_whole = len(drawn) if n_objects is None else max(1, n_drawn // _OBJECTS_PER_WHOLE_PAIR)
-    n_scans = 0
+    n_scans, tables = 0, []
     for i, (pair_id, rows) in enumerate(drawn.items()):
         scan_pair = scans.of(pair_id)
         n_scans += scan_pair is not None
-        chosen = Drawn(rows, all_nodes=n_objects is None, whole_sides=i < n_whole, rng=rng)
-        _compare_pair(run, pair_id, settings, chosen, scan_pair, scans.label_names, comparisons)
+        sample = Sample(rows, all_nodes=n_objects is None, whole_sides=i < n_whole, rng=rng)
+        pair = StoredPair(run, pair_id, settings, sample, scan_pair, scans.label_names)
+        tables = [*(table for stage in stages_of(pair) for table in stage.gives), "pairs", "timings"]
+        _compare_pair(pair, tally)
         if pair_done:
             pair_done(i + 1, len(drawn))
-    _compare_summary(run, settings, comparisons)
-    not_compared = [*comparisons.not_compared, *scans.faults]
-    of_pairs = [table for stage in wanted_stages(settings) for table in stage.gives]
-    tables = [*of_pairs, "pairs", "timings"] if drawn else []
-    if n_objects is not None and n_whole < len(drawn):
+    for what, parts in (("unmatched objects", _unmatched), ("baselines", _baseline_means), ("scores", _summary)):
+        try:
+            tally.add(parts(run, settings))
+        except (RunError, LookupError, TypeError) as error:  # of another version, or damaged, which is named already
+            tally.add([Skipped(f"what run.json says of {what}: {error}")])
+    not_compared = [f"{why}: {n} times" if n > 1 else why for why, n in tally.skipped.items()] + scans.faults
+    if n_whole < len(drawn):
         not_compared.append(
             f"coverage medians, displacement, roughness and pieces of whole sides: only of {n_whole} of {len(drawn)} "
             "pairs (all distances between two scans); --all compares all"
         )
+    not_compared += ["findings, overview, and the spread over other seeds"]
+    not_compared += [f"{name}: {why}" for name, why in NOT_COMPARED.items() if name.partition(".")[0] in tables]
+    for check in tally.checks.values():
+        check.columns = tally.columns(check.table)
+    order = [table for table in WORDS if table in tally.checks]
     return Verification(
         run=folder,
         seed=seed,
@@ -171,16 +276,10 @@ def verify_run(
         n_scored=len(counts),
         n_pairs=len(drawn),
         n_scans=n_scans,
-        tables=comparisons.tables,
-        mismatches=comparisons.mismatches,
-        not_compared=(
-            *not_compared,
-            "findings, overview, and the spread over other seeds",
-            *(f"{name}: {why}" for name, why in NOT_COMPARED.items() if name.partition(".")[0] in tables),
-        ),
-        unknown=tuple(
-            f"{table}.{column}" for table in tables for column in comparisons.unknown(table, TABLES[table].schema.names)
-        ),
+        tables=tuple(tally.checks[table] for table in order),
+        mismatches=tuple(mismatch for table in order for mismatch in tally.mismatches[table]),
+        not_compared=tuple(not_compared),
+        unknown=tuple(tally.unknown(tables)),
     )
 
 
@@ -220,8 +319,8 @@ class _Scans:
         return None
 
 
-def _compare_files(run: FinishedRun, comparisons: Comparisons) -> None:
-    """Notes each file whose content is not that which was written."""
+def _files(run: FinishedRun) -> Iterator[Part]:
+    """The hash of each file of the run."""
     for pair_id in ("", *run.store.ledger.pair_ids()):
         for record in run.store.ledger.jobs(pair_id).values():
             for name, stored in record.files.items():
@@ -229,108 +328,136 @@ def _compare_files(run: FinishedRun, comparisons: Comparisons) -> None:
                     found = stored.sha256 if stored.read(run.folder / name) is not None else "another file, or none"
                 except OSError as error:
                     found = f"cannot be read ({error.strerror})"
-                comparisons.compare(Place("files", pair_id), f"SHA-256 of {name}", stored.sha256, found)
+                yield values("files", {f"SHA-256 of {name}": stored.sha256}, {f"SHA-256 of {name}": found})
 
 
-def _compare_pair_names(run: FinishedRun, comparisons: Comparisons) -> None:
-    """Notes rows of `pairs` out of order, scored pairs without results or the reverse, and failed ones with scores."""
-    place, names = Place("pairs", ""), [row["pair_id"] for row in run.rows]
-    comparisons.compare(place, "pair_id", names, sorted(set(names)))
+def _pair_names(run: FinishedRun) -> Iterator[Part]:
+    """The order of `pairs`; that the scored pairs, and no others, have results and scores."""
     with_scores = sorted(name for name in run.store.ledger.pair_ids() if ("metrics", "") in run.store.ledger.jobs(name))
-    comparisons.compare(place, "pair_id of scored pairs", [row["pair_id"] for row in run.scored], with_scores)
+    names, scored = [row["pair_id"] for row in run.rows], [row["pair_id"] for row in run.scored]
+    yield Part("pairs", pd.DataFrame({"pair_id": names}), pd.DataFrame({"pair_id": sorted(set(names))}))
+    stored, recomputed = (pd.DataFrame(index=pd.Index(own, name="pair_id")) for own in (scored, with_scores))
+    yield Part("pairs", stored, recomputed)
     for row in run.rows:
         if row["status"] != "scored":
-            own = Place("pairs", row["pair_id"])
-            told = {name for name, value in row.items() if value is not None}
-            comparisons.compare(own, "status", row["status"], "failed")
-            comparisons.compare(own, "columns of a failed pair", sorted(told), ["pair_id", "reason", "status"])
+            columns = {"status": row["status"], "columns": str(sorted(n for n, own in row.items() if own is not None))}
+            failed = {"status": "failed", "columns": str(["pair_id", "reason", "status"])}
+            yield values("pairs", columns, failed, pair_id=row["pair_id"])
 
 
-def _compare_pair(
-    run: FinishedRun,
-    pair_id: str,
-    settings: Settings,
-    drawn: Drawn,
-    scans: ScanPair | None,
-    label_names: dict[int, str],
-    comparisons: Comparisons,
-) -> None:
-    """Compares the tables of one pair; one that nothing can be computed from is a fault of its own."""
-    pair = StoredPair(run, pair_id, settings, drawn, scans, label_names)
-    for table, check in _CHECKS.items():
+def _compare_pair(pair: StoredPair, tally: _Tally) -> None:
+    """Compares the tables of one pair; one from which nothing can be computed is a mismatch of its own."""
+    for table, recompute in RECOMPUTED.items():
         stage = _STAGE_OF.get(table, table)
-        columns = _columns_of(table, pair)
-        now = _VERSIONS.get(stage)  # the check of all tables has none
-        version = run.record.stages.get(stage, now)
+        now = _VERSIONS.get(stage)  # the rows of all tables have none
+        version = pair.run.record.stages.get(stage, now)
         if version != now:
-            comparisons.leave_out(f"{table} of version {version} of its stage, which is {now} now", columns)
+            why = f"{table} of version {version} of its stage, which is {now} now"
+            tally.add([Skipped(why, [TABLE_OF.get(table, table), "pairs"])])
             continue
         try:
-            check(pair, comparisons)
-        except RunError as error:
-            if any(one.table == "files" for one in comparisons.mismatches):  # which is named already
-                comparisons.leave_out(f"{table} of a pair with a damaged file", columns)
-            else:
-                comparisons.refuse(Place(table, pair_id), str(error), columns)
+            tally.add(recompute(pair), pair.pair_id)
         except (FidpipeError, LookupError, ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
-            comparisons.refuse(Place(table, pair_id), str(error), columns)
-
-
-def _columns_of(table: str, pair: StoredPair) -> list[str]:
-    """The columns, or the whole table, that nothing compares where the check of a table could not be done."""
-    if table == "rows":
-        return [f"{own}.{name}" for own, _ in pair.tables for name in ("pair_id", "side")]
-    prefixes = _IN_PAIRS.get(table, ())
-    return [table, *(f"pairs.{name}" for name in TABLES["pairs"].schema.names if name.startswith(prefixes))]
+            if isinstance(error, RunError) and tally.check("files").n_wrong:  # which is named already
+                tally.is_damaged = True
+                tally.add([Skipped(f"{table} of a pair with a damaged file")])
+            else:
+                tally.refuse(table, pair.pair_id, str(error))
 
 
 def _n_rows(run: FinishedRun, pair_id: str) -> int:
-    """How many objects a pair has, matched or not; 0 where its table cannot be read."""
+    """The number of objects of a pair, matched or not; 0 where its table cannot be read."""
     try:
-        n_rows: int = run.read_table("matching", pair_id, columns=["status"]).num_rows
+        return int(run.read_table("matching", pair_id, columns=["status"]).num_rows)
     except RunError:
         return 0
-    return n_rows
 
 
-def _draw(counts: list[tuple[str, int]], numbers: np.ndarray[tuple[int], np.dtype[np.intp]]) -> dict[str, list[int]]:
-    """By pair, the rows of `matching` that bear these numbers, ascending, when all pairs are counted through."""
+def _draw(counts: list[tuple[str, int]], numbers: list[int]) -> dict[str, list[int]]:
+    """By pair, the rows of `matching` with these numbers, ascending, if the rows of all pairs are numbered through."""
+    ends = np.cumsum([n for _, n in counts])
     drawn: dict[str, list[int]] = {}
-    left: Iterator[tuple[str, int]] = iter(counts)
-    pair_id, start, n = "", 0, 0
-    for number in numbers.tolist():
-        while number >= start + n:
-            start += n
-            pair_id, n = next(left)
-        drawn.setdefault(pair_id, []).append(number - start)
+    for number in numbers:
+        i = int(np.searchsorted(ends, number, side="right"))
+        drawn.setdefault(counts[i][0], []).append(int(number - ends[i] + counts[i][1]))
     return drawn
 
 
-def _compare_summary(run: FinishedRun, settings: Settings, comparisons: Comparisons) -> None:
-    """Compares means and counts of `run.json` with the rows of `pairs` and of the tables of all pairs."""
-    place, scored = Place("run.json", ""), run.scored
-    for what, check in (("unmatched objects", objects.check_unmatched), ("baselines", objects.check_baseline_means)):
-        try:
-            check(run, settings, place, comparisons)
-        except (RunError, LookupError, TypeError) as error:  # of another version, or damaged, which is named already
-            comparisons.leave_out(f"what run.json says of {what}: {error}")
-    counts = run.record.pairs
-    comparisons.compare(place, "pairs.scored", counts.scored, len(scored))
-    comparisons.compare(place, "pairs.failed", counts.failed, len(run.rows) - len(scored))
-    values = {name: [row[name] for row in scored] for name in RUN_SCORES}
+def _summary(run: FinishedRun, settings: Settings) -> Iterator[Part]:
+    """Counts of pairs, means and deviations over pairs in `run.json`, from the rows of `pairs`."""
+    scored, counts = run.scored, run.record.pairs
+    stored: Row = {"pairs.scored": counts.scored, "pairs.failed": counts.failed}
+    made: Row = {"pairs.scored": len(scored), "pairs.failed": len(run.rows) - len(scored)}
+    columns = {name: [row[name] for row in scored] for name in RUN_SCORES}
     for name in DISTRIBUTED:
-        values[unmatched_worst(name)] = []
+        columns[unmatched_worst(name)] = []
         for row in scored:
             n = row["n_matched"] - (row["n_too_small"] if METRIC[name].is_nullable else 0)
             n_alone, worst = row["n_missing"] + row["n_hallucinated"], METRIC[name].high or 0.0
             sums = (row[METRIC[name].mean_column] or 0.0) * n + worst * n_alone
-            values[unmatched_worst(name)].append(sums / (n + n_alone) if n + n_alone else None)
-    for name, own in values.items():
-        stored = run.record.summary.get(name)
-        if stored is None:
-            continue  # an older fidpipe did not have this score
-        mean, std = mean_and_std(own)
+            columns[unmatched_worst(name)].append(sums / (n + n_alone) if n + n_alone else None)
+    for name, own in columns.items():
+        summary, (mean, std) = run.record.summary[name], mean_and_std(own)
         n_pairs = sum(value is not None for value in own)
-        for column, kept, made in (("mean", stored.mean, mean), ("std", stored.std, std)):
-            comparisons.compare(place, f"summary.{name}.{column}", kept, made, tolerance=LENGTH_M)
-        comparisons.compare(place, f"summary.{name}.n_pairs", stored.n_pairs, n_pairs)
+        for key, value in {"mean": mean, "std": std, "n_pairs": n_pairs}.items():
+            stored[f"summary.{name}.{key}"], made[f"summary.{name}.{key}"] = getattr(summary, key), value
+    yield values("run.json", stored, made)
+
+
+def _unmatched(run: FinishedRun, settings: Settings) -> Iterator[Part]:
+    """How many unmatched objects the other side has, has partly, or lacks, and how many are road there."""
+    made = {f"{word}.{state}": 0 for word in UNMATCHED.values() for state in ("there", "partly", "absent", "road")}
+    for own in run.scored:
+        rows = run.read_table("coverage", own["pair_id"]).to_pylist()
+        coverage = {(row["side"], row["community_id"]): row for row in rows}
+        for match in run.read_table("matching", own["pair_id"]).to_pylist():
+            for side, word in UNMATCHED.items():
+                if match["status"] == word:
+                    row = coverage[side, match[f"{side}_id"]]
+                    share = row["covered_0p3m"]
+                    made[f"{word}.{'there' if share > 0.8 else 'partly' if share > 0.2 else 'absent'}"] += 1
+                    made[f"{word}.road"] += (row["road_share"] or 0) > 0.5
+    unmatched = run.record.metrics and run.record.metrics.unmatched
+    for name, n in made.items():
+        word, state = name.split(".")
+        column, stored = f"metrics.unmatched.{name}", getattr(unmatched, word)
+        yield values("run.json", {column: getattr(stored, state)}, {column: n})
+
+
+def _baseline_means(run: FinishedRun, settings: Settings) -> Iterator[Part]:
+    """Means and deviations over pairs of the baseline metrics, of objects and of whole scans."""
+    of_pairs: dict[tuple[str, str], list[list[float | None]]] = {}
+    for own in run.scored if settings.metrics.baselines else []:
+        of_pair: dict[tuple[str, str], list[float | None]] = {}
+        for row in run.read_table("baselines", own["pair_id"]).to_pylist():
+            level = "scans" if row["real_id"] is None else "objects"
+            of_pair.setdefault((row["baseline"], level), []).append(row["value"])
+        for name, own_values in of_pair.items():
+            of_pairs.setdefault(name, []).append(own_values)
+    made = []
+    for (baseline, level), pairs in of_pairs.items():
+        mean, std = mean_and_std([mean_and_std(own_values)[0] for own_values in pairs])
+        n_null = sum(own_values.count(None) for own_values in pairs)
+        n = sum(map(len, pairs)) - n_null
+        made.append({"baseline": baseline, "level": level, "mean": mean, "std": std, "n": n, "n_null": n_null})
+    keys = ["baseline", "level"]
+    columns = [*keys, "mean", "std", "n", "n_null"]
+    rows = [{name: getattr(summary, name) for name in columns} for summary in run.record.baselines]
+    stored, recomputed = (pd.DataFrame(own, columns=columns).set_index(keys) for own in (rows, made))
+    yield Part("run.json", stored, recomputed)
+
+
+def _object(rows: pd.Index[Any], i: int, side: str) -> str:
+    """A row in words by its keys, such as "real 3, sim 5" or "point 12"; "" for single values and whole sides."""
+    key = rows[i] if isinstance(rows, pd.MultiIndex) else (rows[i],)
+    named = {str(name): value for name, value in zip(rows.names, key, strict=True) if name is not None and value != -1}
+    side = named.pop("side", side) if len(named) > 1 else side
+    of_side = {"community_id": side}
+    return ", ".join(f"{of_side.get(name, name.removesuffix('_id'))} {value}" for name, value in named.items())
+
+
+def _word(value: object) -> str:
+    """A value with all its digits."""
+    if isinstance(value, float | np.floating):
+        return "null" if np.isnan(value) else repr(float(value))
+    return "null" if value is None else str(value)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from ...schemas.columns import SIDES
 from ..report.view import Note, Table, View
-from .comparisons import Mismatch
-from .verify import Verification
+from .verify import Mismatch, Verification
 
 _UNKNOWN = "stages/literal does not have it, and it is not declared as not compared"
 
@@ -35,10 +35,12 @@ def verify_view(result: Verification) -> View:
 
 
 def _in_words(mismatch: Mismatch) -> str:
+    is_object = mismatch.object.startswith(SIDES)
     places = (
         mismatch.table,
         f"pair {mismatch.pair_id}" if mismatch.pair_id else "",
-        f"object {mismatch.object}" if mismatch.object else mismatch.side,
+        "" if is_object else mismatch.side,
+        f"object {mismatch.object}" if is_object else mismatch.object,
         mismatch.column,
     )
     return f"{', '.join(filter(None, places))}: stored {mismatch.stored}, recomputed {mismatch.recomputed}"

@@ -7,14 +7,15 @@ import shutil
 
 import numpy as np
 import orjson
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
-from fidpipe.pipeline.verify import comparisons, verify
-from fidpipe.pipeline.verify.comparisons import NOT_COMPARED, Comparisons, Place
+from fidpipe.pipeline.verify import recompute, verify
+from fidpipe.pipeline.verify.compare_frames import NOT_COMPARED, compare
 from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.pipeline.verify.verify_view import verify_view
 from fidpipe.schemas.errors import RunError
@@ -163,7 +164,7 @@ _NOT_AT_ONCE = {
     "table", ["sensor", "objects", "matching", "coverage", "surface", "pieces", "metrics", "seeds", "pairs"]
 )
 def test_each_edited_column_is_named_though_all_of_a_table_are_edited_at_once(copy, monkeypatch, table):
-    monkeypatch.setattr(comparisons, "_MOST_SHOWN", 10**6)
+    monkeypatch.setattr(verify, "_MOST_SHOWN", 10**6)
     names = {name for own, name in CHANGES if own == table} - _NOT_AT_ONCE
     schema = pq.read_schema(copy / FILES[table])
     for name in names:
@@ -202,7 +203,7 @@ def test_a_score_that_the_literal_twin_does_not_know_is_said_to_be_unverified(pl
 
 
 def test_a_table_that_nobody_compares_is_said_to_be_unverified(plain, monkeypatch):
-    monkeypatch.delitem(verify._CHECKS, "coverage")
+    monkeypatch.delitem(recompute.RECOMPUTED, "coverage")
     assert [name for name in verify_run(plain, None).unknown if name.startswith("coverage.")] == [
         f"coverage.{name}" for name in TABLES["coverage"].schema.names if name != "pair_id"
     ]
@@ -340,16 +341,39 @@ def test_the_json_has_what_the_terminal_says(whole):
     assert command("verify", whole.parent, "--objects", 2).returncode == 1
 
 
+def wrong(stored, recomputed, **options):
+    """By column, the rows and values that differ; the rows are numbered."""
+    frames = [pd.DataFrame(own).rename_axis("real_id") for own in (stored, recomputed)]
+    return {
+        own.column: [(own.rows[i], own.stored[i], own.recomputed[i]) for i in np.flatnonzero(own.is_wrong)]
+        for own in compare("metrics", *frames, **options)
+        if own.is_wrong.any()
+    }
+
+
 def test_a_comparison_tells_null_from_a_number_and_words_from_each_other():
-    place, comparisons = Place("metrics", "000"), Comparisons()
-    comparisons.compare(place, "r_gap", [None, 1.0, None], [None, None, 2.0])
-    comparisons.compare(place, "status", ["scored", "scored"], ["scored", "identical"])
-    comparisons.compare(place, "cdc", 1.0 + 1e-10, 1.0, tolerance=1e-9)
-    comparisons.compare(place, "n_real", [1, 2, 3], [1, 2])
-    assert [(own.column, own.stored, own.recomputed) for own in comparisons.mismatches] == [
-        ("r_gap", "1.0", "null"),
-        ("r_gap", "null", "2.0"),
-        ("status", "scored", "identical"),
-        ("number of rows of n_real", "3", "2"),
-    ]
-    assert comparisons.tables[0].largest == pytest.approx(1e-10, rel=1e-3)
+    stored = {"r_gap": [None, 1.0, None], "status": ["scored", "scored", None], "cdc": [1.0 + 1e-10, 2.0, 3.0]}
+    recomputed = {"r_gap": [None, None, 2.0], "status": ["scored", "identical", ""], "cdc": [1.0, 2.0, 3.0]}
+    found = wrong(stored, recomputed)
+    assert repr([tuple(map(float, own)) for own in found.pop("r_gap")]) == "[(1.0, 1.0, nan), (2.0, nan, 2.0)]"
+    assert found == {"status": [(1, "scored", "identical"), (2, None, "")]}
+    assert wrong({"cdc": [1.0]}, {"cdc": [1.0 + 1e-8]}).keys() == {"cdc"}
+
+
+def test_a_comparison_finds_rows_that_are_missing_surplus_or_there_twice():
+    rows = pd.DataFrame({"n_real": [4, 5, 6]})
+    assert wrong(rows.iloc[[0, 2]], rows) == {"row": [(1, "absent", "present")]}
+    assert wrong(rows, rows.iloc[:2]) == {"row": [(2, "present", "absent")]}
+    assert wrong(rows, rows.iloc[:2], is_whole=False) == {}
+    assert wrong(rows.iloc[[0, 1, 1, 2]], rows) == {"row": [(1, "present", "absent")]}
+
+
+@pytest.mark.parametrize("column", ["n_real", "status", "graph.length_m", "surface.shift_m"])
+def test_a_comparison_has_the_tolerance_of_the_column(column):
+    table, _, name = column.rpartition(".")
+    stored, near, far = {"n_real": (7, 7, 8), "status": ("a", "a", "b"), "length_m": (0.25, 0.25, 0.25 + 1e-13),
+                         "shift_m": (1.0, 1.0 + 5e-9, 1.0 + 5e-8)}[name]  # fmt: skip
+    for value, is_wrong in ((near, False), (far, True)):
+        frames = (pd.DataFrame({name: [own]}) for own in (stored, value))
+        (found,) = compare(table or "metrics", *frames)
+        assert found.is_wrong.tolist() == [is_wrong]

@@ -1,0 +1,648 @@
+"""The tables of a pair once more, as data frames: each from the stored tables before it, by `stages.literal`.
+
+Where ties or rounding make several answers right, the stored one is taken over if it is one of these.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.distance import cdist
+
+from ...schemas.columns import SIDES, Row
+from ...schemas.metrics import BASELINES, COVERAGE_REACHES, METRIC, OBJECT_METRICS, SHIFT_COLUMNS
+from ...schemas.tables import TABLES
+from ...stages.arrays import FloatArray, IndexArray
+from ...stages.clean import as_ros
+from ...stages.inspect.sensor import PAIR_COLUMNS, describe_sensor, sensor_row
+from ...stages.literal import baselines as distances
+from ...stages.literal import method, surfaces
+from ...stages.literal import pieces as surface_pieces
+from ..jobs import EXTRAS, STAGES
+from ..stage import Stage
+from .compare_frames import DEFAULT_TOLERANCE
+from .stored import Part, Skipped, StoredPair, StoredSide, values
+
+Parts = Iterator[Part | Skipped]
+
+#: Objects with more points are left out where dense matrices of all their nodes would be needed.
+MOST_NODES = 3000
+#: The relative and absolute difference that two ways of computing an influence may have.
+_ROUNDING = 1e-11
+_FEWEST_FOR_SPECTRA = 3
+_FEWEST_FOR_PLANES = 20
+_SAMPLE_POINTS = 2000
+_NODES_PER_OBJECT = 3
+_PLACE = ("cx", "cy", "cz", "range_m", "extent_x", "extent_y", "extent_z")
+_DESCRIBED = (*_PLACE, "linearity", "planarity", "scattering")
+_ROUGHNESS = ("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m")
+_REACHES_M = dict(zip(COVERAGE_REACHES, (0.1, 0.3, 1.0), strict=True))
+_FROM_SCANS = ("point_id", "x", "y", "z", "intensity", "label", "instance")
+#: Baselines that need the graphs or the aligned nodes of an object.
+_OF_OBJECTS = ("emd", "netlsd", "r_h")
+UNMATCHED = {"real": "missing", "sim": "hallucinated"}
+
+
+def stages_of(pair: StoredPair) -> list[Stage]:
+    """The stages that a run with the pair's settings has, in their order."""
+    return [stage for stage in (*STAGES, *EXTRAS) if stage.is_wanted is None or stage.is_wanted(pair.settings)]
+
+
+def rows(pair: StoredPair) -> Parts:
+    """The pair and side that the rows of every table name, and their order by the table's keys, none twice."""
+    versions = pair.run.record.stages
+    of_today = [stage for stage in stages_of(pair) if versions.get(stage.name, stage.version) == stage.version]
+    for table, side in [(table, side) for stage in of_today for side in stage.parts for table in stage.gives]:
+        frame = pair.table(table, side)
+        names = {"pair_id": pair.pair_id} | ({"side": side} if side else {})
+        stored: Row = {f"{table}.{name}": int((frame[name] != own).sum()) for name, own in names.items()}
+        keys = [frame[key].replace(-1, np.inf) for key in TABLES[table].keys]  # nulls last
+        is_after = np.zeros(max(0, len(frame) - 1), dtype=bool)
+        is_same = ~is_after
+        for key in keys:
+            before, after = key.to_numpy()[:-1], key.to_numpy()[1:]
+            is_after |= is_same & (before < after)
+            is_same &= before == after
+        stored[f"rows of {table} not in order, or twice"] = int((~is_after).sum())
+        yield values("rows", stored, dict.fromkeys(stored, 0), side)
+
+
+def scan(pair: StoredPair) -> Parts:
+    """The points that cleaning keeps, point by point."""
+    settings = pair.settings.input
+    for side in SIDES:
+        read = pair.scan(side)
+        if read is None:
+            of_ground = [f"ground.{name}" for name in _FROM_SCANS]
+            yield Skipped("", [*of_ground, "sensor", *(f"pairs.n_{side}_raw" for side in SIDES)])
+            return
+        transform = pair.scans.T_real_sim if pair.scans and side == "sim" else None
+        T = np.array(transform).reshape(3, 4) if transform else None
+        limits = settings.min_range_m, settings.max_range_m, settings.exclude_box, T
+        frame_of_side, box = settings.frame_of(side), settings.include_box
+        kept, points = method.clean(read.points, *limits, frame=frame_of_side, include_box=box)
+        frame = pd.DataFrame(points, columns=list("xyz"), index=pd.Index(kept, name="point_id", dtype=np.intp))
+        for name, own in (("intensity", read.intensity), ("instance", read.instances), ("label", read.labels)):
+            frame[name] = None if own is None else own[kept]
+        yield pair.part("scan", frame, side)
+        yield pair.in_pairs({f"n_{side}_raw": len(read.points)})
+
+
+def ground(pair: StoredPair) -> Parts:
+    """Heights and flags of all clean points, and the cut."""
+    settings = pair.settings.ground
+    for side in SIDES:
+        stored, facts = pair.table("ground", side), pair.facts("ground", side)
+        cut, heights, is_clear = _cut(pair, side)
+        frame = pd.DataFrame({"height_m": heights - cut["peak_m"]}, index=pd.Index(stored["point_id"], name="point_id"))
+        if settings.method == "patchwork":
+            yield Skipped("flags of ground by patchwork++: there is no second implementation", ["ground.is_ground"])
+        else:
+            threshold_m = -np.inf if cut["threshold_m"] is None else cut["threshold_m"]
+            is_close = np.abs(heights - threshold_m) <= DEFAULT_TOLERANCE
+            frame["is_ground"] = np.where(is_close, stored["is_ground"], heights < threshold_m)
+        yield pair.part("ground", frame, side, is_whole=False)
+        n_ground, axis = int(stored["is_ground"].sum()), cut.pop("axis")
+        yield pair.in_pairs({f"n_{side}_clean": len(stored), f"n_{side}_points": len(stored) - n_ground})
+        cut["removed_share"] = n_ground / len(stored)
+        if not is_clear:
+            yield Skipped("tilt of a scan that spreads alike along two axes", [f"pairs.ground_{side}_tilt_deg"])
+            del cut["tilt_deg"]
+        yield pair.in_pairs({f"ground_{side}_{name}": value for name, value in cut.items()})
+        cut |= {f"axis {name}": value for name, value in zip("xyz", axis.tolist(), strict=True)}
+        noted = facts | {f"axis {name}": value for name, value in zip("xyz", facts["axis"], strict=True)}
+        yield values("ground", {f"fact {name}": noted[name] for name in cut},
+                     {f"fact {name}": value for name, value in cut.items()}, side)  # fmt: skip
+
+
+def _cut(pair: StoredPair, side: str) -> tuple[dict[str, Any], FloatArray, bool]:
+    """The cut of a side by its facts, the heights of its points, and whether the points determine the axis."""
+    settings, points = pair.settings.ground, pair.sides[side].all_points
+    limits = settings.prior_m, settings.max_variance_loss, settings.loss
+    own = method.ground(points, *limits, if_not_told=np.array(pair.facts("ground", side)["axis"]))
+    heights = own.height_m
+    cut = {name: getattr(own, name) for name in ("axis", "tilt_deg", "peak_m", "threshold_m", "loss", "iterations")}
+    if side == "sim" and (settings.shared or settings.peak == "real"):
+        real = pair.facts("ground", "real")
+        axis = np.array(real["axis"])
+        offset_m = 0.0 if settings.shared else method.road_offset(pair.sides["real"].all_points, points, axis)
+        if offset_m is not None:
+            cut = {name: real[name] for name in cut} | {"axis": axis, "peak_m": real["peak_m"] + offset_m}
+            heights = np.array([float(p @ axis) for p in points])
+            if real["threshold_m"] is not None:
+                cut["threshold_m"] = real["threshold_m"] + offset_m
+            threshold_m = cut["threshold_m"] or 0.0
+            cut["loss"] = method.variance_loss(points, heights, threshold_m, cut["peak_m"], settings.loss)
+    if settings.method != "pca":
+        cut |= dict.fromkeys(("threshold_m", "loss", "iterations"))
+    return cut, heights, own.is_told
+
+
+def sensor(pair: StoredPair) -> Parts:
+    """The description of both sensors, by the same code."""
+    for side in SIDES:
+        stored = pair.table("sensor", side)
+        yield pair.in_pairs({f"sensor_{side}_{name.removeprefix('n_')}": stored[name][0] for name in PAIR_COLUMNS})
+        read = pair.scan(side)
+        if read is not None:
+            points = as_ros(read.points, pair.settings.input.frame_of(side))
+            row = sensor_row(describe_sensor(points, read.rings, read.times_s is not None))
+            yield pair.part("sensor", _frame([row | {"side": side}], ["side"]), side)
+
+
+def graph(pair: StoredPair) -> Parts:
+    """The length of every edge, and the edges of some nodes."""
+    for side, own in pair.sides.items():
+        src, dst, stored_length = own.edges
+        nodes = np.arange(len(own.points)) if pair.sample.all_nodes else _drawn_nodes(pair, side)
+        is_looked_at = np.isin(src, nodes) | np.isin(dst, nodes)
+        edges = sorted({edge for node in nodes.tolist() for edge in _edges_of(pair, own, node)})
+        found = np.array(edges, dtype=np.intp).reshape(-1, 2)
+        frames = (
+            pd.DataFrame({"src": own.point_ids[i], "dst": own.point_ids[j]}).set_index(["src", "dst"])
+            for i, j in ((src[is_looked_at], dst[is_looked_at]), (found[:, 0], found[:, 1]))
+        )
+        yield Part("graph", next(frames), next(frames), side)
+        length = np.sqrt(((own.points[src] - own.points[dst]) ** 2).sum(axis=1)).astype(np.float32)
+        for i in np.flatnonzero(length != stored_length).tolist():  # one operation after the other: the last bit counts
+            length[i] = method.distances(own.points[dst[i], None], own.points[src[i]])[0]
+        stored = pair.table("graph", side).set_index(["src", "dst"])
+        yield Part("graph", stored, pd.DataFrame({"length_m": length}, index=stored.index), side, is_whole=False)
+
+
+def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
+    """Some nodes of the drawn objects of a side."""
+    nodes: list[int] = []
+    for community in pair.drawn_ids(side):
+        members = pair.sides[side].members(community)
+        nodes += pair.sample.rng.choice(members, min(_NODES_PER_OBJECT, len(members)), replace=False).tolist()
+    return np.array(nodes, dtype=np.intp)
+
+
+def _edges_of(pair: StoredPair, own: StoredSide, node: int) -> list[tuple[int, int]]:
+    """The edges of a node: those that it needs, and of the stored ones those that the other end needs."""
+    settings = pair.settings.graph
+    within = set(np.flatnonzero(method.distances(own.points, own.points[node]) <= settings.tau_m).tolist()) - {node}
+    is_union = settings.edges == "union"
+    needed = own.nearest(node) | within if is_union else own.nearest(node) & within
+    of_others = {j for j in own.neighbours(node) - needed if node in own.nearest(j) and (is_union or j in within)}
+    return [(min(node, j), max(node, j)) for j in needed | of_others]
+
+
+def communities(pair: StoredPair) -> Parts:
+    """The object of every object point: by Louvain's method, or that of the nearest real point."""
+    settings = pair.settings.communities
+    is_reference = settings.objects == "reference"
+    for side, own in pair.sides.items():
+        n = len(own.points)
+        if is_reference and side == "sim":
+            labels = _reference_labels(pair, own)
+        else:
+            order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(n))
+            labels = _canonical(own.labels, order)
+            if is_reference and settings.reference != "louvain":
+                yield Skipped(f"which points are one object by their {settings.reference}")
+            else:
+                if own.edges[2].any():
+                    what = "modularity gained by joining two communities"
+                    gain = max(0.0, method.best_joining(own.labels, *own.edges))
+                    yield values("communities", {what: gain}, {what: 0.0}, side)
+                if settings.backend != "scikit-network" or not pair.has_same_library("scikit-network"):
+                    yield Skipped("communities of a graph by another Louvain than that of the installed scikit-network")
+                elif not own.edges[2].any():
+                    yield Skipped("the pieces of a graph without lengths")
+                else:
+                    visits = order if is_reference else np.random.RandomState(settings.seed).permutation(n)
+                    labels = _canonical(np.array(method.louvain(n, *own.edges, visits)), order)
+        frame = pd.DataFrame({"community_id": labels}, index=pd.Index(own.point_ids, name="point_id"))
+        yield pair.part("communities", frame, side)
+
+
+def _reference_labels(pair: StoredPair, own: StoredSide) -> IndexArray:
+    """The object of each simulated point: that of the nearest real point, or, out of reach, one of its own.
+
+    Of several equally near points any may be meant. The points of objects that are not drawn are taken over, unless
+    both sides are compared as a whole.
+    """
+    settings, real, stored = pair.settings.communities, pair.sides["real"], own.labels
+    n_real, made, sizes = int(real.labels.max()) + 1, own.labels.copy(), np.bincount(stored[stored >= 0])
+
+    def number(points: IndexArray, groups: IndexArray) -> IndexArray:
+        return _canonical(groups, np.array(surfaces.visiting_order(own.points[points], settings.seed), dtype=np.intp))
+
+    alone = np.flatnonzero(stored >= n_real)
+    made[alone] = n_real + number(alone, stored[alone])
+    judged = [i for community in pair.drawn_ids("sim") for i in own.members(community).tolist()]
+    found = np.zeros(len(stored), dtype=bool)
+    if pair.sample.whole_sides:
+        outside = np.flatnonzero(method.nearest_distances(own.points, real.points) > settings.reach_m)
+        groups = np.array(surface_pieces.components(own.points[outside], pair.settings.pieces.link_m), dtype=np.intp)
+        groups = number(outside, groups)
+        is_object = np.bincount(groups)[groups] >= settings.min_points
+        found[outside[is_object]] = True
+        made[found] = n_real + groups[is_object]
+        judged = [i for i in {*judged, *alone.tolist()} if not found[i]]
+    for i in judged:
+        apart = method.distances(real.points, own.points[i])
+        near = real.labels[apart <= apart.min() * (1 + 1e-12)]
+        is_out_of_reach = (
+            stored[i] >= n_real and sizes[stored[i]] >= settings.min_points and apart.min() > settings.reach_m
+        )
+        if stored[i] not in near and (pair.sample.whole_sides or not is_out_of_reach):
+            made[i] = near[0]
+    return made
+
+
+def _canonical(labels: IndexArray, order: IndexArray) -> IndexArray:
+    """The same partition, numbered by size and then by the first of its points in an order; -1 stays."""
+    numbered = np.full(len(labels), -1, dtype=np.intp)
+    in_object = order[labels[order] >= 0]
+    numbered[in_object] = method.canonical(labels[in_object].tolist())
+    return numbered
+
+
+def objects(pair: StoredPair) -> Parts:
+    """The number of points of every object; place, size, shape and label of the drawn ones."""
+    for side, own in pair.sides.items():
+        ids = pd.RangeIndex(len(own.sizes), name="community_id")
+        yield pair.part("objects", pd.DataFrame({"n_points": own.sizes}, index=ids), side)
+        words = pair.table("ground", side)["label"].to_numpy()[own.is_object]
+        drawn = []
+        for community in pair.drawn_ids(side):
+            members = own.members(community)
+            made: list[float | None] = [None] * len(_DESCRIBED)
+            if len(members):
+                about = method.describe(own.points[members])
+                made = [*about.centroid, about.range_m, *about.extent, *about.shape]
+            row: Row = {"community_id": community, "label": _most_frequent(words[members])}
+            drawn.append(row | dict(zip(_DESCRIBED, made, strict=True)))
+        yield pair.part("objects", _frame(drawn, ["community_id"]), side, is_whole=False)
+
+
+def _most_frequent(words: Iterable[Any]) -> str | None:
+    """The most frequent word, of several the first in the alphabet; None where there are only nulls."""
+    named = [word for word in words if not pd.isna(word)]
+    return min(set(named), key=lambda word: (-named.count(word), word)) if named else None
+
+
+def matching(pair: StoredPair) -> Parts:
+    """Which objects match, of all of them."""
+    tables = {side: pair.table("objects", side) for side in SIDES}
+    real, sim = (tables[side][["cx", "cy", "cz"]].to_numpy() for side in SIDES)
+    settings = pair.settings.matching
+    pairs = sorted((row["real_id"], row["sim_id"]) for row in pair.matched)
+    unmatched_sim = set(range(len(sim)))
+    if pair.settings.communities.objects == "reference":
+        n_real, n_sim = (tables[side]["n_points"].to_numpy() for side in SIDES)
+        least = pair.settings.communities.min_points
+        pairs = [(i, i) for i in range(len(real)) if n_sim[i] >= min(least, n_real[i])]
+        unmatched_sim = set(range(len(real), len(sim)))
+    elif settings.method == "greedy":
+        found = method.match_greedy(real, sim, settings.delta_m, dict(pairs), DEFAULT_TOLERANCE)
+        pairs = [(i, j) for i, j, _ in found]
+    else:
+        yield _optimum(real, sim, pairs, settings.delta_m)
+    made: list[Row] = [
+        {"real_id": i, "sim_id": j, "status": "matched", "centroid_distance_m": math.dist(real[i], sim[j])}
+        for i, j in pairs
+    ]
+    missing = sorted(set(range(len(real))) - {i for i, _ in pairs})
+    made += [{"real_id": i, "sim_id": -1, "status": "missing"} for i in missing]
+    unmatched = sorted(unmatched_sim - {j for _, j in pairs})
+    made += [{"real_id": -1, "sim_id": j, "status": "hallucinated"} for j in unmatched]
+    yield pair.part("matching", _frame(made, ["real_id", "sim_id"], ["status", "centroid_distance_m"]))
+
+
+def _optimum(real: FloatArray, sim: FloatArray, pairs: list[tuple[int, int]], delta_m: float) -> Part:
+    """The mean distance of the stored matches, of all below delta, and the least that any matching has."""
+    n, least = max(len(real), len(sim)), min(len(real), len(sim))
+    apart, forbidden = cdist(real, sim), delta_m * (least + 1)
+    cost = np.zeros((n, n))
+    cost[: len(real), : len(sim)] = np.where(apart < delta_m, apart, forbidden)
+    total = math.fsum(apart[i, j] for i, j in pairs) + (least - len(pairs)) * forbidden
+    what, within = "mean distance, m", "matches nearer than delta"
+    stored = {what: total / n, within: sum(apart[i, j] < delta_m for i, j in pairs)}
+    return values("matching", stored, {what: method.least_total(cost) / n, within: len(pairs)})
+
+
+def coverage(pair: StoredPair) -> Parts:
+    """What the other side has of each drawn object; of whole sides the mean of their objects."""
+    keys = ["side", "community_id"]
+    sizes = [(side, i, n) for side in SIDES for i, n in enumerate(pair.sides[side].sizes.tolist())]
+    sizes += [(side, -1, len(pair.sides[side].points)) for side in SIDES]
+    yield pair.part("coverage", pd.DataFrame(sizes, columns=[*keys, "n_points"]).set_index(keys))
+    for side, other in (SIDES, SIDES[::-1]):
+        own, others, cut = pair.sides[side], pair.sides[other].points, pair.facts("ground", other)
+        drawn = {community: own.members(community) for community in pair.drawn_ids(side)}
+        if pair.sample.whole_sides:
+            drawn[-1] = np.arange(len(own.points))
+        made = [
+            {"side": side, "community_id": community} | _covered(own.points[members], others, cut)
+            for community, members in drawn.items()
+        ]
+        yield pair.part("coverage", _frame(made, keys), is_whole=False)
+        stored = pair.table("coverage").query("side == @side")
+        whole = stored[stored["community_id"] == -1].iloc[0]
+        yield pair.in_pairs({f"covered_{side}_{reach}": whole[f"covered_{reach}"] for reach in COVERAGE_REACHES})
+        if (own.labels < 0).any():
+            yield Skipped("coverage of a whole side as the mean of its objects, where points belong to none")
+            continue
+        parts = stored[(stored["community_id"] >= 0) & (stored["n_points"] > 0)]
+        shares = parts[[*(f"covered_{reach}" for reach in COVERAGE_REACHES), "road_share"]].astype(float)
+        means = shares.mul(parts["n_points"], axis=0).sum(skipna=False) / parts["n_points"].sum()
+        mean = _frame(
+            [{"side": side, "community_id": -1} | dict(zip(map(str, means.index), means.tolist(), strict=True))], keys
+        )
+        yield pair.part("coverage", mean, is_whole=False)
+
+
+def _covered(points: FloatArray, others: FloatArray, cut: dict[str, Any]) -> Row:
+    """Shares of some points that the other side has, their median distance from it, and the share below its cut."""
+    if not len(points):
+        return dict.fromkeys((*(f"covered_{reach}" for reach in _REACHES_M), "median_distance_m", "road_share"))
+    apart = method.nearest_distances(points, others).tolist()
+    row: Row = {f"covered_{reach}": surfaces.covered(apart, reach_m) for reach, reach_m in _REACHES_M.items()}
+    row |= {"median_distance_m": float(np.median(apart)), "road_share": None}
+    if cut["threshold_m"] is not None:
+        heights = [float(p @ np.array(cut["axis"])) for p in points]
+        row["road_share"] = sum(h < cut["threshold_m"] for h in heights) / len(heights)
+    return row
+
+
+def surface(pair: StoredPair) -> Parts:
+    """The displacement of the surfaces of the drawn real objects; of whole sides also their roughness."""
+    stored = pair.table("surface").set_index("real_id")
+    ids = [*range(len(pair.table("objects", "real"))), -1]
+    yield pair.part("surface", pd.DataFrame(index=pd.Index(ids, name="real_id")))
+    yield pair.in_pairs({column: stored.loc[-1, column] for column in SHIFT_COLUMNS})
+    points, sim = pair.sides["real"].points, pair.sides["sim"].points
+    planes = {i: surfaces.local_plane(points, points[i]) for i in _plane_points(pair, "real")}
+    labels = pair.sides["real"].labels
+    drawn = {community: [planes[i] for i in planes if labels[i] == community] for community in pair.drawn_ids("real")}
+    if pair.sample.whole_sides:
+        drawn[-1] = list(planes.values())
+    made = []
+    for community, own in drawn.items():
+        if any(plane.is_tied for plane in own):
+            yield Skipped("displacement of an object, some of whose points have equally near neighbours", ["surface"])
+            continue
+        offset = surfaces.offset(own, sim)
+        row = {"real_id": community, "n_points": offset.n_points, "n_directions": offset.n_directions}
+        made.append(row | dict(zip(SHIFT_COLUMNS, (*offset.shift_m, offset.distance_m), strict=True)))
+    yield pair.part("surface", _frame(made, ["real_id"]), is_whole=False)
+    if not pair.sample.whole_sides:
+        return
+    of_sim = [surfaces.local_plane(sim, sim[i]) for i in _plane_points(pair, "sim")]
+    if any(plane.is_tied for plane in (*planes.values(), *of_sim)):
+        yield Skipped("roughness of a pair, some of whose points have equally near neighbours",
+                      [f"pairs.{name}" for name in _ROUGHNESS])  # fmt: skip
+        return
+    roughness: dict[str, float | None] = dict.fromkeys(_ROUGHNESS)
+    if planes and of_sim:
+        a, b = (np.array([plane.roughness_m for plane in own]) for own in (planes.values(), of_sim))
+        bias = float(b.mean() - a.mean())
+        area = surfaces.area_between(a.tolist(), (b - bias).tolist())
+        roughness = dict(zip(_ROUGHNESS, (float(np.median(a)), float(np.median(b)), bias, area), strict=True))
+    yield pair.in_pairs(roughness)
+
+
+def _plane_points(pair: StoredPair, side: str) -> list[int]:
+    """The sampled points for planes; those of drawn objects only, unless whole sides are compared."""
+    own = pair.sides[side]
+    if len(own.points) < _FEWEST_FOR_PLANES:
+        return []
+    sample = surfaces.visiting_order(own.points)[:_SAMPLE_POINTS]
+    drawn = set(pair.drawn_ids(side))
+    return [i for i in sample if pair.sample.whole_sides or own.labels[i] in drawn]
+
+
+def pieces(pair: StoredPair) -> Parts:
+    """Numbers, shares and moves of the stored pieces; of whole sides the pieces themselves."""
+    keys, stored = ["side", "piece_id"], pair.table("pieces")
+    if pair.sample.whole_sides:
+        yield pair.part("pieces", _frame(_pieces(pair, "real", "sim") + _pieces(pair, "sim", "real"), keys))
+    else:
+        yield Skipped("", ["pieces"])
+    of_side = {side: stored[stored["side"] == side].to_dict("records") for side in SIDES}
+    for side, word in (("real", "missing"), ("sim", "invented")):
+        share = sum(row["n_points"] for row in of_side[side]) / len(pair.sides[side].points)
+        yield pair.in_pairs({f"n_{word}_pieces": len(of_side[side]), f"{word}_pieces_share": share})
+    places = {
+        side: [([row[f"c{a}"] for a in "xyz"], [row[f"extent_{a}"] for a in "xyz"]) for row in rows]
+        for side, rows in of_side.items()
+    }
+    to_sim = surface_pieces.moved(places["real"], places["sim"])
+    to_real = {j: i for i, j in to_sim.items()}
+    made: list[Row] = []
+    for side, partners in (("real", to_sim), ("sim", to_real)):
+        for i in range(len(of_side[side])):
+            row: Row = {"side": side, "piece_id": i, "fate": "gone", "partner_id": None}
+            row |= {f"moved_{axis}_m": None for axis in "xyz"}
+            if i in partners:
+                row |= {"fate": "moved", "partner_id": partners[i]}
+                real, sim = (i, partners[i]) if side == "real" else (partners[i], i)
+                vector = np.subtract(places["sim"][sim][0], places["real"][real][0]).tolist()
+                row |= {f"moved_{axis}_m": value for axis, value in zip("xyz", vector, strict=True)}
+            made.append(row)
+    yield pair.part("pieces", _frame(made, keys), is_whole=False)
+
+
+def _pieces(pair: StoredPair, side: str, other: str) -> list[Row]:
+    """The pieces of a side, found again."""
+    own, settings, table = pair.sides[side], pair.settings.pieces, pair.table("ground", side)
+    limits = settings.reach_m, settings.link_m, settings.min_points
+    others, heights = pair.sides[other].all_points, table["height_m"].to_numpy()
+    made = []
+    for i, piece in enumerate(surface_pieces.pieces(own.all_points, ~own.is_object, heights, others, *limits)):
+        place = (*piece.about.centroid, piece.about.range_m, *piece.about.extent)
+        row = {"side": side, "piece_id": i, "n_points": piece.about.n_points, "bearing_deg": piece.bearing_deg}
+        row |= {"height_m": piece.height_m, "label": _most_frequent(table["label"].to_numpy()[piece.members])}
+        made.append(row | dict(zip(_PLACE, place, strict=True)))
+    return made
+
+
+def selection(pair: StoredPair) -> Parts:
+    """The number of aligned nodes of every object; of the drawn ones the nodes, their influence and alignment."""
+    keys = ["real_id", "sim_id", "rank"]
+    ranks = [(row["real_id"], row["sim_id"], k) for row in pair.matched for k in range(pair.n_kept(row))]
+    yield pair.part("selection", pd.DataFrame(ranks, columns=keys).set_index(keys))
+    made: list[Row] = []
+    for match in pair.drawn_matches:
+        members = pair.members(match)
+        if max(len(nodes) for nodes in members.values()) > MOST_NODES:
+            columns = [f"selection.{side}_{what}" for side in SIDES for what in ("point_id", "influence")]
+            yield Skipped(
+                f"influence and scores of an object of more than {MOST_NODES} points (dense matrices)", columns
+            )
+            continue
+        ids = {name: match[name] for name in ("real_id", "sim_id")}
+        by_column: dict[str, Any] = {}
+        for side in SIDES:
+            nodes, influence = _selected(pair, match, side, members[side])
+            by_column |= {f"{side}_point_id": pair.sides[side].point_ids[nodes], f"{side}_influence": influence}
+        by_rank = zip(*by_column.values(), strict=True)
+        made += [ids | {"rank": k} | dict(zip(by_column, row, strict=True)) for k, row in enumerate(by_rank)]
+        kept, what = pair.kept(match), "mean distance of aligned nodes, m"
+        a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
+        cost = cdist(a - a.mean(axis=0), b - b.mean(axis=0))
+        stored = {what: math.fsum(np.diag(cost)) / len(cost)}
+        yield values("selection", stored, {what: method.least_total(cost) / len(cost)}, **ids)
+    yield pair.part("selection", _frame(made, keys), is_whole=False)
+
+
+def _selected(pair: StoredPair, match: Row, side: str, members: IndexArray) -> tuple[IndexArray, list[float]]:
+    """The nodes of a side of an object that are kept, by rank, and their influence.
+
+    The stored nodes are taken over if none that is left out has more influence, up to rounding; the real ones in the
+    order of their influence.
+    """
+    own, rows, n_keep = pair.sides[side], pair.selected(match), pair.n_kept(match)
+    made = method.influence(method.laplacian(own.matrix(members)), pair.settings.selection.t)
+    of_node = dict(zip(members.tolist(), made.tolist(), strict=True))
+    chosen, stored = own.index(rows[f"{side}_point_id"]).tolist(), rows[f"{side}_influence"].tolist()
+    precedence = sorted((-value, node) for value, node in zip(stored, chosen, strict=True))
+    left_out = of_node.keys() - set(chosen)
+    is_right = len(set(chosen)) == len(chosen) == n_keep and of_node.keys() >= set(chosen)
+    if is_right and all((-round(of_node[i] * (1 - _ROUNDING) - _ROUNDING, 9), i) > precedence[-1] for i in left_out):
+        nodes = [node for _, node in precedence] if side == "real" else chosen
+    else:
+        nodes = sorted(of_node, key=lambda i: (-round(of_node[i], 9), i))[:n_keep]
+    return np.array(nodes, dtype=np.intp), [of_node[i] for i in nodes]
+
+
+def metrics(pair: StoredPair) -> Parts:
+    """The scores of the drawn objects, from the nodes that the selection kept."""
+    keys, sizes = ["real_id", "sim_id"], {side: pair.table("objects", side)["n_points"] for side in SIDES}
+    known = [
+        {name: match[name] for name in (*keys, "centroid_distance_m")}
+        | {f"n_{side}": sizes[side][match[f"{side}_id"]] for side in SIDES}
+        | {"n_keep": pair.n_kept(match)}
+        for match in pair.matched
+    ]
+    yield pair.part("metrics", _frame(known, keys))
+    for match in pair.drawn_matches:
+        members, kept = pair.members(match), pair.kept(match)
+        row: Row = {name: match[name] for name in keys}
+        row["cdc"] = method.cdc(*(pair.sides[side].points[members[side]] for side in SIDES))
+        row["alignment_rms_m"] = method.alignment_rms(*(pair.sides[side].points[kept[side]] for side in SIDES))
+        n_keep = len(kept["real"])
+        if n_keep > MOST_NODES:
+            what = f"spectra of an object of more than {MOST_NODES} aligned nodes (dense matrices)"
+            yield Skipped(what, [f"metrics.{name}" for name in (*method.SPECTRAL, "status", "reason")])
+        elif n_keep < _FEWEST_FOR_SPECTRA:
+            reason = f"{n_keep} aligned nodes, at least 3 are needed for a spectrum"
+            row |= dict.fromkeys(method.SPECTRAL) | {"status": "too_small", "reason": reason}
+        else:
+            L_real, L_sim = (method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
+            row |= method.spectral(L_real, L_sim)
+            is_identical = row["laplacian_change"] <= method.IDENTICAL_CHANGE
+            row |= {"status": "identical" if is_identical else "scored", "reason": None}
+        yield pair.part("metrics", _frame([row], keys), is_whole=False)
+    if not pair.drawn_matches:
+        yield pair.part("metrics", _frame([], keys), is_whole=False)
+
+
+def baselines(pair: StoredPair) -> Parts:
+    """The baseline metrics of the drawn objects, and of the whole scans."""
+    chosen = [metric for metric in BASELINES if metric.method in pair.settings.metrics.baselines]
+    if not chosen:
+        return
+    keys = ["real_id", "sim_id", "baseline"]
+    of_scans = [metric for metric in chosen if metric.method not in _OF_OBJECTS]
+    names = [((row["real_id"], row["sim_id"]), metric) for row in pair.matched for metric in chosen]
+    names += [((-1, -1), metric) for metric in of_scans]
+    units = [{"baseline": metric.column, "unit": METRIC[metric.column].unit or None} for _, metric in names]
+    named = [dict(zip(keys, ids, strict=False)) | row for (ids, _), row in zip(names, units, strict=True)]
+    yield pair.part("baselines", _frame(named, keys))
+    drawn = [((row["real_id"], row["sim_id"]), _distances(pair, row), chosen) for row in pair.drawn_matches]
+    if pair.sample.whole_sides:
+        real, sim = (pair.sides[side].points for side in SIDES)
+        whole = distances.of_points(real, sim, pair.settings.metrics.model_dump())
+        drawn.append(((-1, -1), whole, of_scans))
+    made = []
+    for (real_id, sim_id), values_, metrics_ in drawn:
+        for name in (metric.column for metric in metrics_):
+            if name in values_:
+                made.append({"real_id": real_id, "sim_id": sim_id, "baseline": name, "value": values_[name]})
+            else:
+                yield Skipped(f"baseline {name}, where the twin has none")
+    yield pair.part("baselines", _frame(made, keys), is_whole=False)
+
+
+def _distances(pair: StoredPair, match: Row) -> dict[str, float | None]:
+    """By name, the baseline metrics of a matched object that the literal twin has."""
+    settings, members, kept = pair.settings.metrics.model_dump(), pair.members(match), pair.kept(match)
+    real, sim = (pair.sides[side].points[members[side]] for side in SIDES)
+    a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
+    made = distances.of_points(real, sim, settings)
+    made["emd_centred_mean_m"] = float(np.linalg.norm((a - a.mean(axis=0)) - (b - b.mean(axis=0)), axis=1).mean())
+    n_most = max(len(real), len(sim))
+    if n_most > MOST_NODES:
+        return made
+    made["emd_kept_mean_m"] = distances.assignment_mean(a, b)
+    if len(real) == len(sim) <= settings["emd_max_points"]:
+        made["emd_mean_m"] = distances.assignment_mean(real, sim)
+    A_real, A_sim = (pair.sides[side].matrix(members[side]) for side in SIDES)
+    made["netlsd"] = distances.netlsd(A_real, A_sim, settings) if n_most <= settings["heat_max_nodes"] else None
+    made["r_h"] = None
+    if len(a) >= _FEWEST_FOR_SPECTRA:
+        L_real, L_sim = (method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
+        change = method.spectral(L_real, L_sim)["laplacian_change"]
+        made["r_h"] = distances.r_h(L_real, L_sim, pair.settings.selection.t, change)
+    return made
+
+
+def seeds(pair: StoredPair) -> Parts:
+    """The scores of the set seed, which are those of the pair; those of the others are not computed again."""
+    n_seeds, first = pair.settings.stability.seeds, pair.settings.communities.seed
+    if n_seeds == 1:
+        return
+    yield pair.part("seeds", pd.DataFrame(index=pd.RangeIndex(first, first + n_seeds, name="seed")))
+    columns = [name for name in TABLES["seeds"].schema.names if name not in ("pair_id", "seed")]
+    row = {name: pair.row[name] for name in columns}
+    yield pair.part("seeds", _frame([row | {"seed": first}], ["seed"]), is_whole=False)
+    yield Skipped("scores under other seeds of the communities")
+
+
+def pairs(pair: StoredPair) -> Parts:
+    """The pair's row: counts, match rate, means, deviations and medians over its objects."""
+    n = dict.fromkeys(("matched", *UNMATCHED.values()), 0)
+    ranges = {side: pair.table("objects", side)["range_m"].to_numpy() for side in SIDES}
+    matched: list[float] = []
+    unmatched: list[float] = []
+    for own in pair.matching:
+        n[own["status"]] += 1
+        side = "sim" if own["status"] == "hallucinated" else "real"
+        (matched if own["status"] == "matched" else unmatched).append(float(ranges[side][own[f"{side}_id"]]))
+    made: Row = {f"n_{name}": count for name, count in n.items()}
+    table = pair.table("metrics")
+    made |= {f"n_{kind}": int((table["status"] == kind).sum()) for kind in ("scored", "identical", "too_small")}
+    made |= {f"n_communities_{side}": n["matched"] + n[unmatched_] for side, unmatched_ in UNMATCHED.items()}
+    made["match_rate"] = n["matched"] / (n["matched"] + max(n["missing"], n["hallucinated"]))
+    made["found"] = n["matched"] / (n["matched"] + n["missing"])
+    made["median_range_matched_m"] = float(np.median(matched)) if matched else None
+    made["median_range_unmatched_m"] = float(np.median(unmatched)) if unmatched else None
+    for name in OBJECT_METRICS:
+        own_values = [None if math.isnan(value) else value for value in table[name].astype(float).tolist()]
+        made[f"{name}_mean"], made[f"{name}_std"] = method.mean_and_std(own_values)
+    yield pair.in_pairs(made | {"pair_id": pair.pair_id, "status": "scored"})
+    yield values("pairs", {"no reason": pair.row["reason"] or ""}, {"no reason": ""})
+
+
+def _frame(rows: Sequence[Row], keys: list[str], columns: list[str] | None = None) -> pd.DataFrame:
+    """Rows as a frame, indexed by its keys."""
+    return pd.DataFrame(rows, columns=None if rows and columns is None else [*keys, *(columns or [])]).set_index(keys)
+
+
+#: By table, in the order of the stages, what computes it again; the stage that gives it, where its name is another.
+RECOMPUTED: dict[str, Callable[[StoredPair], Parts]] = {
+    one.__name__: one
+    for one in (
+        *(rows, scan, ground, sensor, graph, communities, objects, matching, coverage, surface, pieces, selection),
+        *(metrics, baselines, seeds, pairs),
+    )
+}
