@@ -136,7 +136,8 @@ class StoredPair:
     def selected(self, match: Row) -> pd.DataFrame:
         """The stored rows of `selection` of a matched object."""
         table = self.table("selection")
-        return table.loc[table["real_id"] == match["real_id"]]
+        rows: pd.DataFrame = table.loc[table["real_id"] == match["real_id"]]
+        return rows
 
     def kept(self, match: Row) -> dict[str, IndexArray]:
         """The aligned nodes of a matched object, by side."""
