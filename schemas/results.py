@@ -155,37 +155,14 @@ class _Label(Result):
 class ClassFindings(Unmatched, _Label):  # in this order the label comes first in JSON
     """The objects of one class; a matched object has the class of its real side.
 
-    cdc_excess : cdc less r_lambda
-    r_lambda_near, r_lambda_far : of the matched objects nearer than the median range of the class, and of the others
+    scores : of cdc, r_lambda, r_gap; cdc_excess, cdc minus r_lambda; r_lambda_near and r_lambda_far, of the matched
+        objects nearer than the median range of the class, and of the others
     spearman : rank correlation of CDC and r_lambda within the class
     """
 
     n_matched: int
-    cdc_mean: float | None
-    cdc_std: float | None
-    cdc_n: int
-    r_lambda_mean: float | None
-    r_lambda_std: float | None
-    r_lambda_n: int
-    r_gap_mean: float | None
-    r_gap_std: float | None
-    r_gap_n: int
-    cdc_excess_mean: float | None
-    cdc_excess_std: float | None
-    cdc_excess_n: int
-    r_lambda_near_mean: float | None
-    r_lambda_near_std: float | None
-    r_lambda_near_n: int
-    r_lambda_far_mean: float | None
-    r_lambda_far_std: float | None
-    r_lambda_far_n: int
+    scores: dict[str, GroupMean]
     spearman: float | None
-
-    def of_score(self, score: str) -> GroupMean:
-        """Mean, standard deviation and number of one score, such as `cdc` or `r_lambda_near`."""
-        return GroupMean(
-            mean=getattr(self, f"{score}_mean"), std=getattr(self, f"{score}_std"), n=getattr(self, f"{score}_n")
-        )
 
 
 class WithinPairs(Result):

@@ -16,7 +16,7 @@ from ...schemas.results import (
     ClassFindings,
     DensityRatio,
     Distribution,
-    Number,
+    GroupMean,
     ObjectFindings,
     RangeBand,
     RangeFindings,
@@ -203,23 +203,29 @@ def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> tu
         cdc, r_lambda = matched.cdc[own], matched.r_lambda[own]
         middle = _median(matched.range_m[own])
         is_near = matched.range_m[own] < (np.inf if middle is None else middle)
-        scores: dict[str, Number] = {}
-        for name, values in (
-            ("cdc", cdc),
-            ("r_lambda", r_lambda),
-            ("r_gap", matched.r_gap[own]),
-            ("cdc_excess", cdc - r_lambda),
-            ("r_lambda_near", r_lambda[is_near]),
-            ("r_lambda_far", r_lambda[~is_near]),
-        ):
-            scores[f"{name}_mean"], scores[f"{name}_std"] = mean_and_std(values)
-            scores[f"{name}_n"] = int(np.count_nonzero(~np.isnan(values)))
-        counted = vars(_unmatched(real, sim, real.label == label, sim.label == label))
-        n_matched, spearman = int(np.count_nonzero(own)), rank_correlation(cdc, r_lambda).spearman
+        values = {
+            "cdc": cdc,
+            "r_lambda": r_lambda,
+            "r_gap": matched.r_gap[own],
+            "cdc_excess": cdc - r_lambda,
+            "r_lambda_near": r_lambda[is_near],
+            "r_lambda_far": r_lambda[~is_near],
+        }
         rows.append(
-            ClassFindings.from_dict({"label": label, **counted, "n_matched": n_matched, **scores, "spearman": spearman})
+            ClassFindings(
+                label=label,
+                **vars(_unmatched(real, sim, real.label == label, sim.label == label)),
+                n_matched=int(np.count_nonzero(own)),
+                scores={name: _group_mean(each) for name, each in values.items()},
+                spearman=rank_correlation(cdc, r_lambda).spearman,
+            )
         )
     return tuple(rows)
+
+
+def _group_mean(values: FloatArray) -> GroupMean:
+    mean, std = mean_and_std(values)
+    return GroupMean(mean=mean, std=std, n=int(np.count_nonzero(~np.isnan(values))))
 
 
 def within_pairs(matched: MatchedObjects, n_pairs: int) -> WithinPairs:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.schemas.results import RankCorrelation, WithinPairs
+from fidpipe.schemas.results import GroupMean, RankCorrelation, WithinPairs
 from fidpipe.stages.statistics.findings import (
     MatchedObjects,
     SideObjects,
@@ -53,8 +53,9 @@ def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
 
 def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
     classes = {row.label: row for row in by_hand.classes}
-    assert (classes["car"].n_matched, classes["car"].cdc_mean, classes["car"].r_lambda_mean) == (2, 0.2, 0.2)
-    assert (classes["car"].r_lambda_n, classes["car"].r_lambda_std) == (1, None)
+    car = classes["car"]
+    assert (car.n_matched, car.scores["cdc"].mean) == (2, 0.2)
+    assert car.scores["r_lambda"] == GroupMean(mean=0.2, std=None, n=1)
     assert (classes["tree"].missing_share, classes["tree"].hallucinated_share) == (0.5, 0.5)
 
 

@@ -292,17 +292,17 @@ def _classes(findings: Findings) -> View:
     ]
     table = Table(title, ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED)), rows)
     fewer = [
-        f"{own.label} {METRIC[score].label} of {own.of_score(score).n}"
+        f"{own.label} {METRIC[score].label} of {own.scores[score].n}"
         for own in classes[:_MOST_CLASSES]
         for score in DISTRIBUTED
-        if own.of_score(score).n != own.n_matched
+        if own.scores[score].n != own.n_matched
     ]
     return [table, *([Note(f"* some objects are too small for the score: {', '.join(fewer)}\n")] if fewer else ())]
 
 
 def _mean_of(own: ClassFindings, score: str) -> str:
     """A mean of a class; with an asterisk where not all objects that both sides have are in it."""
-    mean = own.of_score(score)
+    mean = own.scores[score]
     return number(mean.mean) + "*" * (mean.n != own.n_matched)
 
 
