@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown name: the known one that is nearest, or all of them."""
+    known = list(known)
+    near = get_close_matches(name.lower(), known, 1)
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+
 
 class FidpipeError(Exception):
     """A fault of the input or of a setting; the command prints its one line and exits with 1."""

@@ -7,15 +7,24 @@ from typing import Annotated
 
 import typer
 
-from .options import Assignments, DatasetFolder, Preset, Replace, Scheduler, SettingsFile, Workers, check_machines
+from .options import (
+    Assignments,
+    DatasetFolder,
+    Pairs,
+    Preset,
+    Replace,
+    Scheduler,
+    SettingsFile,
+    Workers,
+    check_machines,
+    out_option,
+)
 from .output import print_outcome
 
 
 def perturb(
     source: Annotated[Path, typer.Argument(help="A scan file, or a dataset's folder.", show_default=False)],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the results. Default: runs/NAME-perturb.")
-    ] = None,
+    out: Annotated[Path | None, out_option("Folder of the results.", "runs/NAME-perturb")] = None,
     sweep: Annotated[
         list[str] | None,
         typer.Option(
@@ -104,7 +113,7 @@ def perturb(
 
 def ablate(
     dataset: DatasetFolder,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder of the results. Default: runs/NAME-ablate.")] = None,
+    out: Annotated[Path | None, out_option("Folder of the results.", "runs/NAME-ablate")] = None,
     k: Annotated[
         str | None, typer.Option("--k", metavar="30,60,90", help="Values of graph.k. Default: 30,60,90,120,150.")
     ] = None,
@@ -123,9 +132,7 @@ def ablate(
     assignments: Assignments = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    pairs: Annotated[
-        str | None, typer.Option("--pairs", metavar="PATTERN", help="Only pairs whose name matches, such as '000*'.")
-    ] = None,
+    pairs: Pairs = None,
     replace: Replace = False,
 ) -> None:
     """See how match rate and r_lambda depend on k, tau, delta and t, and which setting the data prefer, if any.

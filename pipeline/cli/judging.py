@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import completion
-from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder
+from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder, criterion_option, out_option
 from .output import print_json, print_text, print_view
 
 if TYPE_CHECKING:
@@ -17,24 +17,8 @@ if TYPE_CHECKING:
 
 def gate(
     run: RunFolder,
-    at_most: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--max",
-            metavar="MEASURE=NUMBER",
-            help="The measure may be at most this; repeatable.",
-            autocompletion=completion.criteria,
-        ),
-    ] = None,
-    at_least: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--min",
-            metavar="MEASURE=NUMBER",
-            help="The measure must be at least this; repeatable.",
-            autocompletion=completion.criteria,
-        ),
-    ] = None,
+    at_most: Annotated[list[str] | None, criterion_option("--max", "The measure may be at most this")] = None,
+    at_least: Annotated[list[str] | None, criterion_option("--min", "The measure must be at least this")] = None,
     criteria: Annotated[
         Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
     ] = None,
@@ -45,9 +29,7 @@ def gate(
     json_: Annotated[
         Path | None, typer.Option("--json", help="The same as JSON.", show_default="RUN/gate.json")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for gate.xml and gate.json.", show_default="the run's own")
-    ] = None,
+    out: Annotated[Path | None, out_option("Folder for gate.xml and gate.json.", "the run's own")] = None,
 ) -> None:
     """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
 
@@ -97,9 +79,7 @@ def compare(
         ),
     ],
     html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Write compare.html (and with --fail-on the files for CI) here.")
-    ] = None,
+    out: Annotated[Path | None, out_option("Folder for compare.html (and with --fail-on the files for CI).")] = None,
     floor: Floor = None,
     as_json: AsJson = False,
     as_markdown: Annotated[

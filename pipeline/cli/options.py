@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -40,6 +40,10 @@ RunFolder = Annotated[
     typer.Argument(
         help="Folder of a run, such as runs/dataset.", show_default=False, autocompletion=completion.run_folders
     ),
+]
+Pairs = Annotated[
+    str | None,
+    typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
 ]
 Workers = Annotated[
     int | None,
@@ -79,6 +83,19 @@ Replace = Annotated[
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")]
 AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]
+
+
+def out_option(folder_of: str, default: str | None = None) -> Any:
+    """The option --out of a command that writes a folder."""
+    return typer.Option("--out", help=folder_of, show_default=default or False)
+
+
+def criterion_option(name: str, meaning: str) -> Any:
+    """An option that bounds a measure."""
+    return typer.Option(
+        name, metavar="MEASURE=NUMBER", help=f"{meaning}; repeatable.", autocompletion=completion.criteria
+    )
+
 
 EXIT_WRONG_INPUT = 1
 EXIT_PAIRS_FAILED = 3

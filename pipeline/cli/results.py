@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import AsCsv, AsJson, AsMarkdown, Floor, RunFolder, check_formats
+from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, check_formats, out_option
 from .output import print_json, print_line, print_text, print_view
 
 
@@ -93,9 +93,7 @@ def report(
     ] = None,
     folder: Annotated[bool, typer.Option("--folder", help="One page per pair and an index, in RUN/report.")] = False,
     floor: Floor = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for page and figures.", show_default="the run's own")
-    ] = None,
+    out: Annotated[Path | None, out_option("Folder for page and figures.", "the run's own")] = None,
     opens: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
@@ -137,10 +135,8 @@ def export(
     ply: Annotated[
         bool, typer.Option("--ply", help="Two PLY files a pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.")
     ] = False,
-    pairs: Annotated[
-        str | None, typer.Option("--pairs", metavar="PATTERN", help="Only pairs whose name matches, such as '0000*'.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the files.", show_default="RUN/export")] = None,
+    pairs: Pairs = None,
+    out: Annotated[Path | None, out_option("Folder for the files.", "RUN/export")] = None,
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace files too that fidpipe export did not write.")
     ] = False,

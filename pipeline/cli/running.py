@@ -13,6 +13,7 @@ from .options import (
     AsJson,
     Assignments,
     DatasetFolder,
+    Pairs,
     PairTimeout,
     Preset,
     Replace,
@@ -21,6 +22,7 @@ from .options import (
     SettingsFile,
     Workers,
     check_machines,
+    out_option,
 )
 from .output import print_json, print_outcome, print_text, print_view
 
@@ -89,9 +91,7 @@ def check(
 
 def run(
     dataset: DatasetFolder,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the run.", show_default="runs/NAME_OF_DATASET")
-    ] = None,
+    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME_OF_DATASET")] = None,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -107,10 +107,7 @@ def run(
             autocompletion=completion.stages,
         ),
     ] = None,
-    pairs: Annotated[
-        str | None,
-        typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
-    ] = None,
+    pairs: Pairs = None,
     seeds: Annotated[
         int | None,
         typer.Option(
@@ -182,9 +179,7 @@ def run(
 
 def floor(
     dataset: DatasetFolder,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the run.", show_default="runs/NAME_OF_DATASET-floor")
-    ] = None,
+    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME_OF_DATASET-floor")] = None,
     preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -213,10 +208,7 @@ def floor(
         typer.Option("--neighbours", help="Against the next real scan, by the poses T_world_sensor in pairs.csv."),
     ] = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other noise and losses.")] = 0,
-    pairs: Annotated[
-        str | None,
-        typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
-    ] = None,
+    pairs: Pairs = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     pair_timeout: PairTimeout = None,

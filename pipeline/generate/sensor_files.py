@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...schemas.errors import FidpipeError
+from ...schemas.errors import FidpipeError, suggestion
 from ...stages.generate.rescan import RECORDED
 from ...stages.inspect.sensor_models import SENSORS, SensorModel
 from ..datasets.readers.scan import cause_of
@@ -44,9 +43,7 @@ def read_sensor(name: str) -> SensorModel:
         return known[name]
     path = Path(name)
     if path.suffix.lower() not in _TABLES:
-        near = get_close_matches(name.lower(), known, 1)
-        hint = f"did you mean {near[0]}?" if near else f"one of {', '.join(known)}, or a table (.csv, .toml), is wanted"
-        raise FidpipeError(f"sensor {name!r}: no such sensor; {hint}")
+        raise FidpipeError(f"sensor {name!r}: no such sensor; {suggestion(name, [*known, 'a table (.csv, .toml)'])}")
     try:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text) if path.suffix.lower() == ".toml" else _columns(text)
@@ -70,29 +67,27 @@ def _sensor(path: Path, values: dict[str, Any]) -> SensorModel:
     wanted = (*_ANGLES, *_UNIFORM, *_NUMBERS)
     for name in values:
         if name not in wanted:
-            near = get_close_matches(name, wanted, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(wanted)}"
-            raise FidpipeError(f"sensor {path}: {cause_of(name)} is not known; {hint}")
+            raise FidpipeError(f"sensor {path}: {cause_of(name)} is not known; {suggestion(name, wanted)}")
     if "elevation_deg" in values:
         elevation = _numbers(path, "elevation_deg", values["elevation_deg"], -90, 90)
     elif all(name in values for name in _UNIFORM):
         n, upper, lower = (_number(path, name, values[name], -90, 1000) for name in _UNIFORM)
         if n < 1 or n != round(n):
-            raise FidpipeError(f"sensor {path}: channels is {n:g}, a whole number from 1 is wanted")
+            raise FidpipeError(f"sensor {path}: channels: expected a whole number from 1, got {n:g}")
         elevation = tuple(np.linspace(upper, lower, round(n)).tolist())
     else:
-        raise FidpipeError(f"sensor {path}: elevation_deg is wanted, or {', '.join(_UNIFORM)}")
+        raise FidpipeError(f"sensor {path}: expected elevation_deg, or {', '.join(_UNIFORM)}")
     offset = _numbers(path, "azimuth_offset_deg", values.get("azimuth_offset_deg", [0.0] * len(elevation)), -180, 180)
     if len(offset) != len(elevation):
         raise FidpipeError(
-            f"sensor {path}: {len(offset)} azimuth offsets found for {len(elevation)} elevations; one each is wanted"
+            f"sensor {path}: expected {len(elevation)} azimuth offsets, one for each elevation; got {len(offset)}"
         )
     numbers: dict[str, Any] = {
         name: _number(path, name, values[name], *_bounds(name)) for name in _NUMBERS if name in values
     }
     sensor = replace(_USUAL, elevation_deg=elevation, azimuth_offset_deg=offset, **numbers)
     if sensor.min_range_m >= sensor.max_range_m:
-        raise FidpipeError(f"sensor {path}: min_range_m is {sensor.min_range_m:g}, less than max_range_m is wanted")
+        raise FidpipeError(f"sensor {path}: min_range_m: expected less than max_range_m, got {sensor.min_range_m:g}")
     return sensor
 
 
@@ -102,13 +97,13 @@ def _bounds(name: str) -> tuple[float, float]:
 
 def _numbers(path: Path, name: str, values: Any, low: float, high: float) -> tuple[float, ...]:
     if not isinstance(values, list) or not values:
-        raise FidpipeError(f"sensor {path}: {name} is {cause_of(repr(values))}, a list of numbers is wanted")
+        raise FidpipeError(f"sensor {path}: {name}: expected a list of numbers, got {cause_of(repr(values))}")
     return tuple(_number(path, name, value, low, high) for value in values)
 
 
 def _number(path: Path, name: str, value: Any, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise FidpipeError(
-            f"sensor {path}: {name} holds {cause_of(repr(value))}, a number from {low:g} to {high:g} is wanted"
+            f"sensor {path}: {name}: expected a number from {low:g} to {high:g}, got {cause_of(repr(value))}"
         )
     return float(value)

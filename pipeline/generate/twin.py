@@ -9,14 +9,13 @@ from __future__ import annotations
 import gc
 from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError
+from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError, suggestion
 from ...schemas.settings import FRAME_AXES, InputSettings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
@@ -139,9 +138,7 @@ def _check_foliage(foliage: Sequence[str], known: list[str]) -> None:
     """Refuses labels that no class has."""
     for label in foliage if known else ():
         if label not in known:
-            near = get_close_matches(label, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-            raise FidpipeError(f"foliage {label!r}: no such label in {LABEL_NAMES}; {hint}")
+            raise FidpipeError(f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}")
 
 
 def _selected(frames: Sequence[Frame], pattern: str | None) -> list[Frame]:

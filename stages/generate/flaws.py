@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from ...schemas.errors import FidpipeError
+from ...schemas.errors import FidpipeError, suggestion
 from ..arrays import BoolArray, FloatArray
 from ..inspect.surfels import fit_planes, voxel_means
 from .perturbations import add_clusters, add_noise, change_density, drop_points, grow_regions, move_rigidly
@@ -232,9 +231,7 @@ def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
     for word in words:
         name, _, text = word.partition("=")
         if name not in FLAWS:
-            near = get_close_matches(name.lower(), FLAWS, 1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(FLAWS)}"
-            raise FidpipeError(f"flaw {name!r}: no such flaw; {hint}")
+            raise FidpipeError(f"flaw {name!r}: no such flaw; {suggestion(name, FLAWS)}")
         if name in chosen:
             raise FidpipeError(f"flaw {name}: named twice; once is wanted")
         amount, colon, at_m = text.partition(":")

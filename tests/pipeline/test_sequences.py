@@ -173,7 +173,7 @@ def test_sensors_are_known_by_name():
     np.testing.assert_allclose(np.diff(carla), np.diff(carla)[0])
     with pytest.raises(FidpipeError, match="'hdl46': no such sensor; did you mean hdl64"):
         read_sensor("hdl46")
-    with pytest.raises(FidpipeError, match="one of recorded, vlp32c, hdl64, os1-64, carla, .*xt32, xt16, or a table"):
+    with pytest.raises(FidpipeError, match="known are recorded, vlp32c, hdl64, os1-64, carla, .*xt32, xt16, a table"):
         read_sensor("xyz")
 
 
@@ -194,13 +194,13 @@ def test_a_table_of_elevations_is_a_sensor(tmp_path):
     [
         ("elevation_deg = [1, 2", "not a table of beams"),
         ("elevation = [1, 2]", "elevation is not known; did you mean elevation_deg"),
-        ("channels = 32", "elevation_deg is wanted, or channels, upper_deg, lower_deg"),
-        ("elevation_deg = [1, 200]", "elevation_deg holds 200, a number from -90 to 90"),
-        ("elevation_deg = [1, 2]\nazimuth_offset_deg = [0]", "1 azimuth offsets found for 2 elevations"),
-        ("elevation_deg = 3", "a list of numbers is wanted"),
-        ("elevation_deg = [3]\nlost_share = 1.5", "lost_share holds 1.5, a number from 0 to 1"),
-        ("elevation_deg = [3]\nmin_range_m = 500", "min_range_m is 500, less than max_range_m is wanted"),
-        ("channels = 2.5\nupper_deg = 1\nlower_deg = 0", "channels is 2.5, a whole number"),
+        ("channels = 32", "expected elevation_deg, or channels, upper_deg, lower_deg"),
+        ("elevation_deg = [1, 200]", "elevation_deg: expected a number from -90 to 90, got 200"),
+        ("elevation_deg = [1, 2]\nazimuth_offset_deg = [0]", "expected 2 azimuth offsets, one for each elevation; got 1"),
+        ("elevation_deg = 3", "expected a list of numbers, got 3"),
+        ("elevation_deg = [3]\nlost_share = 1.5", "lost_share: expected a number from 0 to 1, got 1.5"),
+        ("elevation_deg = [3]\nmin_range_m = 500", "min_range_m: expected less than max_range_m, got 500"),
+        ("channels = 2.5\nupper_deg = 1\nlower_deg = 0", "channels: expected a whole number from 1, got 2.5"),
     ],
 )
 def test_a_table_that_makes_no_sense_is_refused(text, words, tmp_path):
