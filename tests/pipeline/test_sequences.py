@@ -196,7 +196,10 @@ def test_a_table_of_elevations_is_a_sensor(tmp_path):
         ("elevation = [1, 2]", "elevation is not known; did you mean elevation_deg"),
         ("channels = 32", "expected elevation_deg, or channels, upper_deg, lower_deg"),
         ("elevation_deg = [1, 200]", "elevation_deg: expected a number from -90 to 90, got 200"),
-        ("elevation_deg = [1, 2]\nazimuth_offset_deg = [0]", "expected 2 azimuth offsets, one for each elevation; got 1"),
+        (
+            "elevation_deg = [1, 2]\nazimuth_offset_deg = [0]",
+            "expected 2 azimuth offsets, one for each elevation; got 1",
+        ),
         ("elevation_deg = 3", "expected a list of numbers, got 3"),
         ("elevation_deg = [3]\nlost_share = 1.5", "lost_share: expected a number from 0 to 1, got 1.5"),
         ("elevation_deg = [3]\nmin_range_m = 500", "min_range_m: expected less than max_range_m, got 500"),
