@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from packaging.utils import canonicalize_name
 from fidpipe.pipeline.storage.record import library_versions
 from licences import is_allowed, libraries, licence
 from release import LOOPBACK
-from runs import FIDPIPE
+from runs import FIDPIPE, some_of
 
 HOUSE = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -128,9 +129,9 @@ def guarded(tmp_path):
 
 def all_commands(dataset):
     """Commands of every family: made data, a run on two workers, and what is made of it."""
+    yield FIDPIPE, "run", dataset, "--out", "a", "--workers", "2"
     yield FIDPIPE, "synth", "made", "--pairs", "1"
     yield FIDPIPE, "check", dataset
-    yield FIDPIPE, "run", dataset, "--out", "a", "--workers", "2"
     yield FIDPIPE, "run", dataset, "--out", "b", "--workers", "1", "--set", "metrics.baselines=all"
     yield FIDPIPE, "report", "a"
     yield FIDPIPE, "compare", "a", "b", "--html", "compare.html", "--allow-different-settings"
@@ -160,9 +161,9 @@ def test_the_guard_sees_who_reaches_out(guarded, code):
     assert "socket." in guarded(sys.executable, "-c", f"import socket; {code}", check=False)
 
 
-@pytest.mark.exhaustive
-def test_no_command_reaches_out(guarded, dataset):
-    for words in all_commands(dataset):
+@pytest.mark.parametrize("n_commands", some_of([1, None], [1]))
+def test_no_command_reaches_out(guarded, dataset, n_commands):
+    for words in islice(all_commands(dataset), n_commands):
         assert guarded(*words) == "", words
 
 

@@ -1,13 +1,10 @@
 """What happens when processes die, are interrupted, or run beside each other."""
 
-import json
 import os
-import re
 import signal
 import subprocess
 import sys
 import time
-import urllib.request
 from pathlib import Path
 
 import pexpect
@@ -62,28 +59,6 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     assert no_temporary_files(out)
 
 
-@pytest.mark.parametrize(
-    ("how", "workers"),
-    some_of(
-        [(how, workers) for how in (signal.SIGKILL, signal.SIGINT, signal.SIGTERM) for workers in (1, 2)],
-        [(signal.SIGTERM, 2)],
-    ),
-)
-def test_a_run_stopped_from_outside_goes_on_where_it_was(dataset, finished, tmp_path, workers, how):
-    out = tmp_path / "run"
-    process = start(dataset, out, workers)
-    wait_for(out / "ground" / "000.real.parquet")
-    process.send_signal(how)
-    _, errors = process.communicate(timeout=30)  # 1 to 8 s
-    if how != signal.SIGKILL:
-        assert process.returncode == 130
-        assert "interrupted; run the same command again to go on" in errors
-        assert "Traceback" not in errors
-    assert own_process("run", dataset, "--out", out, "--workers", "1").returncode == 0
-    assert_same_tables(out, finished)
-    assert no_temporary_files(out)
-
-
 @pytest.mark.exhaustive
 def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path):
     out = tmp_path / "run"
@@ -126,39 +101,6 @@ def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_pa
     assert_same_tables(tmp_path / "run", finished)
 
 
-@pytest.fixture
-def scheduler(tmp_path):
-    """The address of a dask scheduler in another process, with two workers."""
-    file = tmp_path / "scheduler.json"
-    dask = [str(Path(FIDPIPE).with_name("dask"))]
-    own = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    host = ["--host", "127.0.0.1"]
-    shown = ["--dashboard-address", "127.0.0.1:0"]
-    processes = [
-        subprocess.Popen([*dask, "scheduler", "--scheduler-file", file, *shown, "--port", "0", *host], **own),
-        subprocess.Popen(
-            [*dask, "worker", "--scheduler-file", file, "--nworkers", "2", "--no-dashboard", *host], **own
-        ),
-    ]
-    wait_for(file)
-    while not file.read_text():
-        time.sleep(0.05)
-    yield json.loads(file.read_text())["address"]
-    for process in reversed(processes):
-        process.terminate()
-        process.wait(30)
-
-
-@pytest.mark.exhaustive
-def test_an_external_scheduler_gives_the_same_tables_and_its_dashboard_is_told(dataset, finished, tmp_path, scheduler):
-    ended = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", scheduler)
-    assert ended.returncode == 0
-    assert_same_tables(tmp_path / "run", finished)
-    told = re.search(r"dask dashboard: (http://127\.0\.0\.1:\d+/status)", ended.stderr)
-    with urllib.request.urlopen(told[1], timeout=30) as page:
-        assert page.status == 200
-
-
 @pytest.mark.exhaustive
 def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
     result = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", "tcp://127.0.0.1:9")
@@ -199,17 +141,6 @@ def test_a_bug_fails_its_pair_and_keeps_its_traceback(dataset, tmp_path, monkeyp
     assert outcome.failures == {"001": "stage matching: internal error: ZeroDivisionError: a bug"}
 
 
-def test_a_pool_tells_of_a_dead_worker_and_goes_on(tmp_path):
-    pool = DaskPool(1, None, tmp_path, {})
-    try:
-        pool.submit(os._exit, 1)
-        assert isinstance(pool.next_done()[1], WorkerDied)
-        pool.submit(pow, 2, 5)
-        assert pool.next_done()[1] == 32
-    finally:
-        pool.close(now=True)
-
-
 def note(path):
     """A line in a file, so that a test can count how often this was called."""
     with path.open("a") as file:
@@ -225,7 +156,6 @@ def note_or_die(path, n_good):
     return calls
 
 
-@pytest.mark.exhaustive
 def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     pool = DaskPool(1, None, tmp_path, {})

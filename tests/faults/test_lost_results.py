@@ -1,12 +1,9 @@
 """What a user could lose: results that are replaced too early, by mistake, or by an interrupt at the wrong moment."""
 
 import json
-import os
 import re
 import shlex
 import signal
-import subprocess
-import time
 
 import pytest
 
@@ -14,7 +11,7 @@ from fidpipe.pipeline.engine import prefork
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
-from runs import FIDPIPE, contents, marks, own_process, run, some_of
+from runs import command, contents, marks, own_process, run
 
 NO_CLUSTER = "tcp://127.0.0.1:9"
 
@@ -73,14 +70,14 @@ def test_the_hint_to_finish_a_run_keeps_its_settings(dataset, tmp_path):
     (out / "metrics" / "001.parquet").unlink()
     before = marks(out)
     for words in (("show", out), ("status", out)):
-        result = own_process(*words)
+        result = command(*words)
         hint = re.search("finish it with: fidpipe (.*)", result.stdout + result.stderr)[1]
         assert shlex.split(hint) == ["run", str(dataset), "--out", str(out), "--settings", str(out / "settings.toml")]
-    assert own_process(*shlex.split(hint), "--workers", 1).returncode == 0
+    assert command(*shlex.split(hint), "--workers", 1).returncode == 0
     after = marks(out)
     assert {name: after[name] for name in before} == before
     assert run_status(out).stages["metrics"] == {"done": 2}
-    assert "finish it with" not in own_process("status", out).stdout
+    assert "finish it with" not in command("status", out).stdout
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -97,36 +94,8 @@ def test_an_interrupt_while_something_starts_waits_and_is_not_lost(number, monke
     assert started
 
 
-@pytest.mark.parametrize(
-    ("later_s", "n_times"),
-    some_of([(later_s, n) for later_s in (0.0, 0.2, 0.5, 1.0) for n in (1, 3)], [(0.5, 3)]),
-)
-def test_ctrl_c_while_the_cluster_starts_ends_the_run(dataset, tmp_path, n_times, later_s):
-    out = tmp_path / "run"
-    words = [FIDPIPE, "run", str(dataset), "--out", str(out), "--workers", "2"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    wait_until((out / ".writer").exists)
-    begun = time.monotonic() + later_s
-    for i in range(n_times):  # as a terminal does it: to the workers too
-        wait_until(lambda i=i: time.monotonic() > begun + 0.2 * i)
-        os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130, errors
-    assert time.monotonic() - begun < 20  # 2 to 5 on a machine with nothing else to do
-    assert "Traceback" not in errors
-    assert "interrupted; run the same command again to go on" in errors
-
-
 def leave_unfinished(out):
     """Makes of a run's record what it was when the run began."""
     record = json.loads((out / "run.json").read_text())
     header = ("fidpipe", "written", "dataset", "settings", "seed", "stages", "libraries", "machine")
     (out / "run.json").write_text(json.dumps({name: record[name] for name in header}))
-
-
-def wait_until(is_so, timeout=60):
-    end = time.monotonic() + timeout
-    while not is_so():
-        if time.monotonic() > end:
-            raise TimeoutError
-        time.sleep(0.005)

@@ -1,17 +1,15 @@
 """What changes around a run: its dataset, the clock, a second run, the scheduler, a disk that is full or read-only."""
 
-import json
 import os
 import re
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
 
-from runs import FIDPIPE, assert_same_tables, own_process, run, some_of
+from runs import assert_same_tables, own_process, run, some_of
 from scenes import drifted, street, write_bin
 from tries import Started, assert_no_process, assert_resumes, lines_of, temporary_files
 
@@ -113,38 +111,6 @@ def test_of_runs_begun_at_once_on_one_folder_one_works_and_the_others_say_so(dat
             refused = "another fidpipe is writing here; wait for it, or give another --out"
             assert [refused in line for line in lines_of(errors)] == [True], errors
     assert {code for code, _ in ended} >= {0}
-    assert_resumes(dataset, out, finished)
-
-
-@pytest.mark.exhaustive
-def test_a_scheduler_that_is_killed_is_named_and_the_run_goes_on_without_it(dataset, finished, tmp_path):
-    out, file = tmp_path / "run", tmp_path / "scheduler.json"
-    dask, own = str(Path(FIDPIPE).with_name("dask")), {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    options = ["--scheduler-file", file, "--host", "127.0.0.1", "--no-dashboard"]
-    scheduler = subprocess.Popen([dask, "scheduler", *options, "--port", "0"], cwd=tmp_path, **own)
-    worker = subprocess.Popen(
-        [dask, "worker", *options, "--nworkers", "2", "--nthreads", "1"], cwd=tmp_path, start_new_session=True, **own
-    )
-    try:
-        end = time.monotonic() + 120
-        while not (file.exists() and file.read_text()):
-            assert time.monotonic() < end
-            time.sleep(0.05)
-        address = json.loads(file.read_text())["address"]
-        started = Started("run", dataset, "--out", out, "--scheduler", address)
-        assert started.wait_for((out / "ground" / "000.real.parquet").exists)
-        scheduler.kill()
-        begun = time.monotonic()
-        code, errors = started.end()
-        assert time.monotonic() - begun < 90
-        assert code == 1, errors
-        assert "Traceback" not in errors, errors
-        assert lines_of(errors)[-1].startswith(f"error: scheduler {address}: "), errors
-        assert "run the same command again: it goes on where it stopped" in lines_of(errors)[-1]
-    finally:
-        for process in (scheduler, worker):
-            process.terminate()
-            process.wait(60)
     assert_resumes(dataset, out, finished)
 
 

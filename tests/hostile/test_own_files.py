@@ -38,6 +38,7 @@ def test_a_sensor_table_is_refused_in_one_short_line(tmp_path, text):
     assert len(str(caught.value)) < 1000
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("number", [1797, 18581])
 def test_a_recipe_of_names_longer_than_a_files_is_read(number):
     assert campaign("recipe", 1, first=number)[0] == []

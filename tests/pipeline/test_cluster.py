@@ -3,9 +3,11 @@
 import ctypes
 import json
 import os
+import re
 import signal
 import subprocess
 import time
+import urllib.request
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -46,7 +48,7 @@ class Cluster:
 
     def __init__(self, folder):
         self._folder, self._file = folder, folder / "scheduler.json"
-        self.scheduler = self._start("scheduler", "--port", "0")
+        self.scheduler = self._start("scheduler", "--port", "0", "--dashboard-address", "127.0.0.1:0")
         while not (self._file.exists() and self._file.read_text()):
             time.sleep(0.05)
         self.address = json.loads(self._file.read_text())["address"]
@@ -54,7 +56,9 @@ class Cluster:
 
     def add_workers(self, n, *options, **environment):
         """Starts workers of one thread, which see the tests' modules, and waits until they are there."""
-        self.workers += [self._start("worker", "--nthreads", "1", *options, **environment) for _ in range(n)]
+        self.workers += [
+            self._start("worker", "--no-dashboard", "--nthreads", "1", *options, **environment) for _ in range(n)
+        ]
         with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(len(self.workers), timeout=60)
         return self
@@ -62,7 +66,7 @@ class Cluster:
     def _start(self, what, *options, **environment):
         dask = str(Path(FIDPIPE).with_name("dask"))
         return subprocess.Popen(
-            [dask, what, "--scheduler-file", str(self._file), "--host", "127.0.0.1", "--no-dashboard", *options],
+            [dask, what, "--scheduler-file", str(self._file), "--host", "127.0.0.1", *options],
             cwd=self._folder,
             env={**os.environ, "PYTHONPATH": _TEST_MODULES, **environment},
             stdout=subprocess.DEVNULL,
@@ -189,10 +193,22 @@ def kill_scheduler(context):
 
 
 @pytest.mark.exhaustive
-def test_a_lost_scheduler_is_named(dataset, tmp_path, cluster):
+def test_a_lost_scheduler_is_named_and_the_run_goes_on_without_it(dataset, finished, tmp_path, cluster):
     cluster.add_workers(2, "--no-nanny", SCHEDULER=str(cluster.scheduler.pid))
     with pytest.raises(RunError, match=f"scheduler {cluster.address}: .*; run the same command again: it goes on"):
         run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=with_metrics(kill_scheduler))
+    run(dataset, tmp_path / "run")
+    assert_same_tables(tmp_path / "run", finished)
+
+
+@pytest.mark.exhaustive
+def test_the_command_names_the_dashboard_of_a_cluster(dataset, finished, tmp_path, cluster):
+    ended = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.add_workers(2).address)
+    assert ended.returncode == 0
+    assert_same_tables(tmp_path / "run", finished)
+    dashboard = re.search(r"dask dashboard: (http://127\.0\.0\.1:\d+/status)", ended.stderr)
+    with urllib.request.urlopen(dashboard[1], timeout=30) as page:
+        assert page.status == 200
 
 
 @pytest.mark.parametrize("library", some_of(["fidpipe", "scipy"], ["scipy"]))

@@ -123,13 +123,11 @@ def test_coverage_and_what_is_behind_the_unmatched_agree_with_the_points(finishe
     assert {status: record["metrics"]["unmatched"][status]["absent"] for status in states} == states
 
 
-def test_the_terminal_the_report_the_comparison_and_the_gate_take_it(dataset, finished, tmp_path):
+def test_the_terminal_the_comparison_and_the_gate_take_it(finished):
     out, _ = finished
     shown = command("show", out, "--all")
     assert shown.returncode == 0, shown.stderr
     assert "Surface" in shown.stdout
-    report = command("report", out, "--out", tmp_path / "report")
-    assert report.returncode == 0, report.stderr
     (comparison,) = compare_runs([out, out])
     assert comparison.on_partition == ""
     assert not comparison.unfollowed
