@@ -117,7 +117,8 @@ def guarded(tmp_path):
     log = tmp_path / "network.log"
 
     def start(*words, check=True):
-        environment = os.environ | {"PYTHONPATH": str(tmp_path / "guard"), "NETWORK_LOG": str(log)}
+        path = os.pathsep.join([str(tmp_path / "guard"), *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = os.environ | {"PYTHONPATH": path, "NETWORK_LOG": str(log)}
         done = subprocess.run(
             [str(word) for word in words], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )

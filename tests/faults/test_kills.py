@@ -109,7 +109,7 @@ def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
 
 
 def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    monkeypatch.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
     outcome = run(
         dataset, tmp_path / "run", workers=2, stages=broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
     )
@@ -121,7 +121,7 @@ def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
 
 @pytest.mark.exhaustive
 def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    monkeypatch.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
     stages = broken_jobs.with_job("baselines", broken_jobs.poisoned_baselines, (*STAGES, *EXTRAS))
     settings = load(None, ["metrics.baselines=chamfer", "stability.seeds=2"])
     outcome = run(dataset, tmp_path / "run", settings, workers=2, stages=stages)
@@ -135,7 +135,7 @@ def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monk
 
 @pytest.mark.parametrize("workers", some_of([1, 2], [1]))
 def test_a_bug_fails_its_pair_and_keeps_its_traceback(dataset, tmp_path, monkeypatch, workers):
-    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    monkeypatch.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
     stages = broken_jobs.with_job("matching", broken_jobs.buggy_matching)
     outcome = run(dataset, tmp_path / "run", workers=workers, stages=stages)
     assert outcome.failures == {"001": "stage matching: internal error: ZeroDivisionError: a bug"}
@@ -157,7 +157,7 @@ def note_or_die(path, n_good):
 
 
 def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
     pool = DaskPool(1, None, tmp_path, {})
     try:
         handle = pool.submit(note, tmp_path / "calls")
@@ -174,7 +174,7 @@ def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeyp
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("n_good", [1, 2])
 def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(tmp_path, monkeypatch, n_good):
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
     pool = DaskPool(1, None, tmp_path, {})
     try:
         pool.submit(os.getpid)
