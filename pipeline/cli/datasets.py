@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_PAIRS_FAILED, Assignments, Replace
+from .options import EXIT_PAIRS_FAILED, Assignments, LocalWorkers, Replace
 from .output import print_line
 
 
@@ -30,9 +30,7 @@ def synth(
             "--points", min=100, help="About so many points per real scan.", show_default="as the sensor has them"
         ),
     ] = None,
-    workers: Annotated[
-        int, typer.Option("--workers", min=1, help="Processes on this machine; they change nothing but the time.")
-    ] = 1,
+    workers: LocalWorkers = 1,
     replace: Replace = False,
 ) -> None:
     """Make a dataset: scans of ray-cast streets, and of a flawed digital twin of each.
@@ -118,9 +116,7 @@ def twin(
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other random numbers.")] = 0,
     assignments: Assignments = None,
-    workers: Annotated[
-        int, typer.Option("--workers", min=1, help="Processes on this machine; they change nothing but the time.")
-    ] = 1,
+    workers: LocalWorkers = 1,
     replace: Replace = False,
 ) -> None:
     """Make a dataset: posed real scans, and each place scanned again in a model of the other scans.

@@ -54,6 +54,9 @@ Workers = Annotated[
         show_default="one per core",
     ),
 ]
+LocalWorkers = Annotated[
+    int, typer.Option("--workers", min=1, help="Processes on this machine; they change nothing but the time.")
+]
 Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),

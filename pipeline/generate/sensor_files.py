@@ -17,6 +17,7 @@ from ..datasets.readers.scan import cause_of
 _TABLES = (".csv", ".toml")
 _ANGLES = ("elevation_deg", "azimuth_offset_deg")
 _UNIFORM = ("channels", "upper_deg", "lower_deg")
+_BOUNDS = {"azimuth_step_deg": (0.01, 10.0), "lost_share": (0.0, 1.0)}
 #: What a table need not say.
 _USUAL = replace(SENSORS["hdl64"], name="table", title="", source="", azimuth_step_deg=0.2, range_quantum_m=0.0)
 _NUMBERS = tuple(
@@ -83,16 +84,12 @@ def _sensor(path: Path, values: dict[str, Any]) -> SensorModel:
             f"sensor {path}: expected {len(elevation)} azimuth offsets, one for each elevation; got {len(offset)}"
         )
     numbers: dict[str, Any] = {
-        name: _number(path, name, values[name], *_bounds(name)) for name in _NUMBERS if name in values
+        name: _number(path, name, values[name], *_BOUNDS.get(name, (0.0, 1e4))) for name in _NUMBERS if name in values
     }
     sensor = replace(_USUAL, elevation_deg=elevation, azimuth_offset_deg=offset, **numbers)
     if sensor.min_range_m >= sensor.max_range_m:
         raise FidpipeError(f"sensor {path}: min_range_m: expected less than max_range_m, got {sensor.min_range_m:g}")
     return sensor
-
-
-def _bounds(name: str) -> tuple[float, float]:
-    return {"azimuth_step_deg": (0.01, 10.0), "lost_share": (0.0, 1.0)}.get(name, (0.0, 1e4))
 
 
 def _numbers(path: Path, name: str, values: Any, low: float, high: float) -> tuple[float, ...]:

@@ -103,7 +103,10 @@ def make_twins(
             f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a recording are '
             f"those of a sensor with {FRAME_AXES['ros']}; turn its scans and poses first"
         )
-    _check_foliage(foliage, list(recording.label_names.values()))
+    known = list(recording.label_names.values())
+    for label in foliage if known else ():
+        if label not in known:
+            raise FidpipeError(f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}")
     frames = _selected(recording.frames, pattern)
     if out.resolve() == recording.folder.resolve():
         raise FidpipeError(f"dataset {out}: is the recording; give the name of a new or empty folder")
@@ -132,13 +135,6 @@ def make_twins(
         made = [task.frame for task in tasks.values() if _is_made(task)]
         write_table(out / MANIFEST, ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"], map(_row, made))
     return TwinOutcome(len(made), failures)
-
-
-def _check_foliage(foliage: Sequence[str], known: list[str]) -> None:
-    """Refuses labels that no class has."""
-    for label in foliage if known else ():
-        if label not in known:
-            raise FidpipeError(f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}")
 
 
 def _selected(frames: Sequence[Frame], pattern: str | None) -> list[Frame]:
