@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from . import completion
-from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder, criterion_option, out_option
-from .output import print_json, print_text, print_view
-
-if TYPE_CHECKING:
-    from ..report.view import Table, View
+from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder, criterion_option, format_of, out_option
+from .output import print_as, print_json, print_view
 
 
 def gate(
@@ -149,8 +147,7 @@ def compare(
 
     if not 2 <= len(runs) <= MOST_RUNS:
         raise typer.BadParameter(f"{len(runs)} run{'s' * (len(runs) > 1)} given, 2 to {MOST_RUNS} are wanted")
-    if as_json + as_markdown + as_csv > 1:
-        raise typer.BadParameter("--json, --markdown and --csv: one of them is wanted")
+    output = format_of(as_json, as_markdown, as_csv)
     if fail_on is not None and fail_on not in FAIL_ON:
         raise typer.BadParameter(f"--fail-on {fail_on}: {' or '.join(FAIL_ON)} is wanted")
     if fail_on is None and (junit or json_file):
@@ -160,7 +157,6 @@ def compare(
     if by_date and not history:
         raise typer.BadParameter("--by-date orders the runs of --history; give it as well")
     page = html or (out and out / "compare.html")
-    output = "json" if as_json else "markdown" if as_markdown else "csv" if as_csv else ""
     if history:
         options = {"by_date": by_date, "allow_different_settings": allow_different_settings, "independent": independent}
         _history(runs, page, output, **options)
@@ -171,12 +167,13 @@ def compare(
     if page:
         write_whole(page, compare_page(comparisons, page.parent).encode())
     results = [judge_comparison(each, fail_on) for each in comparisons] if fail_on else []
-    if output == "json":
-        print_json([each.as_dict() for each in results or comparisons])
-    else:
-        full = all_ or output == "markdown"
-        view = [part for each in comparisons for part in compare_view(each, with_all=full)]
-        _print(output, [*view, *(part for each in results for part in base_view(each))], compare_records(comparisons))
+    views = (compare_view(each, with_all=all_ or output == "markdown") for each in comparisons)
+    print_as(
+        output,
+        view=lambda: [*chain(*views, *map(base_view, results))],
+        records=lambda: compare_records(comparisons),
+        values=lambda: [each.as_dict() for each in results or comparisons],
+    )
     if results:
         suites = {f"{one.comparison.other} against {one.comparison.base}": one.checks for one in results}
         folder = out or runs[-1]
@@ -233,20 +230,7 @@ def _history(runs: list[Path], page: Path | None, output: str, **options: bool) 
     history = read_history(runs, **options)
     if page:
         write_whole(page, history_page(history).encode())
-    if output == "json":
-        print_json(history.as_dict())
-    else:
-        _print(output, history_view(history), history_records(history))
-
-
-def _print(output: str, view: View, records: Table) -> None:
-    """Prints a view in the terminal or as Markdown, or its records as CSV."""
-    from ..report.render import csv_table, markdown
-
-    if output:
-        print_text(markdown(view) if output == "markdown" else csv_table(records))
-    else:
-        print_view(view)
+    print_as(output, lambda: history_view(history), lambda: history_records(history), history.as_dict)
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:

@@ -106,10 +106,11 @@ EXIT_GATE_FAILED = 4
 EXIT_INTERRUPTED = 130
 
 
-def check_formats(as_json: bool, as_markdown: bool, as_csv: bool) -> None:
-    """Raises `typer.BadParameter` where more than one format is asked for."""
+def format_of(as_json: bool, as_markdown: bool, as_csv: bool) -> str:
+    """The format of the output, "" for people; raises `typer.BadParameter` if more than one is asked for."""
     if as_json + as_markdown + as_csv > 1:
         raise typer.BadParameter("--json, --markdown and --csv are formats of the same; give one of them")
+    return "json" if as_json else "markdown" if as_markdown else "csv" if as_csv else ""
 
 
 def check_machines(workers: int | None, scheduler: str | None) -> None:

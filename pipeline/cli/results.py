@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, check_formats, out_option
-from .output import print_json, print_line, print_text, print_view
+from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, format_of, out_option
+from .output import print_as, print_json, print_line, print_view
 
 
 def show(
@@ -51,7 +51,7 @@ def show(
 
     fidpipe show runs/dataset --csv > pairs.csv    one row per pair; of a pair one row per object
     """
-    check_formats(as_json, as_markdown, as_csv)
+    output = format_of(as_json, as_markdown, as_csv)
     if paper and pair is not None:
         raise typer.BadParameter("--paper is about the whole run; leave out the pair")
     if all_ and (paper or pair is not None):
@@ -63,7 +63,6 @@ def show(
             "--markdown and --csv are of a run, a pair or an object; leave out --paper, --all and --floor"
         )
 
-    from ..report.render import csv_table, markdown
     from ..report.views.show_view import show_json, show_records, show_view
     from ..results.finished import FinishedRun
     from ..results.floor import excess_over
@@ -76,13 +75,12 @@ def show(
         print_json([dict(vars(claim)) for claim in claims]) if as_json else print_view(claims_view(finished, claims))
         return
     excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
-    if as_csv:
-        print_text(csv_table(show_records(finished, pair, object_)))
-    elif as_json:
-        print_json(show_json(finished, pair, object_, excess))
-    else:
-        view = show_view(finished, pair, object_, excess, with_all=all_)
-        print_text(markdown(view)) if as_markdown else print_view(view)
+    print_as(
+        output,
+        view=lambda: show_view(finished, pair, object_, excess, with_all=all_),
+        records=lambda: show_records(finished, pair, object_),
+        values=lambda: show_json(finished, pair, object_, excess),
+    )
 
 
 def report(

@@ -466,7 +466,7 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
     [
         (["--fail-on", "nose"], "worse or undecided is wanted"),
         (["--junit", "a.xml"], "give it as well"),
-        (["--json", "--csv"], "one of them is wanted"),
+        (["--json", "--csv"], "give one of them"),
         (["--by-date"], "--history"),
         (["--history", "--fail-on", "worse"], "without it"),
     ],
