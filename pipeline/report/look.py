@@ -49,11 +49,11 @@ def on_page(colour: str) -> str:
     return of_theme("blue") if colour == BLUE else colour
 
 
-def shortened(text: str, most: int = 22) -> str:
+def clipped(text: str, most: int = 22) -> str:
     """A text of at most `most` signs, the last one an ellipsis where something is left out."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def in_chart(name: str, most: int = 22) -> str:
     """A name for a text of plotly, which reads a little markup: shown, shortened, and without meaning as markup."""
-    return escape(shortened(shown(name), most), quote=False)
+    return escape(clipped(shown(name), most), quote=False)

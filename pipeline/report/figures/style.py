@@ -15,7 +15,7 @@ import numpy as np
 
 from ....stages.arrays import FloatArray
 from ...storage.files import write_whole
-from ..look import GREY, RAMPS
+from ..look import GREY, RAMPS, clipped
 
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
@@ -140,4 +140,4 @@ def shown_name(name: str, most: int = 28) -> str:
     text = "".join(
         sign if ord(sign) in known and sign.isprintable() else sign.encode("unicode_escape").decode() for sign in name
     )
-    return text if len(text) <= most else f"{text[: most - 1]}…"
+    return clipped(text, most)

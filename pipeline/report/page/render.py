@@ -18,7 +18,7 @@ from plotly.offline import get_plotlyjs
 
 from ...terminal import shown
 from ..charts import TEMPLATE
-from ..look import THEMES, shortened
+from ..look import THEMES, clipped
 from ..view import sentence
 
 
@@ -46,7 +46,7 @@ def _environment() -> Environment:
     environment.filters |= {
         "shown": shown,
         "sentence": sentence,
-        "shortened": shortened,
+        "clipped": clipped,
         "fixed": _fixed,
         "plain": _in_words,
     }
