@@ -23,7 +23,7 @@ from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
 from fidpipe.stages.literal import method
-from runs import command, contents, rewrite, run
+from runs import command, contents, rewrite, run, some_of
 from scenes import write_dataset
 from toys import TOY_TABLES
 
@@ -104,44 +104,33 @@ FILES = {
     **{name: f"{name}/000.parquet" for name in ("baselines", "seeds")},
     "pairs": "pairs.parquet",
 }
-CHANGES = [
-    (table, column)
-    for table in FILES
-    for column in TABLES[table].schema.names
-    if f"{table}.{column}" not in NOT_COMPARED
-]
-#: One column a table, for a fast test.
-ONE_EACH = {
-    "ground": "x",
-    "sensor": "reason",
-    "graph": "length_m",
-    "communities": "community_id",
-    "objects": "cx",
-    "matching": "sim_id",
-    "coverage": "covered_0p3m",
-    "surface": "shift_m",
-    "pieces": "fate",
-    "selection": "sim_point_id",
-    "metrics": "r_lambda",
-    "baselines": "value",
-    "seeds": "cdc_mean",
-    "pairs": "r_gap_mean",
+#: Tables of which all columns are forged at once, but for those by which rows are found and counts of other tables.
+AT_ONCE = ("sensor", "objects", "matching", "coverage", "surface", "pieces", "metrics", "seeds", "pairs")
+ONE_BY_ONE = {
+    *("pair_id", "side", "real_id", "sim_id", "community_id", "piece_id", "seed", "status", "reason"),
+    *("n_points", "n_real", "n_sim", "n_keep", "centroid_distance_m"),
 }
+COLUMNS = {
+    table: [name for name in TABLES[table].schema.names if f"{table}.{name}" not in NOT_COMPARED] for table in FILES
+}
+SINGLE = [
+    (table, name) for table, names in COLUMNS.items() for name in names if table not in AT_ONCE or name in ONE_BY_ONE
+]
+FEW = [
+    *(("ground", "x"), ("graph", "length_m"), ("communities", "community_id"), ("matching", "sim_id")),
+    *(("selection", "sim_point_id"), ("baselines", "value"), ("surface", "n_points"), ("metrics", "status")),
+]
 
 
-@pytest.mark.parametrize(
-    ("table", "column"),
-    [
-        pytest.param(
-            *change, marks=[] if ONE_EACH[change[0]] == change[1] else pytest.mark.exhaustive, id=".".join(change)
-        )
-        for change in CHANGES
-    ],
-)
+def forge_column(folder, table, name):
+    is_text = pa.types.is_string(pq.read_schema(folder / FILES[table]).field(name).type)
+    forge(folder, FILES[table], name, lambda values: another(values, is_text=is_text))
+
+
+@pytest.mark.parametrize(("table", "column"), some_of(SINGLE, FEW))
 def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_path, table, column):
     copy = shutil.copytree(whole if table in ("baselines", "seeds") else plain, tmp_path / "run")
-    is_text = pa.types.is_string(pq.read_schema(copy / FILES[table]).field(column).type)
-    forge(copy, FILES[table], column, lambda values: another(values, is_text=is_text))
+    forge_column(copy, table, column)
     try:
         result = verify_run(copy, None)
     except RunError as error:
@@ -153,23 +142,12 @@ def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_pa
     assert wrong & {table, "rows", "pairs", "scan", "metrics"}, wrong
 
 
-#: Columns by which rows are found, and counts that are compared under the name of another table.
-_NOT_AT_ONCE = {
-    *("pair_id", "side", "real_id", "sim_id", "community_id", "piece_id", "seed", "status", "reason"),
-    *("n_points", "n_real", "n_sim", "n_keep", "centroid_distance_m"),
-}
-
-
-@pytest.mark.parametrize(
-    "table", ["sensor", "objects", "matching", "coverage", "surface", "pieces", "metrics", "seeds", "pairs"]
-)
+@pytest.mark.parametrize("table", AT_ONCE)
 def test_each_edited_column_is_named_though_all_of_a_table_are_edited_at_once(copy, monkeypatch, table):
     monkeypatch.setattr(verify, "_MOST_SHOWN", 10**6)
-    names = {name for own, name in CHANGES if own == table} - _NOT_AT_ONCE
-    schema = pq.read_schema(copy / FILES[table])
+    names = {*COLUMNS[table]} - ONE_BY_ONE
     for name in names:
-        is_text = pa.types.is_string(schema.field(name).type)
-        forge(copy, FILES[table], name, lambda values, is_text=is_text: another(values, is_text=is_text))
+        forge_column(copy, table, name)
     found = {mismatch.column for mismatch in verify_run(copy, None).mismatches if mismatch.table == table}
     assert names - found == set()
 
