@@ -397,10 +397,10 @@ def _summary(run: FinishedRun, settings: Settings) -> Iterator[Part]:
             sums = (row[METRIC[name].mean_column] or 0.0) * n + worst * n_alone
             columns[unmatched_worst(name)].append(sums / (n + n_alone) if n + n_alone else None)
     for name, own in columns.items():
-        summary, (mean, std) = run.record.summary[name], mean_and_std(own)
+        summary, (mean, std) = run.record.summary.get(name), mean_and_std(own)
         n_pairs = sum(value is not None for value in own)
         for key, value in {"mean": mean, "std": std, "n_pairs": n_pairs}.items():
-            stored[f"summary.{name}.{key}"], made[f"summary.{name}.{key}"] = getattr(summary, key), value
+            stored[f"summary.{name}.{key}"], made[f"summary.{name}.{key}"] = getattr(summary, key, None), value
     yield values("run.json", stored, made)
 
 

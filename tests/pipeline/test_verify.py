@@ -268,6 +268,14 @@ def test_an_edited_mean_of_the_record_is_found(copy, name):
     assert (mismatch.table, mismatch.column) == ("run.json", f"summary.{name}.mean")
 
 
+def test_a_score_that_is_gone_from_the_record_is_found(copy):
+    record = orjson.loads((copy / "run.json").read_bytes())
+    del record["summary"]["cdc_mean"]
+    (copy / "run.json").write_bytes(orjson.dumps(record))
+    found = {(mismatch.column, mismatch.stored) for mismatch in verify_run(copy, 1).mismatches}
+    assert found == {("summary.cdc_mean.mean", "null"), ("summary.cdc_mean.n_pairs", "null")}
+
+
 def test_tables_of_another_version_of_a_stage_are_not_compared_and_that_is_said(copy):
     record = orjson.loads((copy / "run.json").read_bytes())
     record["stages"]["coverage"] -= 1
