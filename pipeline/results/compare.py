@@ -6,6 +6,7 @@ objects are followed from run to run (`followed`) as a description.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Container, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -206,7 +207,10 @@ def compare_two(
         parts = {f"{i}": rows_of_sector for i, rows_of_sector in enumerate(of_runs)}
         sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
         blocks = np.arange(len(names), dtype=np.int32)
-    noise = {column: _both_seed_noise(base, other, names, column) for column in SEEDED_SCORES}
+    seeds, others = (_seed_noise(run, names) for run in (base, other))
+    noise = {
+        column: math.hypot(own, others[column]) / math.sqrt(2) for column, own in seeds.items() if column in others
+    }
     floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
     preset = base.preset if base.preset == other.preset else "paper"
     return Comparison(
@@ -237,7 +241,7 @@ def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tu
         for run in (base, other)
     )
     found = [follow(before, after) for before, after in zip(*parts, strict=True)]
-    return [change for changes, _ in found for change in changes], [name for _, own in found for name in own]
+    return [change for changes, _ in found for change in changes], [names[i] for _, own in found for i in own]
 
 
 def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:
@@ -315,16 +319,21 @@ def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
     return why
 
 
-def _both_seed_noise(base: FinishedRun, other: FinishedRun, names: Sequence[str], column: str) -> float | None:
-    a, b = (_seed_noise(run, names, column) for run in (base, other))
-    return None if a is None or b is None else float(np.hypot(a, b) / np.sqrt(2))
+def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
+    """By score, what two means over the pairs may differ by through Louvain seeds alone (95 %).
 
-
-def _seed_noise(run: FinishedRun, names: Sequence[str], column: str) -> float | None:
-    """What two means over the pairs may differ by through Louvain seeds alone (95 %); None without repeats of all."""
-    records = [run.store.ledger.job_of_file(table_name("seeds", name)) for name in names]
-    repeats = [record.facts["scores"][column] for record in records if record is not None]
-    n_seeds = {len(scores) for scores in repeats}
-    if not names or len(repeats) < len(names) or len(n_seeds) != 1:
-        return None
-    return spread(np.array(repeats, dtype=np.float64)).least_dataset
+    Only scores that are known of every pair under the same number of seeds.
+    """
+    repeats: dict[str, list[list[float]]] = {column: [] for column in SEEDED_SCORES}
+    for name in names:
+        record = run.store.ledger.job_of_file(table_name("seeds", name))
+        if record is None:
+            return {}
+        for column, scores in repeats.items():
+            scores.append(record.facts["scores"][column])
+    noise = {
+        column: spread(np.array(scores, dtype=np.float64)).least_dataset
+        for column, scores in repeats.items()
+        if len({len(own) for own in scores}) == 1
+    }
+    return {column: least for column, least in noise.items() if least is not None}

@@ -76,16 +76,17 @@ class GroupChange:
     r_lambda: float | None
 
 
-def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange], list[str]]:
+def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange], list[int]]:
     """What has become of each real object of some pairs, and the pairs whose real objects differ.
+
+    Real objects differ if their number, their points or their centroids do.
 
     Parameters
     ----------
     before, after : the real objects of both runs in the order of pairs and ids (`objects.object_parts`)
     """
-    a, b = ({str(name): own for name, own in objects.groupby("pair_id", sort=False)} for objects in (before, after))
-    differing = [name for name in {**a, **b} if name not in a or name not in b or not _is_same(a[name], b[name])]
-    before, after = (objects[~objects["pair_id"].isin(differing)] for objects in (before, after))
+    differing = _differing_pairs(before, after)
+    before, after = (objects[~objects["pair"].isin(differing)] for objects in (before, after))
     was_matched, is_matched = ((objects["partner"] >= 0).to_numpy() for objects in (before, after))
     scores = {name: (before[name].to_numpy(), after[name].to_numpy()) for name in SHARED_SCORES}
     columns = {name: before[name].to_numpy() for name in ("pair_id", "label", "shape", "range_m", "n_points")}
@@ -97,10 +98,20 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange
     return [ObjectChange(**row) for row in plain_rows(pd.DataFrame(columns))], differing
 
 
-def _is_same(before: pd.DataFrame, after: pd.DataFrame) -> bool:
-    """True if the real objects of a pair are the same, by number of points and centroids."""
-    a, b = (objects[[*_PLACE]].to_numpy(dtype=np.float64) for objects in (before, after))
-    return np.array_equal(a, b, equal_nan=True)
+def _differing_pairs(before: pd.DataFrame, after: pd.DataFrame) -> list[int]:
+    """The pairs whose real objects differ in number, points or centroids."""
+    pairs = [objects["pair"].to_numpy() for objects in (before, after)]
+    n_pairs = 1 + max(int(own.max(initial=-1)) for own in pairs)
+    n_before, n_after = (np.bincount(own, minlength=n_pairs) for own in pairs)
+    differs = n_before != n_after
+    rows = [~differs[own] for own in pairs]
+    a, b = (
+        objects.loc[own, [*_PLACE]].to_numpy(dtype=np.float64)
+        for objects, own in zip((before, after), rows, strict=True)
+    )
+    moved = ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
+    differs[pairs[0][rows[0]][moved]] = True
+    return [int(pair) for pair in np.flatnonzero(differs)]
 
 
 def by_class(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:

@@ -351,12 +351,14 @@ def test_a_gate_of_before_is_judged_anew_and_the_first_screen_says_whether_it_is
 def test_a_class_says_of_how_many_objects_a_mean_is_where_some_have_no_score(report_run):
     run = FinishedRun(report_run)
     first, *others = run.record.findings.classes
-    fewer = first.model_copy(update={"r_lambda_n": first.n_matched - 1})
+    known = first.scores["r_lambda"]
+    scores = first.scores | {"r_lambda": known.model_copy(update={"n": first.n_matched - 1})}
+    fewer = first.model_copy(update={"scores": scores})
     findings = run.record.findings.model_copy(update={"classes": (fewer, *others)})
     console = Console(file=StringIO(), width=400)
     record = run.record.model_copy(update={"findings": findings})
     console.print(terminal(summary_view(report_run, run.rows, record, record.overview, with_all=True)))
-    assert f"{first.r_lambda_mean:.3f}*" in console.file.getvalue()
+    assert f"{known.mean:.3f}*" in console.file.getvalue()
     assert f"{first.label} r_lambda of {first.n_matched - 1}" in console.file.getvalue()
 
 
