@@ -9,7 +9,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from itertools import islice
+from itertools import groupby, islice
+from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -257,13 +258,16 @@ class _Run:
         self._end_phase("stages")
         seconds, pair_ids = StageSeconds(), [pair.pair_id for pair in survey.usable]
         keys, n_current, notes = [], 0, defaultdict[str, list[str]](list)
-        for job in self._records(pair_ids):
-            seconds.add(job)
-            n_current += 1
-            for note in job.facts.get("notes", ()):
-                notes[job.pair_id].append(f"{job.part} side: {note}")
-            if OF_PAIR in job.facts:
-                keys += [job.pair_id, job.key]
+        for pair_id, jobs in groupby(self._records(pair_ids), attrgetter("pair_id")):
+            own = []
+            for job in jobs:
+                seconds.add(job)
+                n_current += 1
+                for note in job.facts.get("notes", ()):
+                    notes[pair_id].append(f"{job.part} side: {note}")
+                if OF_PAIR in job.facts:
+                    own.append(job.key)
+            keys += [pair_id, key_of(sorted(own))]
         times_s = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
         key = key_of(library_versions(["fidpipe"]), keys, self._engine.failures, times_s)
         before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
