@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from shutil import rmtree
 from types import TracebackType
 from typing import Self
@@ -75,38 +74,42 @@ class Survey:
     n_jobs: int = 0
 
 
-class Engine:
-    """Has jobs made; used as a context, at whose end the pool is ended.
+class RunEngine:
+    """Inspects files, plans, removes what is out of date, has jobs made and keeps the ledger of a run's folder.
+
+    A context, at whose end the pool is ended.
 
     Parameters
     ----------
+    folder : of the run; locked where anything is to be made
     settings : in force
     machines : where work is done
-    reporter : told how it goes on
-    modules : names of those that the jobs are in
-    libraries : what the jobs call; with those that every run needs, workers of a cluster must have the same versions
-    shared_file : that every worker of a cluster must see with the same content
+    reporter : shows how it goes on
+    stages : whose jobs may be wanted
 
     Attributes
     ----------
-    failures : why something came to nothing: by pair_id, or "pair_id, part" for a part of an experiment
+    contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
+    frames : by pair_id, those of `contents` whose simulated scan seems to lie in another frame
+    failures : why something failed: by pair_id, or "pair_id, part" for a part of an experiment
     n_made : jobs that were made
     """
 
     def __init__(
         self,
+        folder: RunFolder,
         settings: Settings,
         machines: Machines,
         reporter: Reporter,
-        modules: Iterable[str] = (),
-        libraries: Iterable[str] = (),
-        shared_file: Path = Path(),
+        stages: Iterable[Stage] = (),
     ) -> None:
-        self.settings, self.reporter = settings, reporter
+        self.folder, self.settings, self.reporter = folder, settings, reporter
+        self.contents: dict[str, dict[str, ScanContent]] = {}
+        self.frames: dict[str, FrameSuspect] = {}
         self.failures: dict[str, str] = {}
         self.n_made = 0
-        self._machines, self._shared_file = machines, shared_file
-        self._modules, self._libraries = tuple(modules), tuple(libraries)
+        self._machines, self._stages = machines, tuple(stages)
+        self._unusable: set[str] = set()
         self._traces: set[str] = set()
         self._pool: Pool | None = machines.pool
 
@@ -125,13 +128,14 @@ class Engine:
     def pool(self) -> Pool:
         """Where batches run; started when first needed."""
         if self._pool is None:
+            libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries(self.settings))
             self._pool = start_pool(
                 self._machines.workers,
                 self._machines.scheduler,
                 self.settings.machine.memory_gib,
-                self._shared_file,
-                library_versions(("fidpipe", *LIBRARIES, *self._libraries)),
-                self._modules,
+                self.folder.token_path,
+                library_versions(("fidpipe", *LIBRARIES, *libraries)),
+                dict.fromkeys(stage.make.__module__ for stage in self._stages),
                 may_end_workers=self._machines.pair_timeout_s is not None,
             )
             if self._pool.dashboard:
@@ -146,22 +150,6 @@ class Engine:
     def n_workers(self) -> int:
         """Workers of the pool; 0 where none was needed."""
         return 0 if self._pool is None else self._pool.n_workers
-
-    @contextmanager
-    def scheduling(self, plans: Iterable[PairPlan], n_pairs: int, n_jobs: int | None = None) -> Iterator[Schedule]:
-        """The schedule that makes the jobs of pairs that are not done; while it runs, progress is shown.
-
-        Parameters
-        ----------
-        plans : taken one by one as the pairs are begun
-        n_pairs, n_jobs : how many there are; by default one job per pair
-        """
-        pool = self.pool
-        self.reporter.start(n_pairs, n_pairs if n_jobs is None else n_jobs)
-        try:
-            yield Schedule(pool, self._limited(plans), n_pairs, self, self._machines.policy)
-        finally:
-            self.reporter.stop()
 
     def _limited(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
         """The plans with the time limit of their pairs; what was noted of an earlier run is removed."""
@@ -179,59 +167,6 @@ class Engine:
         """Something came to nothing, by pair_id or "pair_id, part"."""
         self.failures[name] = reason
         self.reporter.fail(f"pair {name}", reason)
-
-    def batch_done(self, result: BatchResult) -> None:
-        """See `Watcher`."""
-        self.n_made += len(result.records)
-        self.reporter.advance(len(result.records))
-
-    def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """See `Watcher`: failures are told, those of parts of an experiment one by one."""
-        of_parts, own = _split_failures(plan, failures)
-        for failure in of_parts:
-            self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
-        if own:
-            self.fail(plan.pair_id, failures_in_words(own))
-        self.reporter.advance(len(plan.todo), 1)
-        if plan.limit is not None:
-            rmtree(plan.limit.folder, ignore_errors=True)
-        for trace in [failure.trace for failure in failures if failure.trace]:
-            if trace not in self._traces:
-                self._traces.add(trace)
-                self.reporter.say(trace)
-
-
-class RunEngine(Engine):
-    """The same in a run's folder: inspects files, knows what is there, removes what is out of date, keeps the ledger.
-
-    Parameters
-    ----------
-    folder : of the run; locked where anything is to be made
-    settings, machines, reporter : see `Engine`
-    stages : whose jobs may be wanted
-
-    Attributes
-    ----------
-    contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
-    frames : by pair_id, those of `contents` whose simulated scan seems to lie in another frame
-    """
-
-    def __init__(
-        self,
-        folder: RunFolder,
-        settings: Settings,
-        machines: Machines,
-        reporter: Reporter,
-        stages: Iterable[Stage] = (),
-    ) -> None:
-        stages = tuple(stages)
-        modules = dict.fromkeys(stage.make.__module__ for stage in stages)
-        libraries = dict.fromkeys(name for stage in stages for name in stage.libraries(settings))
-        super().__init__(settings, machines, reporter, modules, libraries, folder.token_path)
-        self.folder = folder
-        self.contents: dict[str, dict[str, ScanContent]] = {}
-        self.frames: dict[str, FrameSuspect] = {}
-        self._unusable: set[str] = set()
 
     def inspect(
         self,
@@ -342,10 +277,11 @@ class RunEngine(Engine):
     @contextmanager
     def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
         """The schedule that makes the jobs that are not there, of the pairs that are to be worked on."""
+        pool = self.pool
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
-            with self.scheduling(plans, len(survey.todo), survey.n_jobs) as schedule:
-                yield schedule
+            self.reporter.start(len(survey.todo), survey.n_jobs)
+            yield Schedule(pool, self._limited(plans), len(survey.todo), self, self._machines.policy)
         except DiskFullError as error:
             n_raw = sum(scan.n_raw for pair in survey.todo for scan in self.contents[pair.pair_id].values())
             need, n_pairs = megabytes(self._machines.policy.costs.disk_bytes(n_raw)), len(survey.todo)
@@ -354,6 +290,7 @@ class RunEngine(Engine):
             )
             raise DiskFullError(f"{error}: it goes on where it stopped; the {pairs} about {need} in all") from error
         finally:
+            self.reporter.stop()
             self.folder.ledger.commit()
             rmtree(self.folder.folder / _TIME_NOTES, ignore_errors=True)
         if survey.todo:
@@ -363,21 +300,37 @@ class RunEngine(Engine):
         """See `Watcher`: the ledger learns of the finished jobs."""
         if result.records:
             self.folder.ledger.put_jobs(result.pair_id, result.records)
-        super().batch_done(result)
+        self.n_made += len(result.records)
+        self.reporter.advance(len(result.records))
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """See `Watcher`: the ledger learns why a pair failed, and nothing of a pair without scores stays."""
-        super().pair_done(plan, failures)
-        _, own = _split_failures(plan, failures)
+        """See `Watcher`: failures are shown, those of parts of an experiment one by one.
+
+        The ledger learns why a pair failed, and nothing of a pair without scores stays.
+        """
+        own = []
+        for failure in failures:
+            if failure.part in plan.job((failure.stage, failure.part)).stage.parts:
+                own.append(failure)
+            else:
+                self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
+        self.reporter.advance(len(plan.todo), 1)
+        if plan.limit is not None:
+            rmtree(plan.limit.folder, ignore_errors=True)
         if any(is_required(plan.job((failure.stage, failure.part))) for failure in own):
             for record in self.folder.ledger.jobs(plan.pair_id).values():
                 self.folder.forget(record)
                 self.n_made -= record.made_by == self.folder.token
         if own:
+            self.fail(plan.pair_id, failures_in_words(own))
             key = plan.job((own[0].stage, own[0].part)).key
             self.folder.ledger.put_failure(plan.pair_id, {"key": key, "reason": self.failures[plan.pair_id]})
         else:
             self.folder.ledger.drop_failure(plan.pair_id)
+        for trace in dict.fromkeys(failure.trace for failure in failures if failure.trace):
+            if trace not in self._traces:
+                self._traces.add(trace)
+                self.reporter.say(trace)
 
     def _read_files(
         self, pairs: Sequence[ScanPair], label_names: dict[int, str]
@@ -455,13 +408,3 @@ def _by_reason(unwanted: Mapping[JobName, str]) -> dict[str, list[JobName]]:
     for name, reason in unwanted.items():
         reasons.setdefault(reason, []).append(name)
     return reasons
-
-
-def _split_failures(plan: PairPlan, failures: Iterable[JobFailure]) -> tuple[list[JobFailure], list[JobFailure]]:
-    """Failures of parts of an experiment, and those of the pair's own stages."""
-    of_parts: list[JobFailure] = []
-    own: list[JobFailure] = []
-    for failure in failures:
-        is_own = failure.part in plan.job((failure.stage, failure.part)).stage.parts
-        (own if is_own else of_parts).append(failure)
-    return of_parts, own
