@@ -98,9 +98,7 @@ def test_a_run_without_a_sound_ledger_makes_nothing_and_touches_no_table(again, 
     before = json.loads((finished / "run.json").read_text())
     for part in ("summary", "findings", "inputs", "pairs"):
         assert outcome.record.as_dict()[part] == before[part]
-    steps = pd.read_parquet(again / "timings.parquet")
-    assert steps.reused.all()
-    assert set(steps.stage) == set(STAGE_NAMES)
+    assert pd.read_parquet(again / "timings.parquet").empty  # seconds stood in the lost ledger
     assert run(dataset, again).n_made == 0
 
 

@@ -111,16 +111,6 @@ def test_a_gate_fails_on_a_suspect_pair_unless_it_is_allowed(finished):
     assert [own.criterion.limit for own in allowed.judged if own.criterion.measure == "pairs.frame_suspect"] == [1]
 
 
-def test_a_gate_asks_for_a_new_run_where_frames_were_not_compared(finished, tmp_path):
-    out = shutil.copytree(finished[0], tmp_path / "run")
-    record = json.loads((out / "run.json").read_text())
-    del record["frames"]
-    (out / "run.json").write_text(json.dumps(record))
-    measured = Measures(FinishedRun(out)).named("pairs.frame_suspect")
-    assert measured.value is None
-    assert "did not compare frames; run again: fidpipe run" in measured.why
-
-
 def test_frames_are_compared_again_only_where_files_or_input_settings_changed(mirrored, tmp_path, monkeypatch):
     data, out, settings = shutil.copytree(mirrored, tmp_path / "streets"), tmp_path / "run", load(None, ["graph.k=10"])
     read = []
