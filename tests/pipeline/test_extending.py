@@ -59,13 +59,19 @@ def files_of(title):
 # Where a block goes into a file that is there already. Each takes the file's text and the block.
 
 
-def row_in(name):
-    """At the end of the tuple or the dictionary of this name."""
+def last_in(name):
+    """At the end of the value of this name, or of what the function of this name returns.
+
+    A block that repeats a call has `...` for the arguments that are there.
+    """
 
     def edit(text, code):
-        value = statement(text, name).value
+        node = statement(text, name)
+        value = node.body[-1].value if isinstance(node, ast.FunctionDef) else node.value
         if isinstance(value, ast.DictComp):
             value = value.generators[0].iter
+        if isinstance(node, ast.FunctionDef) and isinstance(value, ast.Call):
+            code = ", ".join(ast.unparse(argument) for argument in ast.parse(code).body[0].value.keywords)
         end = offset(text, value.end_lineno, value.end_col_offset) - 1
         head = text[:end].rstrip()
         return f"{head}{'' if head.endswith(',') else ','}\n{code.rstrip().removesuffix(',')},\n{text[end:]}"
@@ -91,29 +97,6 @@ def before(name):
 def before_return_of(name):
     """Before the function of this name returns."""
     return lambda text, code: insert(text, statement(text, name).body[-1].lineno, code, indent=4)
-
-
-def argument_in_return_of(name):
-    """Among the arguments of what the function of this name returns, where the block has `...` for those there are."""
-
-    def edit(text, code):
-        call = statement(text, name).body[-1].value
-        end = offset(text, call.end_lineno, call.end_col_offset) - 1
-        more = [ast.unparse(argument) for argument in ast.parse(code).body[0].value.keywords]
-        return f"{text[:end].rstrip()}\n{', '.join(more)},\n{text[end:]}"
-
-    return edit
-
-
-def entry_in_return_of(name):
-    """At the end of the dictionary that the function of this name returns."""
-
-    def edit(text, code):
-        value = statement(text, name).body[-1].value
-        end = offset(text, value.end_lineno, value.end_col_offset) - 1
-        return f"{text[:end].rstrip()}\n{code.rstrip()},\n{text[end:]}"
-
-    return edit
 
 
 def after_imports(text, code):
@@ -174,19 +157,19 @@ def insert(text, line, code, indent=0):
 
 #: Of each section, where its blocks go; None is a new file.
 PLACES = {
-    "A reader": [None, row_in("FORMATS")],
+    "A reader": [None, last_in("FORMATS")],
     "A setting": [field_in("GraphSettings"), before_return_of("build_graph")],
-    "A baseline": [row_in("BASELINES"), None, after_imports, row_in("BASELINES")],
+    "A baseline": [last_in("BASELINES"), None, after_imports, last_in("BASELINES")],
     "A score": [
-        row_in("OBJECT_SCORES"),
+        last_in("OBJECT_SCORES"),
         field_in("Scores"),
-        argument_in_return_of("score_object"),
-        row_in("SPECTRAL"),
-        entry_in_return_of("spectral"),
+        last_in("score_object"),
+        last_in("SPECTRAL"),
+        last_in("spectral"),
     ],
     "A stage": [
         before("TABLES"),
-        row_in("TABLES"),
+        last_in("TABLES"),
         before("Settings"),
         field_in("Settings"),
         None,
@@ -195,7 +178,7 @@ PLACES = {
     ],
     "An experiment": [
         before("EXPERIMENT_TABLES"),
-        row_in("EXPERIMENT_TABLES"),
+        last_in("EXPERIMENT_TABLES"),
         None,
         before("_numbers"),
         in_place_of_its_like,
@@ -444,16 +427,6 @@ def fidpipe(*words):
     return CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
 
 
-def test_check_reads_the_new_format(tmp_path, xyz_reader):
-    shown = fidpipe("check", write(tmp_path / "streets", save_xyz))
-    assert shown.exit_code == 0, shown.output
-
-
-def test_check_does_not_know_the_format_without_its_row(tmp_path):
-    with pytest.raises(Exception, match="no scan pairs found"):
-        fidpipe("check", write(tmp_path / "streets", save_xyz))
-
-
 def test_a_run_over_the_new_format_gives_the_numbers_of_a_known_one(tmp_path, xyz_reader):
     for name, save in (("xyz", save_xyz), ("npy", save_npy)):
         dataset = write(tmp_path / name, save)
@@ -507,8 +480,13 @@ def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
     readers._other_formats.cache_clear()
 
 
-def test_check_names_what_is_wrong_with_a_file_of_the_new_format(tmp_path, xyz_reader):
+def test_check_reads_the_new_format_and_names_what_is_wrong_with_a_file(tmp_path, request):
     dataset = write(tmp_path / "streets", save_xyz)
+    with pytest.raises(DatasetError, match="no scan pairs found"):
+        fidpipe("check", dataset)
+    request.getfixturevalue("xyz_reader")
+    shown = fidpipe("check", dataset)
+    assert shown.exit_code == 0, shown.output
     (dataset / "sim" / "a.xyz").write_text("1 2\n3 4\n")
     shown = fidpipe("check", dataset)
     assert shown.exit_code == 1
