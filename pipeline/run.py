@@ -203,15 +203,13 @@ class _Run:
         ledger = self._folder.ledger
         wanted = {pair.pair_id for pair in selected} | set(ledger.pair_ids()) | set(ledger.failed_pairs())
         pairs = [pair for pair in self._dataset.pairs if pair.pair_id in wanted]
-        for text in self._dataset.warnings:
-            self._reporter.warn(text)
+        self._reporter.warn(*self._dataset.warnings)
         self._engine.inspect(pairs, self._dataset.label_names)
         hashes = {
             pair_id: {side: scan.sha256 for side, scan in sides.items()}
             for pair_id, sides in self._engine.contents.items()
         }
-        for text in [*swapped_sides(pairs, self._dataset.folder), *shared_files(hashes)]:
-            self._reporter.warn(text)
+        self._reporter.warn(*swapped_sides(pairs, self._dataset.folder), *shared_files(hashes))
         self._hashes = {
             pair.pair_id: input_hashes(pair, self._dataset.label_names, self._engine.contents[pair.pair_id])
             for pair in self._dataset.pairs

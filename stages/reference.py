@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from sklearn.utils import murmurhash3_32
 
 from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
@@ -148,6 +147,8 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
     points : (n, 3) float64, metres, all different
     seed : another one gives another order
     """
+    from sklearn.utils import murmurhash3_32
+
     words = np.ascontiguousarray(points + 0.0).view(np.int32)  # -0.0 becomes 0.0
     hashed = np.zeros(len(points), dtype=np.int32)
     for column in words.T:

@@ -185,13 +185,13 @@ class RunEngine:
         sides : a pair can be used if these sides of it can be read
         is_noted : whether the ledger remembers what was learnt
         """
-        unknown = []
+        unknown, warnings = [], list[str]()
         for pair in pairs:
             facts = self._recall(pair, sides)
             if facts is None:
                 unknown.append(pair)
             else:
-                self._tell(pair, self._judge(pair, facts, sides), is_noted)
+                warnings += self._tell(pair, self._judge(pair, facts, sides), is_noted)
         if not is_noted:
             unknown = [pair for pair in unknown if not self._tell_as_before(pair)]
         judged: dict[str, tuple[str, list[str]]] = {}
@@ -207,7 +207,9 @@ class RunEngine:
                 self.folder.ledger.put_input(frames_name(pair), read.frames.as_dict())
             judged[pair.pair_id] = self._judge(pair, read, sides)
         for pair in unknown:  # in their order, whichever was read first
-            self._tell(pair, judged[pair.pair_id], is_noted, _OF_READING if pair.pair_id in ended else _OF_INPUT)
+            key = _OF_READING if pair.pair_id in ended else _OF_INPUT
+            warnings += self._tell(pair, judged[pair.pair_id], is_noted, key)
+        self.reporter.warn(*warnings)
 
     def survey(
         self,
@@ -382,16 +384,15 @@ class RunEngine:
             pair, facts, frames
         )
 
-    def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool, key: str = _OF_INPUT) -> None:
-        """Says why a pair cannot be used, and what is odd about it."""
+    def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool, key: str = _OF_INPUT) -> list[str]:
+        """Says why a pair cannot be used; gives what is odd about it, one line each."""
         fault, warnings = judged
         if fault:
             self.fail(pair.pair_id, fault)
             self._unusable.add(pair.pair_id)
             if is_noted:
                 self.folder.ledger.put_failure(pair.pair_id, {"key": key, "reason": fault})
-        for text in warnings:
-            self.reporter.warn(f"pair {pair.pair_id}: {text}")
+        return [f"pair {pair.pair_id}: {text}" for text in warnings]
 
 
 def current_records(folder: RunFolder, pair_ids: Iterable[str], stages: Iterable[str]) -> Iterator[JobRecord]:

@@ -31,9 +31,10 @@ class Reporter:
         """Print one line."""
         self.console.print(text, markup=False)
 
-    def warn(self, text: str) -> None:
-        """Print one line that asks for attention."""
-        self.console.print(f"warning: {shown(text)}", markup=False, style="yellow")
+    def warn(self, *texts: str) -> None:
+        """Print lines that ask for attention, each one line; together, as each call costs more than its lines."""
+        if texts:
+            self.console.print("\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow")
 
     def fail(self, name: str, reason: str) -> None:
         """Print one line for what failed."""

@@ -7,12 +7,13 @@ from typing import Any
 import distributed.nanny
 import distributed.worker
 import ot
+import scipy.signal
 import sklearn.decomposition
 import sknetwork.clustering
 
 from . import worker
 
-__all__ = ["distributed", "ot", "sklearn", "sknetwork", "worker"]
+__all__ = ["distributed", "ot", "scipy", "sklearn", "sknetwork", "worker"]
 
 
 def dask_setup(worker: Any) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -155,10 +156,12 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
 def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     """One line for each pair one of whose files is named after the other side, by its own name or its folders."""
     lines = []
+    resolve = cache(Path.resolve)  # of folders: many files share one
     for pair in pairs:
         if pair.real is None or pair.sim is None:
             continue
-        words = {"real": _words(pair.real, pair.sim, folder), "sim": _words(pair.sim, pair.real, folder)}
+        paths = {"real": (pair.real, pair.sim), "sim": (pair.sim, pair.real)}
+        words = {side: _words(*own, folder, resolve) for side, own in paths.items()}
         for side, other in (("real", "sim"), ("sim", "real")):
             if words[side] & _WORDS[other] and not words[side] & _WORDS[side]:
                 name = {"real": "real", "sim": "simulated"}
@@ -170,14 +173,18 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     return lines
 
 
-def _words(path: Path, other: Path, folder: Path) -> set[str]:
+def _words(path: Path, other: Path, folder: Path, resolve: Callable[[Path], Path]) -> set[str]:
     """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
+
+    def resolved(file: Path) -> Path:
+        return file.resolve() if file.is_symlink() else resolve(file.parent) / file.name
+
     if (
         not path.is_symlink()
         and path.is_relative_to(folder)
-        and path.resolve() == folder.resolve() / path.relative_to(folder)
+        and resolved(path) == resolve(folder) / path.relative_to(folder)
     ):
         parts: Iterable[str] = path.relative_to(folder).parts
     else:
-        parts = set(path.resolve().parts) - set(other.resolve().parts)
+        parts = set(resolved(path).parts) - set(resolved(other).parts)
     return {word for part in parts for word in re.split("[^a-z]+", part.lower())}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
 import os
 import secrets
@@ -19,7 +18,7 @@ from ...schemas.errors import DiskFullError, RunError
 #: Of an OSError: the disk is full, or the user's share of it.
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
-_BLOCK_BYTES = 2**17
+_BLOCK_BYTES = 2**16
 
 
 def write_whole(
@@ -136,7 +135,10 @@ def key_of(*parts: Any) -> str:
 def hash_file(path: Path | str) -> str:
     """SHA-256 of a file's content, as hexadecimal digits; OSError where it cannot be read."""
     digest = hashlib.sha256()
-    with io.FileIO(path) as file:  # (a hundred thousand of them: a buffer costs more than most files)
-        while block := file.read(_BLOCK_BYTES):
+    file = os.open(path, os.O_RDONLY)  # (a hundred thousand of them: a file object costs more than most files)
+    try:
+        while block := os.read(file, _BLOCK_BYTES):
             digest.update(block)
+    finally:
+        os.close(file)
     return digest.hexdigest()

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .sensor_models import SENSORS, SensorModel
@@ -348,6 +347,8 @@ def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[fl
 
 def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     """Bins at which the smoothed count peaks: by half its height over what surrounds it, and by enough returns."""
+    from scipy.signal import find_peaks
+
     sigma = width_deg / _BIN_DEG
     smooth = gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
     peaks, shape = find_peaks(smooth, height=_FEWEST_RETURNS, prominence=_FEWEST_RETURNS / 2)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from ...schemas.settings import FARTHEST_M
 from ..arrays import FloatArray, IndexArray, IntArray
@@ -340,6 +339,8 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
 
 
 def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
+    from scipy.signal import find_peaks
+
     bin_deg, most_deg = 0.002, 4.0
     gap = sweep.gap_deg
     gap = gap[(gap > 0.02) & (gap < most_deg)]
