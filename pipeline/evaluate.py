@@ -170,10 +170,9 @@ def _results(
     sizes = [
         (len(real), len(sim), len(own.selection.real_nodes)) for real, sim, own in zip(*members, scored, strict=True)
     ]
-    unmatched = {"real": matching.missing.tolist(), "sim": matching.hallucinated.tolist()}
     results += [
         ("", matching_result(_PAIR, matching, n_real, n_sim)),
-        ("", coverage_result(_PAIR, (found.real.coverage, found.sim.coverage), unmatched)),
+        ("", coverage_result(_PAIR, (found.real.coverage, found.sim.coverage))),
         ("", surface_result(_PAIR, found.surface)),
         ("", pieces_result(_PAIR, found.pieces)),
         ("", selection_result(_PAIR, zip(rows, *members, [own.selection for own in scored], strict=True))),

@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
-from ..schemas.record import RunHeader, RunRecord
+from ..schemas.record import MetricsSummary, RunHeader, RunRecord
 from ..schemas.results import Findings, JsonObject, ObjectOverview
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
@@ -35,7 +35,7 @@ from .inspect.scan_checks import input_hashes
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
 from .results.findings import describe_objects
-from .results.overview import overview_of
+from .results.overview import Tally, overview_of
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
@@ -286,8 +286,8 @@ class _Run:
             if note := peaks_note(real_m, sim_m, self._settings.ground):
                 notes[row["pair_id"]].append(note)
         scored_ids = [row["pair_id"] for row in scored]
-        findings, objects = self._describe_objects(scored, times_s, is_same=is_same)
-        extras: dict[str, Any] = {}
+        findings, objects, metrics = self._describe_objects(scored, times_s, is_same=is_same)
+        extras: dict[str, Any] = {"metrics": metrics}
         for stage in self._stages:
             if stage.summarise:
                 extras |= stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
@@ -324,12 +324,13 @@ class _Run:
 
     def _describe_objects(
         self, scored: list[Row], times_s: dict[str, float | None], *, is_same: bool
-    ) -> tuple[Findings | None, ObjectOverview | None]:
-        """The findings and the overview of the objects; those of the last record if its tables are the same."""
+    ) -> tuple[Findings | None, ObjectOverview | None, MetricsSummary]:
+        """What is said of all objects: findings, overview, unmatched; the last record's if its tables are the same."""
         if not scored:
-            return None, None
-        if is_same and self._last is not None and self._last.overview is not None:
-            return self._last.findings, self._last.overview
+            return None, None, Tally().unmatched()
+        last = self._last
+        if is_same and last is not None and last.overview is not None and last.metrics is not None:
+            return last.findings, last.overview, last.metrics
         by_reference = preset_of(self._settings) == "reference"
         return describe_objects(self._folder, scored, times_s, self._hashes, by_reference=by_reference)
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...schemas.columns import Row
+from ...schemas.record import MetricsSummary
 from ...schemas.results import Findings, ObjectOverview
 from ...stages.statistics.comparison import blocks_of
 from ...stages.statistics.findings import summarise_objects
@@ -22,8 +23,8 @@ def describe_objects(
     hashes: Mapping[str, Mapping[str, str]],
     *,
     by_reference: bool,
-) -> tuple[Findings, ObjectOverview]:
-    """The findings and the overview of the objects of all scored pairs.
+) -> tuple[Findings, ObjectOverview, MetricsSummary]:
+    """The findings, the overview and the states of unmatched objects, of all scored pairs.
 
     Parameters
     ----------
@@ -42,4 +43,4 @@ def describe_objects(
     times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
     n_independent = len(np.unique(blocks_of([hashes[pair_id]["real"] for pair_id in pair_ids], times)))
     findings = Findings(n_independent=n_independent, **vars(summarise_objects(*objects, pair_ids, times)))
-    return findings, tally.overview(rows, largest_pieces(store, pair_ids))
+    return findings, tally.overview(rows, largest_pieces(store, pair_ids)), tally.unmatched()

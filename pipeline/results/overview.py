@@ -6,6 +6,7 @@ The objects are counted in one pass with the findings (`findings.describe_object
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -13,11 +14,12 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.record import RunRecord
+from ...schemas.record import MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
 from ...schemas.results import Caution, Findings, ObjectOverview, Overview, Piece, SurfaceGroup
 from ...schemas.settings import MatchingSettings
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
+from ...stages.coverage import ROAD, surface_state
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
 from ...stages.statistics.findings import BAND_NAMES
 from ..inspect.frame_checks import frames_summary
@@ -44,7 +46,7 @@ _MANY_BADLY_ALIGNED = 0.05
 BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
 #: Columns of the frame of objects that the overview uses.
-OVERVIEW_COLUMNS = ("band", "label", "covered_0p3m", "r_lambda", "alignment_rms_m", "diagonal_m")
+OVERVIEW_COLUMNS = ("band", "label", "covered_0p3m", "road_share", "r_lambda", "alignment_rms_m", "diagonal_m")
 
 
 @overload
@@ -77,6 +79,7 @@ class Tally:
     def __init__(self) -> None:
         self._points: list[pd.DataFrame] = []
         self._n_aligned = self._n_badly_aligned = 0
+        self._unmatched = {fate: Counter[str]() for fate in UnmatchedSurface.model_fields}
 
     def add(self, objects: pd.DataFrame) -> None:
         """Count the objects of some more pairs: a part of the frame of `objects`, with `OVERVIEW_COLUMNS`."""
@@ -90,6 +93,18 @@ class Tally:
         is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
         self._n_aligned += len(scored)
         self._n_badly_aligned += int(np.count_nonzero(is_bad))
+        for fate, states in self._unmatched.items():
+            unmatched = own[own["fate"] == fate]
+            states.update(map(surface_state, unmatched["covered_0p3m"]))
+            states["road"] += int((unmatched["road_share"] > ROAD).sum())
+
+    def unmatched(self) -> MetricsSummary:
+        """Of the counted unmatched objects, how many have their surface on the other side, and how many are road."""
+        counts = {
+            fate: SurfaceStates(**{state: states[state] for state in SurfaceStates.model_fields})
+            for fate, states in self._unmatched.items()
+        }
+        return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
     def overview(self, rows: Sequence[Row], pieces: Sequence[Piece]) -> ObjectOverview:
         """The overview of the counted objects.

@@ -30,12 +30,12 @@ def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
     refused = command(*other, cwd=tmp_path)
     assert refused.returncode == 1
     assert one_line(refused.stderr) == (
-        "error: run runs/streets: is finished, and matching, coverage, selection, metrics of 2 pairs would be replaced "
+        "error: run runs/streets: is finished, and matching, selection, metrics of 2 pairs would be replaced "
         "(matching.delta_m was 5.0, is 3.0); add --replace, or give another --out"
     )
     changed = command(*other, "--replace", cwd=tmp_path)
     reason = "out of date (matching.delta_m was 5.0, is 3.0)"
-    assert f"replacing matching, coverage, selection, metrics of 2 pairs: {reason}" in changed.stderr
+    assert f"replacing matching, selection, metrics of 2 pairs: {reason}" in changed.stderr
     status = command("status", "runs/streets", cwd=tmp_path)
     assert status.returncode == 0
     assert re.search(r"done of all pairs: .*metrics", status.stdout)

@@ -66,6 +66,7 @@ def objects_of(side, rows):
             "n_points": n_points,
             "label": [own or None for own in label],
             "covered_0p3m": covered,
+            "road_share": 0.0,
             "diagonal_m": 10.0,
             "r_lambda": np.nan,
             "alignment_rms_m": np.nan,
@@ -111,8 +112,9 @@ def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_n
     for module in (objects, overview):
         monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
     rows, times = again.scored, dict.fromkeys(NUSCENES)
-    findings, found = describe_objects(again.store, rows, times, again.record.inputs, by_reference=False)
+    findings, found, metrics = describe_objects(again.store, rows, times, again.record.inputs, by_reference=False)
     assert findings == again.record.findings
+    assert metrics == again.record.metrics
     assert found.as_dict() == {
         name: value for name, value in again.record.overview.as_dict().items() if name != "trust"
     }
