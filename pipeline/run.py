@@ -287,7 +287,7 @@ class _Run:
                 notes[row["pair_id"]].append(note)
         scored_ids = [row["pair_id"] for row in scored]
         findings, objects, metrics = self._describe_objects(scored, times_s, is_same=is_same)
-        extras: dict[str, Any] = {"metrics": metrics}
+        extras: dict[str, Any] = {}
         for stage in self._stages:
             if stage.summarise:
                 extras |= stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
@@ -299,6 +299,7 @@ class _Run:
             self._engine.n_workers,
             seconds.result(),
             findings,
+            metrics,
             n_to_do,
             self._engine.frames,
             notes,

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
-from ...schemas.record import FrameSuspect, Machine, PairCounts, RunHeader, RunRecord, Seconds
+from ...schemas.record import FrameSuspect, Machine, MetricsSummary, PairCounts, RunHeader, RunRecord, Seconds
 from ...schemas.results import Findings, PreviousRun, ScoreSummary
 from ...schemas.settings import Settings, departures, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
@@ -222,6 +222,7 @@ def run_record(
     n_workers: int,
     seconds: Seconds,
     findings: Findings | None,
+    metrics: MetricsSummary,
     n_to_do: int,
     frames: Mapping[str, FrameSuspect],
     notes: Mapping[str, Sequence[str]],
@@ -238,6 +239,7 @@ def run_record(
     n_workers : of this command; 0 where there was nothing to do
     seconds : from `StageSeconds`
     findings : what the objects of all pairs say together
+    metrics : what is behind the unmatched objects
     n_to_do : pairs of the dataset that are neither scored nor failed
     frames : by pair, those whose simulated scan seems to lie in another frame
     notes : by pair, notes on its ground cut
@@ -251,6 +253,7 @@ def run_record(
         pairs=PairCounts(scored=n_scored, failed=len(rows) - n_scored, to_do=n_to_do),
         summary=summarise_pairs(rows),
         findings=findings,
+        metrics=metrics,
         seconds=seconds,
         inputs={pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
         frames=dict(sorted(frames.items())),

@@ -60,7 +60,7 @@ def test_a_stage_asked_for_by_from_needs_no_leave(again, dataset):
 
 def test_an_unfinished_run_takes_other_settings_as_before(again, dataset):
     leave_unfinished(again)
-    assert run(dataset, again, load(None, ["matching.delta_m=3"]), replace=False).n_made == 8
+    assert run(dataset, again, load(None, ["matching.delta_m=3"]), replace=False).n_made == 6
 
 
 def test_the_hint_to_finish_a_run_keeps_its_settings(dataset, tmp_path):

@@ -181,7 +181,7 @@ def test_a_raised_version_reruns_the_stage_and_what_follows(again, dataset, toy,
 def test_a_setting_that_no_toy_declares_reruns_what_reads_it_alone(again, dataset):
     before = files(again)
     run_with_toys(dataset, again, ToySettings.model_validate({"matching": {"delta_m": 3.0}}))
-    expected = {"matching", "coverage", "selection", "metrics", "toy_ratios", "toy_marks"}
+    expected = {"matching", "selection", "metrics", "toy_ratios", "toy_marks"}
     assert made_again(again, before) == expected
 
 
