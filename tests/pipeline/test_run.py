@@ -121,7 +121,10 @@ def test_a_second_run_makes_nothing(again, dataset):
 @pytest.mark.parametrize(
     ("word", "untouched"),
     [
-        ("matching.delta_m=3", ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage"]),
+        (
+            "matching.delta_m=3",
+            ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage"],
+        ),
         ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
         ("communities.seed=1", ["ground", "sensor", "graph", "pieces"]),
         ("graph.k=30", ["ground", "sensor", "pieces"]),
