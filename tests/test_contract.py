@@ -1,0 +1,20 @@
+"""Tables, settings, commands, exit codes and JSON fields are those of the list that `tools/contract.py` writes."""
+
+import json
+
+import pytest
+
+import contract
+
+STORED = json.loads(contract.FILE.read_text())
+
+
+@pytest.fixture(scope="module")
+def present(scenario):
+    return json.loads(json.dumps(contract.measure(scenario)))
+
+
+@pytest.mark.parametrize("subject", STORED)
+def test_the_contract_is_the_stored_one(subject, present):
+    assert present[subject] == STORED[subject]
+    assert present.keys() == STORED.keys()
