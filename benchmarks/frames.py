@@ -1,6 +1,6 @@
 """Which faults of a frame are seen, and how often is one seen where there is none?
 
-    python benchmarks/frames.py ../shared/data            # the table of docs/faults.md
+    python benchmarks/frames.py ../shared/data            # the tables of docs/checks.md
     python benchmarks/frames.py ../shared/data --choose   # the data by which the limits were chosen; not in the table
     python benchmarks/frames.py ../shared/data --places   # lifts, feet, and scans of two places
 

@@ -1,4 +1,7 @@
-"""The table of docs/degenerate.md, and what every result keeps. `python tools/degenerate.py` writes the table anew."""
+"""Outcomes of degenerate scans, and checks that every result passes: docs/degenerate.md.
+
+`python tools/degenerate.py` rewrites tests/degenerate_outcomes.md.
+"""
 
 import re
 import sys
@@ -16,7 +19,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
 from scenes import cloud, degenerate
 
-PAGE = Path(__file__).parents[1] / "docs" / "degenerate.md"
+PAGE = Path(__file__).parents[1] / "tests" / "degenerate_outcomes.md"
 SCENES = degenerate()
 #: Every point is kept that is finite: nothing that a later stage could stumble over is dropped before.
 OPEN = {"input": {"min_range_m": 0, "max_range_m": 1e9}, "ground": {"method": "none"}}
