@@ -12,7 +12,8 @@ its flaws. So the question is always: how far would this number move if other pa
 Fewer than six independent pairs decide no order and no value. The bounds on the paper's values, on "consistently" and
 on a weak correlation were written before any of our results was seen. The intervals, the tenth of the pairs and the
 groups of `over_pairs` came later, chosen by the rates on random data: `benchmarks/false_alarms.py`, and the table in
-`benchmarks/BENCHMARK.md`. They make it harder to hold, but for "no value below 0.4", which a stray object no longer denies.
+`benchmarks/BENCHMARK.md`. They make it harder to hold, but for "no value below 0.4", which a stray object no longer
+denies.
 """
 
 from __future__ import annotations
