@@ -45,11 +45,6 @@ def align(real, sim):
     return min(totals)
 
 
-def most_influential(scores, n_keep):
-    """The nodes of largest influence, ties by node."""
-    return sorted(range(len(scores)), key=lambda i: (-scores[i], i))[:n_keep]
-
-
 def nearest_real(real, place):
     """The real point that is nearest to a place, of equally near ones the first by x, y, z, and its distance."""
     apart = method.distances(real, place)

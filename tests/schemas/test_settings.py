@@ -70,11 +70,6 @@ def test_a_wrong_file_is_named(tmp_path, text, fault):
         load(file)
 
 
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match=r"nowhere\.toml: cannot be read"):
-        load(tmp_path / "nowhere.toml")
-
-
 def test_frames_at_their_default_are_in_no_key_and_no_record_of_a_run():
     assert not [name for name in Settings().input.model_dump(mode="json") if name.endswith("_frame")]
     settings = load(None, ["input.sim_frame=kitti-cam"])

@@ -2,7 +2,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from fidpipe.schemas.tables import COMMUNITIES, MATCHING, METRICS, PAIRS, TABLES
+from fidpipe.schemas.tables import COMMUNITIES, MATCHING, METRICS, TABLES
 
 
 def test_every_column_says_what_it_means():
@@ -14,39 +14,6 @@ def test_every_column_says_what_it_means():
 def test_every_key_is_a_column():
     for table in TABLES.values():
         assert set(table.keys) <= set(table.schema.names)
-
-
-def test_the_pairs_table_has_the_columns_of_the_contract():
-    names = PAIRS.schema.names
-    assert names[:3] == ["pair_id", "status", "reason"]
-    assert names[3:13] == [
-        "n_real_raw",
-        "n_real_clean",
-        "n_real_points",
-        "ground_real_peak_m",
-        "ground_real_threshold_m",
-        "ground_real_loss",
-        "ground_real_iterations",
-        "ground_real_removed_share",
-        "ground_real_tilt_deg",
-        "n_communities_real",
-    ]
-    sensor = ["beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share"]
-    assert names[-10:] == [f"sensor_{side}_{name}" for side in ("real", "sim") for name in sensor]
-    names = names[:-10]
-    assert names[-5:] == [
-        "n_missing_pieces",
-        "n_invented_pieces",
-        "missing_pieces_share",
-        "invented_pieces_share",
-        "found",
-    ]
-    names = names[:-5]
-    assert names[-16:-14] == ["alignment_rms_m_mean", "alignment_rms_m_std"]
-    assert names[-14:-8] == [f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")]
-    assert names[-8:-4] == ["shift_x_m", "shift_y_m", "shift_z_m", "shift_m"]
-    assert names[-4:] == ["roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"]
-    assert len(names) == 3 + 2 * 10 + 9 + 2 * 8 + 6 + 8
 
 
 def test_a_missing_column_is_refused():

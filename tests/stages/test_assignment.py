@@ -94,7 +94,6 @@ def test_the_certificate_of_the_best_is_accepted_and_its_bound_is_the_cost(rng):
     cost = cdist(real, sim)
     assert prices[0].sum() + prices[1].sum() == pytest.approx(cost[np.arange(200), sim_of_real].sum(), rel=1e-12)
     assert (prices[0][:, None] + prices[1] <= cost + 1e-10).all()
-    assert method.least_total(cost) == pytest.approx(prices[0].sum() + prices[1].sum(), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -122,11 +121,6 @@ def test_the_bound_of_the_literal_twin_is_the_least_total(rng, n):
     cost = cdist(rng.normal(0, 1, (n, 3)), rng.normal(0.5, 1, (n, 3)))
     rows, columns = linear_sum_assignment(cost)
     assert method.least_total(cost) == pytest.approx(cost[rows, columns].sum(), rel=1e-12)
-
-
-def test_the_alignment_undoes_a_shuffle_and_a_shift(rng):
-    points, order = rng.normal(0, 1, (80, 3)), rng.permutation(80)
-    np.testing.assert_array_equal(order[align_nodes(points, (points + [30, -4, 2])[order])], np.arange(80))
 
 
 def test_coordinates_of_utm_size_cost_no_more_rounds(monkeypatch, rng):

@@ -2,11 +2,10 @@ import sys
 
 import numpy as np
 import pytest
-from scipy.spatial.distance import pdist
 
 from fidpipe.schemas.metrics import BASELINE_NAMES
 from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
-from fidpipe.stages.baselines import BASELINES, compare_objects, compare_points, emd
+from fidpipe.stages.baselines import compare_objects, compare_points, emd
 from fidpipe.stages.baselines.dcd import density_aware_chamfer
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register
@@ -33,20 +32,6 @@ def compare(real, sim, settings=ALL):
 @pytest.fixture
 def car():
     return box([5, 3, 0], [4, 2, 1.5], 120)
-
-
-def test_histograms_agree_with_a_loop_over_pairs(rng):
-    real, sim = rng.normal(0, 1, (9, 3)), rng.normal(0, 1, (12, 3)) * [1, 1, 4]
-
-    def shares(points):
-        distances = pdist(points)
-        bins = [0] * 10
-        for d in distances:
-            bins[min(9, int(10 * d / max(distances)))] += 1
-        return [n / len(distances) for n in bins]
-
-    wanted = sum(abs(a - b) ** 3 for a, b in zip(shares(real), shares(sim), strict=True)) ** (1 / 3)
-    assert histogram_distance(real, sim, 100, 10, 3) == pytest.approx(wanted)
 
 
 def test_histograms_by_hand():
@@ -95,34 +80,6 @@ def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rn
     assert values[0][1] == pytest.approx(literal.dcd(real, sim, 1.0), abs=1e-12)
 
 
-def test_the_settings_name_every_baseline_in_the_order_of_the_list():
-    assert tuple(BASELINES) == BASELINE_NAMES
-
-
-def test_an_object_compared_with_itself_is_perfect_in_every_baseline(car):
-    values = compare(car, car)
-    assert list(values) == [
-        "chamfer_mean_m",
-        "chamfer_squared_m2",
-        "chamfer_one_way_sum_m",
-        "hausdorff_m",
-        "f_score",
-        "dcd",
-        "emd_mean_m",
-        "emd_kept_mean_m",
-        "emd_centred_mean_m",
-        "sliced_wasserstein_m",
-        "histogram",
-        "icp_fitness",
-        "icp_rmse_m",
-        "netlsd",
-        "r_h",
-    ]
-    for name, baseline in values.items():
-        assert baseline.value == pytest.approx(1 if name in ("f_score", "icp_fitness") else 0, abs=1e-9), name
-        assert baseline.reason is None
-
-
 def test_a_shift_moves_the_distances_and_not_the_shapes(car):
     values = compare(car, car + [0, 0, 0.3])
     for name in ("emd_mean_m", "emd_kept_mean_m"):
@@ -130,12 +87,6 @@ def test_a_shift_moves_the_distances_and_not_the_shapes(car):
     for name in ("emd_centred_mean_m", "histogram", "icp_rmse_m", "netlsd", "r_h"):
         assert values[name].value == pytest.approx(0, abs=1e-5), name
     assert values["hausdorff_m"].value == pytest.approx(0.3, abs=0.15)
-
-
-def test_units_stand_beside_the_values(car):
-    values = compare(car, car[:100])
-    for name, baseline in values.items():
-        assert baseline.unit == ("m2" if name.endswith("_m2") else "m" if name.endswith("_m") else None)
 
 
 def test_unequal_sizes_are_said_where_dcd_was_cut(car):
@@ -209,12 +160,3 @@ def test_a_transport_that_the_solver_could_not_finish_is_null_with_its_reason(ca
     exact, kept, _ = earth_moved(car, car[:90] + [1, 0, 0], 50)
     assert (exact.value, exact.reason) == (None, "the network simplex ended without the optimum")
     assert kept.value == pytest.approx(1)
-
-
-@pytest.mark.parametrize("exponent", [-310, -165, -162, -155, -150, 8])
-def test_at_the_ends_of_float64_a_distance_is_a_number_or_null_with_a_reason(rng, exponent):
-    real = rng.normal(0, 1, (60, 3)) * 10.0**exponent
-    for sim in (real[:-7] * 1.01, np.vstack([real, [[1e9, 0, 0]]])):
-        for baseline in compare_points(real, sim, ALL):
-            assert baseline.reason if baseline.value is None else np.isfinite(baseline.value), baseline
-            assert baseline.name not in ("dcd", "f_score", "icp_fitness") or 0 <= (baseline.value or 0) <= 1, baseline

@@ -4,27 +4,10 @@ import pytest
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import GraphSettings
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.literal import method
 
 
 def as_dict(edges):
     return {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
-
-
-@pytest.mark.parametrize("rule", ["union", "intersection"])
-@pytest.mark.parametrize("k", [1, 5, 200])
-def test_agrees_with_the_textbook(rng, rule, k):
-    points = rng.normal(0, 1, (120, 3))
-    edges = build_graph(points, GraphSettings(k=k, tau_m=0.4, edges=rule))
-    assert as_dict(edges) == method.graph(points, k, 0.4, rule)
-
-
-@pytest.mark.parametrize("k", [3, 6, 13])
-def test_ties_go_to_the_smaller_id(k):
-    # On a grid most neighbours tie: 6 at one step, 12 at the next.
-    grid = np.array([[x, y, z] for x in range(5) for y in range(5) for z in range(4)], dtype=float)
-    edges = build_graph(grid, GraphSettings(k=k, tau_m=0))
-    assert as_dict(edges) == method.graph(grid, k, 0)
 
 
 def test_tau_is_inclusive():

@@ -5,7 +5,6 @@ from scipy import sparse
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Subgraph, adjacency
-from fidpipe.stages.literal import method
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid
@@ -30,19 +29,6 @@ def scored(real, sim, k=8):
     real, sim = subgraph(real, k), subgraph(sim, k)
     selection = select_nodes(real, sim, SelectionSettings())
     return score_object(real, sim, selection), real, sim, selection
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_scores_agree_with_the_textbook(seed):
-    rng = np.random.default_rng(seed)
-    real, sim = rng.normal(0, 1, (70, 3)), rng.normal(0.2, 1.2, (90, 3))
-    scores, a, b, chosen = scored(real, sim)
-    L_real = method.laplacian(a.adjacency.toarray()[np.ix_(chosen.real_nodes, chosen.real_nodes)])
-    L_sim = method.laplacian(b.adjacency.toarray()[np.ix_(chosen.sim_nodes, chosen.sim_nodes)])
-    for name, value in method.spectral(L_real, L_sim).items():
-        assert getattr(scores, name) == pytest.approx(value, abs=1e-9), name
-    assert scores.cdc == pytest.approx(method.cdc(real, sim), abs=1e-12)
-    assert scores.status == "scored"
 
 
 def test_two_paths_of_three_nodes_by_hand():
@@ -73,22 +59,6 @@ def test_cdc_of_two_single_points_by_hand():
     assert chamfer_density_aware(np.zeros((1, 3)), np.array([[0.0, 2, 0]])) == pytest.approx(2 * (1 - np.exp(-4)))
 
 
-def test_cdc_of_distant_points_is_two():
-    assert chamfer_density_aware(np.zeros((4, 3)), np.full((2, 3), 100.0)) == pytest.approx(2)
-
-
-def test_cdc_is_not_centred(rng):
-    points = rng.normal(0, 1, (30, 3))
-    assert chamfer_density_aware(points, points + [0, 0, 9]) > 1
-
-
-def test_an_object_is_identical_to_itself(rng):
-    points = rng.normal(0, 1, (50, 3))
-    scores, *_ = scored(points, points)
-    assert (scores.status, scores.cdc, scores.r_lambda, scores.r_gap) == ("identical", 0, 0, 0)
-    assert scores.alignment_rms_m == 0
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_rigid_motion_leaves_an_object_identical_even_when_stored_as_float32(seed):
     points = box([10, 3, 0], [4, 2, 1.5], 150, seed)
@@ -107,21 +77,3 @@ def test_two_nodes_have_no_spectral_score_but_a_reason(n):
     assert scores.reason == f"{n} aligned nodes, at least 3 are needed for a spectrum"
     assert all(getattr(scores, name) is None for name in SPECTRAL)
     assert scores.cdc > 0
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_the_ratios_keep_their_bounds(seed):
-    rng = np.random.default_rng(seed)
-    scores, *_ = scored(rng.normal(0, 1, (rng.integers(3, 60), 3)), rng.normal(0, 2, (rng.integers(3, 60), 3)), k=4)
-    assert 0 <= scores.r_lambda <= 1
-    assert 0 <= scores.r_gap <= 0.5
-    assert scores.max_eigenvalue_shift <= scores.laplacian_change * (1 + 1e-9)
-
-
-def test_more_dropout_is_no_better(rng):
-    points = box([10, 3, 0], [4, 2, 1.5], 400)
-    distances = []
-    for p in (0.05, 0.2, 0.4):
-        kept = points[np.random.default_rng(1).random(400) > p]
-        distances.append(scored(points, kept, k=20)[0].eigenspectrum_distance)
-    assert distances == sorted(distances)

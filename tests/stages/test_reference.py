@@ -4,9 +4,9 @@ import pytest
 import textbook
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings, load
-from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, below_cut, cover, nearest_distances
+from fidpipe.stages.coverage import below_cut, cover
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.literal import method, pieces, surfaces
+from fidpipe.stages.literal import method, pieces
 from fidpipe.stages.matching import match_reference
 from fidpipe.stages.method import compare, n_communities, partition
 from fidpipe.stages.reference import (
@@ -179,21 +179,6 @@ def test_annotation_that_is_not_there_is_named(boxes, kind, wanted):
     annotation = Annotation(labels=np.array(["car"] * len(boxes), dtype=object)) if kind == "instances" else None
     with pytest.raises(StageError, match=wanted):
         find_reference_objects(boxes, build_graph(boxes, GraphSettings()), settings, annotation)
-
-
-def test_coverage_is_what_the_loops_say(boxes, rng):
-    others = rng.permutation(boxes)[:60] + rng.normal(0, 0.3, (60, 3))
-    labels = np.repeat([0, 1, 3], [80, 50, 30]).astype(np.int32)
-    distance_m, _ = nearest_distances(boxes, others)
-    found = cover(distance_m, labels, 5)
-    assert found.n_points.tolist() == [80, 50, 0, 30, 0]
-    for i in (0, 1, 3):
-        apart = method.nearest_distances(boxes[labels == i], others)
-        assert found.covered[i].tolist() == [surfaces.covered(apart, m) for m in COVERAGE_DISTANCES_M]
-        assert found.median_distance_m[i] == np.median(distance_m[labels == i])
-    assert np.isnan(found.covered[[2, 4]]).all()
-    assert np.isnan(found.median_distance_m[[2, 4]]).all()
-    assert np.isnan(found.road_share).all()
 
 
 def test_road_share_is_what_lies_below_the_cut_of_the_other_side():

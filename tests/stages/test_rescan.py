@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fidpipe.stages.generate.ray_casting import fire
-from fidpipe.stages.generate.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
+from fidpipe.stages.generate.rescan import EMPTY_MAP, SurfelModel, extend_map, recorded_directions
 from fidpipe.stages.inspect.sensor_models import SENSORS, SensorModel
 from scenes import box
 
@@ -122,7 +122,3 @@ def test_recorded_beams_are_those_of_the_scan_and_where_it_saw_nothing_those_of_
     added = directions[len(own) :]
     assert (np.abs(np.arctan2(added[:, 1], added[:, 0])) > 2.0).mean() > 0.95  # some look over the uppermost ring
     assert len(directions) == pytest.approx(len(everything), rel=0.1)
-
-
-def test_the_recorded_sensor_has_no_table_of_its_own():
-    assert RECORDED.n_beams == 0

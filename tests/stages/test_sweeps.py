@@ -8,6 +8,17 @@ from fidpipe.stages.paper.sweep_claims import judge_claims
 from fidpipe.stages.paper.sweeps import Means, react
 
 
+def means(levels, curves, n=1, std=None):
+    """Means of some repeats; curves are (object, metric, a value for each level)."""
+    return Means(
+        [
+            {**vars(level), "object": name, "metric": metric, "n": n, "mean": value, "std": std}
+            for name, metric, values in curves
+            for level, value in zip(levels, values, strict=True)
+        ]
+    )
+
+
 def rigid(slope):
     """Means of two rotations; the second moves centroids by `slope` metres per degree, the first by 0.4."""
     levels = [Perturbation("rigid", 0.5), Perturbation("rigid", 1.0)]
@@ -17,24 +28,13 @@ def rigid(slope):
         (None, "centroid_distance_m_mean", (0.2, slope)),
         ("car", "r_lambda", (0.001, 0.002)),
     ]
-    rows = [
-        {**vars(level), "object": name, "metric": metric, "n": 1, "mean": value, "std": None}
-        for name, metric, values in scores
-        for level, value in zip(levels, values, strict=True)
-    ]
-    return judge_claims(Means(rows), levels)
+    return judge_claims(means(levels, scores), levels)
 
 
 def test_claims_are_judged_by_the_numbers():
     def summary(rates, curve):
         levels = [Perturbation("dropout", amount) for amount in (0.1, 0.2)]
-        found = [(None, "match_rate", rates), ("car", "r_lambda", curve)]
-        rows = [
-            {**vars(level), "object": of, "metric": metric, "n": 1, "mean": value, "std": None}
-            for of, metric, values in found
-            for level, value in zip(levels, values, strict=True)
-        ]
-        return levels, Means(rows)
+        return levels, means(levels, [(None, "match_rate", rates), ("car", "r_lambda", curve)])
 
     levels, good = summary((0.9, 0.8), (0.1, 0.2))
     assert [claim.verdict for claim in judge_claims(good, levels)] == [HOLDS, HOLDS]
@@ -62,12 +62,8 @@ def test_the_centroid_distance_is_linear_in_the_angle(slope, holds):
 
 def test_a_metric_reacts_most_to_the_level_at_which_it_is_farthest_from_equal_objects():
     levels = [Perturbation("noise", 0.1), Perturbation("dropout", 0.2), Perturbation("dropout", 0.4)]
-    rows = [
-        {**vars(level), "object": name, "metric": "f_score", "n": 1, "mean": value, "std": None}
-        for name, shift in (("car", -0.1), ("tree", 0.1))
-        for level, value in zip(levels, (0.8 + shift, 0.1, 0.5 + shift), strict=True)
-    ]
-    reactions = {reaction.metric: reaction for reaction in react(Means(rows), levels)}
+    curves = [(name, "f_score", (0.8 + shift, 0.1, 0.5 + shift)) for name, shift in (("car", -0.1), ("tree", 0.1))]
+    reactions = {reaction.metric: reaction for reaction in react(means(levels, curves), levels)}
     assert reactions["f_score"].values == pytest.approx((0.8, 0.5))
     assert reactions["f_score"].most == levels[2]
     assert reactions["r_lambda"].values == (None, None)
@@ -154,10 +150,7 @@ def test_classes_that_are_alike_hold_and_fail_by_chance_in_at_most_one_of_twenty
 )
 def test_the_tree_is_flat_under_noise_only_where_it_moves_least_beyond_chance(tree, std, holds):
     levels = [Perturbation("noise", 0.01), Perturbation("noise", 0.1), Perturbation("dropout", 0.4)]
-    rows = [
-        {**vars(level), "object": name, "metric": "r_lambda", "n": 20, "mean": value, "std": std}
-        for name, move in (("vegetation", 0.1), ("car", 0.2), ("tree", tree), ("wall", 0.1))
-        for level, value in zip(levels, (0.1, 0.1 + move, 0.5), strict=True)
-    ]
-    claims = {claim.claim: claim for claim in judge_claims(Means(rows), levels)}
+    moves = {"vegetation": 0.1, "car": 0.2, "tree": tree, "wall": 0.1}
+    curves = [(name, "r_lambda", (0.1, 0.1 + move, 0.5)) for name, move in moves.items()]
+    claims = {claim.claim: claim for claim in judge_claims(means(levels, curves, 20, std), levels)}
     assert claims["noise: r_lambda of the tree is near-flat (moves least)"].verdict == holds

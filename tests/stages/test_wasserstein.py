@@ -1,16 +1,10 @@
-import math
-
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment, linprog
 from scipy.spatial.distance import cdist
-from scipy.stats import wasserstein_distance
 
-from fidpipe.stages.baselines.chamfer import chamfer
 from fidpipe.stages.baselines.emd import aligned_distance, earth_movers
 from fidpipe.stages.baselines.sliced_wasserstein import sliced_wasserstein
-from fidpipe.stages.coverage import nearest_distances
-from fidpipe.stages.metrics import chamfer_density_aware
 from scenes import moved, rigid
 
 
@@ -65,17 +59,6 @@ def test_earth_movers_of_a_shift_is_its_length_and_of_a_common_motion_the_same(r
     assert earth_movers(b, a) == pytest.approx(earth_movers(a, b), abs=1e-12)
 
 
-def test_earth_movers_is_bounded_from_below_by_what_needs_less(rng):
-    # each point moves at least to its nearest one, the centroid no farther than the mean; (1 - exp(-d^2)) / d < 0.6382
-    a, b = rng.normal(0, 1, (120, 3)), rng.normal(0.7, 1.5, (75, 3))
-    moved_m = earth_movers(a, b)
-    assert moved_m > max(distances.mean() for distances in nearest_distances(a, b))
-    assert moved_m > chamfer(a, b).mean_m / 2
-    assert moved_m > math.dist(a.mean(axis=0), b.mean(axis=0))
-    assert moved_m > chamfer_density_aware(a, b) / (2 * 0.6382)
-    assert moved_m < cdist(a, b).mean()
-
-
 def test_the_aligned_distance_is_row_by_row():
     assert aligned_distance(np.zeros((2, 3)), np.array([[3.0, 4, 0], [0, 0, 1]])) == 3
 
@@ -84,16 +67,3 @@ def test_sliced_wasserstein_of_a_shift_is_half_of_it():
     # the mean of |cos| of the angle between a fixed vector and a random direction in space is 1/2
     points = np.random.default_rng(0).normal(0, 1, (30, 3))
     assert sliced_wasserstein(points, points + [0, 0, 4], 4000) == pytest.approx(2, rel=0.03)
-
-
-def test_sliced_wasserstein_of_unequal_sizes_agrees_with_scipy_direction_by_direction(rng):
-    real, sim = rng.normal(0, 1, (40, 3)), rng.normal(0.5, 2, (65, 3))
-    directions = np.random.default_rng(0).standard_normal((25, 3))
-    by_scipy = [wasserstein_distance(real @ u, sim @ u) / np.linalg.norm(u) for u in directions]
-    assert sliced_wasserstein(real, sim, 25) == pytest.approx(np.mean(by_scipy))
-
-
-def test_sliced_wasserstein_is_at_most_the_earth_movers_distance(rng):
-    a, b = rng.normal(0, 1, (50, 3)), rng.normal(1, 2, (64, 3))
-    assert 0 < sliced_wasserstein(a, b, 200) < earth_movers(a, b)
-    assert sliced_wasserstein(a, a, 200) == 0
