@@ -40,6 +40,8 @@ check: setup browser javascript
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
+	$(BIN)/python tools/prose.py
+	$(BIN)/codespell
 	$(BIN)/python tools/size.py
 	$(SPHINX)
 	$(BIN)/pytest $(AT_ONCE) $(TESTED)

@@ -25,7 +25,7 @@ from ..report.figures.style import (
     new_figure,
     shown_name,
 )
-from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from .ablate import PARAMETERS, AblateOutcome
 from .perturb import PerturbOutcome, object_points
 
@@ -38,8 +38,8 @@ _ALTERATIONS = {
     "density": "local density, factor",
 }
 _LOGARITHMIC = ("noise", "density")
-_OBJECT_COLOURS = {"vegetation": GREEN, "car": VERMILLION, "tree": ORANGE, "wall": BLUE}
-_OTHER_COLOURS = (BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY)
+_OBJECT_COLOURS = {"vegetation": GREEN, "car": VERMILION, "tree": ORANGE, "wall": BLUE}
+_OTHER_COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
 _MARKERS = "os^Dvp"
 _SETTINGS = {"k": "k, neighbours", "tau_m": "tau (m)", "delta_m": "delta (m)", "t": "t, diffusion time"}
 _SCORES = {"r_lambda_mean": (BLUE, "o"), "match_rate": (GREEN, "s")}

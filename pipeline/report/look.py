@@ -8,14 +8,14 @@ from ..results.quadrants import QUADRANTS, UNKNOWN
 from ..terminal import shown
 
 #: Okabe and Ito, Color Universal Design (2008).
-BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
+BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#999999",
 )  # fmt: skip
-SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, GREY)
-SIDE_COLOURS = {"real": BLUE, "sim": VERMILLION}
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, GREY)
+SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
 SCORE_COLOURS = {"r_lambda": BLUE, "cdc": ORANGE}
-FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILLION, "too small": PURPLE}
-QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILLION, GREY), strict=True))
+FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILION, "too small": PURPLE}
+QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILION, GREY), strict=True))
 
 #: Where a score is better, by whether higher is.
 ARROWS = {True: "↑", False: "↓"}

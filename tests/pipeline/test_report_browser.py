@@ -26,7 +26,7 @@ from fidpipe.pipeline.results.history import read_history
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS, points_in
 
 WIDTHS = (1280, 390)
-BLUE, VERMILLION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
+BLUE, VERMILION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
 FARTHEST = "rgb(252,166,54)"  # the end of the light ramp
 FIRST_PAIR = HOSTILE_PAIRS[0]
 NO_SCORE = "\N{EN DASH}"
@@ -166,7 +166,7 @@ def test_the_page_opens_from_disk_without_a_complaint_or_a_request(browser, open
 def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
     side = pixels(page, "scene")
     assert near(side, BLUE).sum() > 200
-    assert near(side, VERMILLION).sum() > 200
+    assert near(side, VERMILION).sum() > 200
     looks = [side]
     for by in ("community", "r_lambda", "cdc", "quadrant", "status"):
         choose(page, "colour", by)
@@ -177,7 +177,7 @@ def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
     by_id(page, "show_sim").click()
     alone = pixels(page, "scene")
     by_id(page, "show_sim").click()
-    assert near(alone, VERMILLION).sum() == 0
+    assert near(alone, VERMILION).sum() == 0
     assert near(alone, BLUE).sum() > 200
 
 
@@ -220,7 +220,7 @@ def test_a_chosen_object_has_its_numbers_points_and_spectra(page, run_folder):
         assert f"{row.n_keep:,} nodes a side are kept" in note
     both = pixels(page, "overlay")
     assert near(both, BLUE).sum() > 50
-    assert near(both, VERMILLION).sum() > 50
+    assert near(both, VERMILION).sum() > 50
 
 
 def test_tables_sort_and_filter(page, run_folder):
