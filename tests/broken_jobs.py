@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from fidpipe.pipeline.jobs import STAGES, baselines, graph, matching
+from fidpipe.pipeline.jobs import STAGES, graph, matching
 from runs import run
 
 POISON = "001"
@@ -46,13 +46,6 @@ def poisoned_graph(context):
     if context.pair_id == POISON:
         os.kill(os.getpid(), signal.SIGKILL)
     return graph.make_graph(context)
-
-
-def poisoned_baselines(context):
-    """The baselines job, which kills its worker for one pair."""
-    if context.pair_id == POISON:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return baselines.make_baselines(context)
 
 
 def buggy_matching(context):

@@ -3,8 +3,6 @@
 import errno
 import os
 import re
-import shutil
-import subprocess
 
 import pytest
 
@@ -44,48 +42,6 @@ def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monk
     assert run(dataset, tmp_path / "run").n_made == 3 * JOBS_PER_PAIR - n_done
     run(dataset, tmp_path / "fresh")
     assert_same_tables(tmp_path / "run", tmp_path / "fresh")
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A file system of its own, nearly without space; skipped where nothing may be mounted."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    if mount(folder, "size=100k"):
-        pytest.skip("no file system may be mounted here")
-    yield folder
-    subprocess.run(["umount", folder], check=True)
-
-
-def mount(folder, options):
-    """The exit code of mounting a file system in memory."""
-    words = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder]
-    return 1 if shutil.which("mount") is None else subprocess.run(words, check=False, capture_output=True).returncode
-
-
-@pytest.mark.exhaustive
-def test_a_run_on_a_full_file_system_stops_once_and_goes_on_where_there_is_room(dataset, small_disk, tmp_path):
-    out, n_tables = small_disk / "run", [0]
-    for n_kib in (100, 150, 500, 1200, 1700):
-        assert mount(small_disk, f"remount,size={n_kib}k") == 0
-        stopped = own_process("run", dataset, "--out", out, "--workers", 1)
-        errors = [
-            line for line in stopped.stderr.splitlines() if " pairs, 0 failed" not in line
-        ]  # but for the progress
-        assert (stopped.returncode, len(errors)) == (1, 1), stopped.stderr
-        full = "(No space left on device|database or disk is full)"
-        assert re.match(rf"error: {out}/\S+: {full}, 0\.[0-9] MB free; make room, then run the same", errors[0])
-        n_tables.append(sum(1 for _ in out.glob("*/*.parquet")))
-    assert n_tables == sorted(n_tables)
-    assert n_tables[-1] > n_tables[3] > n_tables[2] == 0
-    assert mount(small_disk, "remount,size=64m") == 0
-    done = own_process("run", dataset, "--out", out, "--workers", 1)
-    assert done.returncode == 0
-    n_made, n_reused = map(int, re.search("([0-9]+) jobs done, ([0-9]+) reused", done.stdout).groups())
-    assert n_made + n_reused == 3 * JOBS_PER_PAIR
-    assert n_reused > 0
-    run(dataset, tmp_path / "fresh")
-    assert_same_tables(out, tmp_path / "fresh")
 
 
 def test_a_ledger_on_a_full_disk_says_so(tmp_path):

@@ -14,10 +14,7 @@ import broken_jobs
 from fidpipe.pipeline.engine import cluster
 from fidpipe.pipeline.engine.cluster import DaskPool
 from fidpipe.pipeline.engine.pool import WorkerDied
-from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.storage.ledger import LEDGER
-from fidpipe.schemas.settings import load
 from runs import (
     FIDPIPE,
     JOBS_PER_PAIR,
@@ -89,25 +86,6 @@ def test_a_second_run_on_the_same_folder_is_refused(dataset, finished, tmp_path)
     assert_same_tables(out, finished)
 
 
-def test_two_workers_give_the_tables_of_one(dataset, finished, tmp_path):
-    run(dataset, tmp_path / "run", workers=2)
-    assert_same_tables(tmp_path / "run", finished)
-
-
-@pytest.mark.exhaustive
-def test_pairs_split_into_objects_give_the_same_tables(dataset, finished, tmp_path):
-    outcome = run(dataset, tmp_path / "run", workers=2, policy=Policy(worth_splitting_s=0.0, batch_s=0.0))
-    assert outcome.n_made == 4 * JOBS_PER_PAIR
-    assert_same_tables(tmp_path / "run", finished)
-
-
-@pytest.mark.exhaustive
-def test_a_scheduler_that_is_not_there_is_named(dataset, tmp_path):
-    result = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", "tcp://127.0.0.1:9")
-    assert result.returncode == 1
-    assert "scheduler tcp://127.0.0.1:9: no cluster with a worker could be reached" in result.stderr
-
-
 def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
     outcome = run(
@@ -116,20 +94,6 @@ def test_one_poison_pair_fails_alone(dataset, finished, tmp_path, monkeypatch):
     assert set(outcome.failures) == {broken_jobs.POISON}
     assert "stage graph, real: the worker process died" in outcome.failures[broken_jobs.POISON]
     assert run(dataset, tmp_path / "run").n_made <= JOBS_PER_PAIR
-    assert_same_tables(tmp_path / "run", finished)
-
-
-@pytest.mark.exhaustive
-def test_a_poison_extra_leaves_its_pair_scored(dataset, finished, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(TESTS), prepend=os.pathsep)
-    stages = broken_jobs.with_job("baselines", broken_jobs.poisoned_baselines, (*STAGES, *EXTRAS))
-    settings = load(None, ["metrics.baselines=chamfer", "stability.seeds=2"])
-    outcome = run(dataset, tmp_path / "run", settings, workers=2, stages=stages)
-    assert set(outcome.failures) == {broken_jobs.POISON}
-    assert outcome.failures[broken_jobs.POISON].startswith("stage baselines: the worker process died, and again")
-    assert {row["status"] for row in outcome.rows} == {"scored"}
-    assert outcome.record.seeds.n_pairs == 4
-    assert run(dataset, tmp_path / "run", settings).n_made == 1
     assert_same_tables(tmp_path / "run", finished)
 
 

@@ -9,9 +9,9 @@ import laspy
 import numpy as np
 import pytest
 
-from runs import assert_same_tables, own_process, some_of
+from runs import own_process, some_of
 from scenes import drifted, street, write_dataset
-from tries import Started, assert_resumes, lines_of, n_lost, temporary_files
+from tries import Started, assert_resumes, lines_of, n_lost
 
 N_PAIRS = 4
 LIMIT_S = 3  # a healthy pair takes 0.2 s
@@ -182,12 +182,3 @@ def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_p
         trap.unlink()
         trap.with_suffix(".readings").unlink(missing_ok=True)
     assert_resumes(dataset, out, undisturbed, start=own_process)
-
-
-@pytest.mark.exhaustive
-def test_a_reader_of_another_package_gives_the_same_tables_in_a_worker_and_in_the_command(
-    dataset, undisturbed, tmp_path
-):
-    assert own_process("run", dataset, "--out", tmp_path / "run", "--workers", 2).returncode == 0
-    assert_same_tables(tmp_path / "run", undisturbed)
-    assert temporary_files(tmp_path / "run") == []

@@ -84,17 +84,6 @@ def test_a_killed_worker_costs_a_run_nothing(dataset, finished, tmp_path, work_s
 
 
 @pytest.mark.exhaustive
-def test_a_worker_that_is_killed_while_it_starts_is_started_again(dataset, finished, tmp_path):
-    out = tmp_path / "run"
-    started = start(dataset, out)
-    assert started.wait_for(started.workers)
-    started.workers()[0].kill()
-    code, errors = started.end()
-    assert (code, "Traceback" in errors) == (0, False), errors
-    assert_same_tables(out, finished)
-
-
-@pytest.mark.exhaustive
 def test_workers_that_are_killed_each_time_they_start_are_started_until_they_stay(dataset, finished, tmp_path):
     out, killed = tmp_path / "run", set()
     started = start(dataset, out)

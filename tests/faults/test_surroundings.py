@@ -11,7 +11,7 @@ import pytest
 
 from runs import assert_same_tables, own_process, run, some_of
 from scenes import drifted, street, write_bin
-from tries import Started, assert_no_process, assert_resumes, lines_of, temporary_files
+from tries import Started, assert_resumes, lines_of
 
 FAKETIME = [*Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1")]
 N_PAIRS = 4
@@ -99,21 +99,6 @@ def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(dataset
     assert_resumes(data, out, finished)
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("attempt", range(3))
-def test_of_runs_begun_at_once_on_one_folder_one_works_and_the_others_say_so(dataset, finished, tmp_path, attempt):
-    out = tmp_path / "run"
-    started = [Started("run", dataset, "--out", out, "--workers", 1 + i % 2) for i in range(3)]
-    ended = [each.end() for each in started]
-    assert sorted({code for code, _ in ended} | {0}) in ([0], [0, 1])
-    for code, errors in ended:
-        if code:
-            refused = "another fidpipe is writing here; wait for it, or give another --out"
-            assert [refused in line for line in lines_of(errors)] == [True], errors
-    assert {code for code, _ in ended} >= {0}
-    assert_resumes(dataset, out, finished)
-
-
 @pytest.fixture
 def file_system(tmp_path):
     """A file system of its own that can be made read-only; skipped where nothing may be mounted."""
@@ -176,20 +161,3 @@ def test_a_disk_that_is_full_in_a_stage_is_named_and_the_run_goes_on_where_there
     assert "Traceback" not in stopped.stderr
     (file_system / "ballast").unlink()
     assert_resumes(dataset, out, finished)
-
-
-@pytest.mark.exhaustive
-def test_a_read_only_folder_of_a_run_that_works_ends_it_with_a_line(dataset, finished, file_system):
-    out = file_system / "run"
-    started = Started("run", dataset, "--out", out, "--workers", 2)
-    assert started.wait_for((out / "ground" / "000.real.parquet").exists)
-    subprocess.run(["mount", "-o", "remount,ro", file_system], check=False, capture_output=True)
-    code, errors = started.end()
-    remount(file_system, "rw")
-    if code:  # a file system with files that are being written cannot always be made read-only
-        assert code == 1, errors
-        assert "Traceback" not in errors, errors
-        assert "Read-only file system" in errors or "readonly database" in errors, errors
-    assert_no_process(started)
-    assert_resumes(dataset, out, finished)
-    assert temporary_files(out) == []

@@ -1,6 +1,5 @@
 """What holds of any name, number and text: found by hypothesis, which looks for the smallest that breaks it."""
 
-import io
 import tempfile
 import tomllib
 from pathlib import Path
@@ -16,7 +15,7 @@ from fidpipe.pipeline.datasets.readers.frames import Address, address_of
 from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
 from fidpipe.pipeline.results.gate import parse_word, read_criteria
 from fidpipe.pipeline.storage.tables import file_stem, table_name
-from fidpipe.pipeline.terminal import Terminal, shown
+from fidpipe.pipeline.terminal import shown
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import load, parse
 from fidpipe.schemas.settings_text import to_toml
@@ -49,13 +48,6 @@ def test_two_pairs_never_share_a_file(a, b):
 def test_what_is_shown_steers_nothing_and_stays_as_it_is(text):
     assert shown(shown(text)) == shown(text)
     assert all(sign.isprintable() or sign not in "\x1b\x07\x08\r\n\x9b\u202e" for sign in shown(text))
-
-
-@given(TEXT)
-def test_a_console_prints_no_escape_of_others(text):
-    out = io.StringIO()
-    Terminal(file=out, width=80).print(text, markup=False)
-    assert not set("\x1b\x07\x08\x9b\u202e") & set(out.getvalue())
 
 
 @given(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=80))

@@ -53,15 +53,6 @@ def test_names_are_offered(place, line, names):
     assert offered(place, line) == names
 
 
-def test_what_cannot_be_read_offers_nothing_and_says_nothing(tmp_path):
-    broken = tmp_path / "runs" / "broken"
-    broken.mkdir(parents=True)
-    for content in (b"", b"[1, 2]", b"\xff\xfe", b'{"inputs": {}}'):
-        (broken / "run.json").write_bytes(content)
-        assert offered(tmp_path, "fidpipe show runs/broken ") == []
-        assert offered(tmp_path, "fidpipe run broken --from ") == []
-
-
 def test_every_measure_that_is_offered_can_be_measured(place):
     names = offered(place, "fidpipe gate runs/streets --max ")
     assert "r_lambda.mean=" in names
