@@ -1,4 +1,4 @@
-"""Directives of these pages whose content is the code's: `{settings}`, `{tables}` and `{pipeline}`."""
+"""Directives with content generated from the code: `{settings}`, `{tables}` and `{pipeline}`."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _GRAINS = {
 
 
 class SettingsTable(SphinxDirective):
-    """A table of the settings of each named group, with the values of the presets."""
+    """Table of the settings of each named group, with the values of the presets."""
 
     required_arguments = 1
     final_argument_whitespace = True
 
     def run(self) -> list[nodes.Node]:
-        """The tables, one after the other."""
+        """One table per group."""
         groups = self.arguments[0].split()
         if unknown := [group for group in groups if group not in Settings.model_fields]:
             raise self.error(f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}")
@@ -38,12 +38,12 @@ class SettingsTable(SphinxDirective):
 
 
 class StageTables(SphinxDirective):
-    """What a stage takes, what it gives with each column, and what one of its jobs is about."""
+    """Inputs of a stage, its output tables with their columns, and the scope of a job."""
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """A short list, and a table for each table that the stage gives."""
+        """A table of the inputs, and one for each output table."""
         stage = next((own for own in STAGES if own.name == self.arguments[0]), None)
         if stage is None:
             raise self.error(f"stage {self.arguments[0]!r}: no such stage; known are {', '.join(_names())}")
@@ -51,11 +51,11 @@ class StageTables(SphinxDirective):
 
 
 class PipelineTable(SphinxDirective):
-    """One row for each stage: what its jobs are about, tables in and out, settings."""
+    """One row for each stage: scope of a job, input and output tables, settings."""
 
     def run(self) -> list[nodes.Node]:
         """The table."""
-        rows = ["| | stage | one job for | takes | gives | settings |", "|---" * 6 + "|"]
+        rows = ["| | stage | one job for | input | output | settings |", "|---" * 6 + "|"]
         for number, stage in enumerate(STAGES, 1):
             cells = (
                 f"[{stage.name}]({stage.name}.md)",
@@ -69,13 +69,13 @@ class PipelineTable(SphinxDirective):
 
 
 def tables_of(stage: Stage) -> str:
-    """Markdown of what a stage takes and gives."""
+    """Markdown of the inputs and outputs of a stage."""
     lines = [f"One job for {_GRAINS[stage.grain]}.", ""]
-    lines += ["| takes | columns |", "|---|---|"]
+    lines += ["| input | columns |", "|---|---|"]
     for table, columns in stage.takes.items():
-        words = "points, and labels if it has them" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
-        lines.append(f"| {_table_word(table)} | {words or 'facts of its job alone'} |")
-    lines += [f"\nIt gives `{name}`. {columns_to_markdown(TABLES[name])}" for name in stage.gives]
+        words = "points, and labels if present" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
+        lines.append(f"| {_table_word(table)} | {words or 'metadata of its job only'} |")
+    lines += [f"\nOutput: `{name}`. {columns_to_markdown(TABLES[name])}" for name in stage.gives]
     return "\n".join(lines) + "\n"
 
 
