@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from itertools import groupby, islice
-from operator import attrgetter
+from itertools import islice
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,18 +19,18 @@ import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
-from ..schemas.record import MetricsSummary, RunHeader, RunRecord
+from ..schemas.record import FrameSuspect, MetricsSummary, RunHeader, RunRecord
 from ..schemas.results import Findings, JsonObject, ObjectOverview
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
 from ..schemas.tables import PAIRS, TIMINGS
 from ..stages.ground import peaks_note
+from .datasets.content import input_hashes
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .engine.engine import Machines, RunEngine, Survey, current_records
 from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
 from .engine.progress import Reporter
-from .inspect.frame_checks import shared_files, swapped_sides
-from .inspect.scan_checks import input_hashes
+from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
 from .results.findings import describe_objects
@@ -69,7 +68,7 @@ class RunOutcome:
     record : what `run.json` holds
     n_made, n_reused : jobs
     failed_extras : why a baseline or the like failed of a pair that is scored
-    told_failures : pairs whose failure the reporter was told of, not only known from before
+    reported_failures : pairs whose failure was reported, not only known from an earlier run
     """
 
     folder: Path
@@ -78,7 +77,7 @@ class RunOutcome:
     n_made: int
     n_reused: int
     failed_extras: dict[str, str]
-    told_failures: frozenset[str] = frozenset()
+    reported_failures: frozenset[str] = frozenset()
 
     @property
     def rows(self) -> list[Row]:
@@ -144,11 +143,11 @@ def run_dataset(
     stages = stages_under(settings) if stages is None else stages
     with folder.locked(), RunEngine(folder, settings, machines, reporter, stages) as engine:
         run = _Run(content, stages, engine, from_stage, may_replace=replace)
-        run.inspect(selected)
+        run.hash_files(selected)
         survey = run.survey(selected)
         run.refuse_other_settings(survey)
         if survey.todo:
-            engine.start()
+            engine.start(survey.todo)
         run.replace(survey)
         if survey.todo:
             with engine.scheduling_missing(survey, run.plan) as schedule:
@@ -171,6 +170,21 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
         names = ", ".join(pair.pair_id for pair in dataset.pairs[:5])
         raise DatasetError(f"--pairs {pattern!r} matches none of the {len(dataset.pairs)} pairs ({names} ...)")
     return selected
+
+
+@dataclass
+class _JobSummary:
+    """Summary of the current jobs of a run.
+
+    keys : each pair and a hash of the keys that its row of `pairs` depends on
+    notes, suspects : see `run_record`; by pair
+    """
+
+    seconds: StageSeconds = field(default_factory=StageSeconds)
+    keys: list[str] = field(default_factory=list)
+    n_jobs: int = 0
+    notes: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    suspects: dict[str, FrameSuspect] = field(default_factory=dict)
 
 
 class _Run:
@@ -198,13 +212,13 @@ class _Run:
         self._other_settings = changed_settings(before, self._settings) if has_ended(before) else {}
         self._before, self._last = before, last_results(before)
 
-    def inspect(self, selected: Iterable[ScanPair]) -> None:
-        """Reads every file once that is not known yet: of the wanted pairs, and of those with results."""
+    def hash_files(self, selected: Iterable[ScanPair]) -> None:
+        """Hash the files of the selected pairs and of those with results."""
         ledger = self._folder.ledger
         wanted = {pair.pair_id for pair in selected} | set(ledger.pair_ids()) | set(ledger.failed_pairs())
         pairs = [pair for pair in self._dataset.pairs if pair.pair_id in wanted]
         self._reporter.warn(*self._dataset.warnings)
-        self._engine.inspect(pairs, self._dataset.label_names)
+        self._engine.hash_files(pairs)
         hashes = {
             pair_id: {side: scan.sha256 for side, scan in sides.items()}
             for pair_id, sides in self._engine.contents.items()
@@ -254,20 +268,9 @@ class _Run:
     def write(self, survey: Survey) -> RunOutcome:
         """Writes the tables of the whole run and its record."""
         self._end_phase("stages")
-        seconds, pair_ids = StageSeconds(), [pair.pair_id for pair in survey.usable]
-        keys, n_current, notes = [], 0, defaultdict[str, list[str]](list)
-        for pair_id, jobs in groupby(self._records(pair_ids), attrgetter("pair_id")):
-            own = []
-            for job in jobs:
-                seconds.add(job)
-                n_current += 1
-                for note in job.facts.get("notes", ()):
-                    notes[pair_id].append(f"{job.part} side: {note}")
-                if OF_PAIR in job.facts:
-                    own.append(job.key)
-            keys += [pair_id, key_of(sorted(own))]
+        jobs, pair_ids = self._summarise_jobs(survey.usable), [pair.pair_id for pair in survey.usable]
         times_s = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
-        key = key_of(library_versions(["fidpipe"]), keys, self._engine.failures, times_s)
+        key = key_of(library_versions(["fidpipe"]), jobs.keys, self._engine.failures, times_s)
         before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
         is_same = before is not None and before.key == key
         header = self._header(is_same=is_same)
@@ -284,7 +287,7 @@ class _Run:
         for row in scored:
             real_m, sim_m = (row[name] for name in _PEAKS)
             if note := peaks_note(real_m, sim_m, self._settings.ground):
-                notes[row["pair_id"]].append(note)
+                jobs.notes[row["pair_id"]].append(note)
         scored_ids = [row["pair_id"] for row in scored]
         findings, objects, metrics = self._describe_objects(scored, times_s, is_same=is_same)
         extras: dict[str, Any] = {}
@@ -297,12 +300,12 @@ class _Run:
             rows,
             self._wall_s,
             self._engine.n_workers,
-            seconds.result(),
+            jobs.seconds.result(),
             findings,
             metrics,
             n_to_do,
-            self._engine.frames,
-            notes,
+            jobs.suspects,
+            jobs.notes,
             extras,
         )
         if objects:
@@ -310,8 +313,28 @@ class _Run:
         self._write_record(record)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
-        n_made, told = self._engine.n_made, frozenset(self._engine.failures)
-        return RunOutcome(self._out, pairs, record, n_made, n_current - n_made, failed_extras, told)
+        n_made, reported = self._engine.n_made, frozenset(self._engine.failures)
+        return RunOutcome(self._out, pairs, record, n_made, jobs.n_jobs - n_made, failed_extras, reported)
+
+    def _summarise_jobs(self, pairs: Iterable[ScanPair]) -> _JobSummary:
+        """Summarise the current jobs of the pairs, and report what inspection found."""
+        found, warnings = _JobSummary(), list[str]()
+        for pair in pairs:
+            records = list(self._records([pair.pair_id]))
+            if not records:
+                continue
+            sides, frames = inspection_of(records)
+            warnings += pair_warnings(pair, sides, frames)
+            if suspect := frame_suspect(frames):
+                found.suspects[pair.pair_id] = suspect
+            for job in records:
+                found.seconds.add(job)
+                found.notes[pair.pair_id] += [f"{job.part} side: {note}" for note in job.facts.get("notes", ())]
+            found.n_jobs += len(records)
+            found.keys += [pair.pair_id, key_of(sorted(job.key for job in records if OF_PAIR in job.facts))]
+        self._reporter.warn(*warnings)
+        found.notes = defaultdict(list, {pair_id: notes for pair_id, notes in found.notes.items() if notes})
+        return found
 
     def _write_record(self, record: RunHeader) -> None:
         """Writes the settings and the record, or the head of one."""

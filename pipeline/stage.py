@@ -25,6 +25,9 @@ from .storage.tables import JobRecord
 SCAN = "scan"  #: among what a stage takes: the side's input file
 OBJECTS = "objects"  #: the fact in which a stage lists the objects that later stages go over one by one
 OF_PAIR = "pairs"  #: the fact in which a stage gives columns of the pair's row of `pairs`
+N_RAW = "n_raw"  #: the fact with the number of points in a side's input file
+INSPECTION = "inspection"  #: the fact with the plausibility of a side's scan, see `stages.inspect.plausibility`
+FRAMES = "frames"  #: the fact with the comparison of both scans' frames, see `stages.inspect.frames`
 
 Facts = dict[str, Any]
 Tables = dict[str, pa.Table]

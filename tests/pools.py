@@ -67,9 +67,7 @@ class DyingPool(WatchedPool):
 
 
 def jobs_in(function, args):
-    """The jobs that a task makes as a whole; the reading of a pair's files counts as one."""
-    if function.__name__ == "inspect_batch":
-        return tuple((pair.pair_id, "inspect", "") for pair in args[0])
+    """The jobs that a task makes as a whole."""
     if function.__name__ != "run_batch":
         return ()
     return tuple((batch.plan.pair_id, *name) for batch in args[0] for name in batch.jobs)
@@ -78,7 +76,7 @@ def jobs_in(function, args):
 def bytes_needed(function, args, costs):
     """What a task may occupy, by the cost model."""
     if function.__name__ == "run_batch":
-        return max(costs.pair_bytes(batch.plan.n_raw) + _bytes_for_objects(batch, costs) for batch in args[0])
+        return max(_bytes_of_batch(batch, costs) for batch in args[0])
     if function.__name__ == "score_objects":
         plan, _, wanted = args
         nodes = [n_keep for number, n_keep in plan.objects if number in wanted]
@@ -86,7 +84,7 @@ def bytes_needed(function, args, costs):
     return 0
 
 
-def _bytes_for_objects(batch, costs):
-    if batch.bytes_for_objects is not None:
-        return batch.bytes_for_objects
-    return costs.object_bytes(largest_object(batch.plan.objects or [])[1])
+def _bytes_of_batch(batch, costs):
+    if batch.most_bytes is not None:
+        return batch.most_bytes
+    return costs.pair_bytes(batch.plan.n_raw) + costs.object_bytes(largest_object(batch.plan.objects or [])[1])

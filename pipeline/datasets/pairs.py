@@ -54,6 +54,11 @@ class ScanPair:
         """The scan file of a side ("real" or "sim"), or None."""
         return self.real if side == "real" else self.sim
 
+    @property
+    def paths(self) -> list[Path]:
+        """The scan files that the pair has."""
+        return [path for path in (self.real, self.sim) if path is not None]
+
 
 @dataclass(frozen=True)
 class Dataset:

@@ -14,12 +14,11 @@ from types import TracebackType
 from typing import Self
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import DiskFullError
-from ...schemas.record import FrameSuspect
+from ...schemas.errors import DiskFullError, ScanError
 from ...schemas.settings import Settings
+from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
-from ..inspect.frame_checks import frames_name
-from ..inspect.scan_checks import PairFacts, ScanContent, input_name, pair_warnings, recall_pair_frames, recall_scan
+from ..datasets.readers import may_crash
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder
@@ -27,15 +26,13 @@ from ..storage.record import LIBRARIES, library_versions
 from ..storage.tables import JobName, JobRecord
 from .cluster import start_pool
 from .plan import OUT_OF_DATE, PairPlan, with_results
-from .pool import InProcess, Pool
+from .pool import Pool
 from .progress import Reporter
-from .reading import read_files, wants_workers
 from .schedule import Policy, Schedule
 from .time_limit import TimeLimit
 from .worker import BatchResult, JobFailure, failures_in_words, is_required
 
 _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
-_OF_INPUT, _OF_READING = "input", "reading"  # keys of failures before all stages: a faulty file, a reader that died
 
 PlanPair = Callable[[ScanPair], PairPlan]
 
@@ -44,7 +41,7 @@ PlanPair = Callable[[ScanPair], PairPlan]
 class Machines:
     """Where work is done; no result depends on it.
 
-    workers : processes on this machine; None for one a core; 1 for none besides this one
+    workers : processes on this machine; None for one per core; 1 for this process alone, unless a job may end it
     scheduler : address of a dask scheduler, instead of a cluster on this machine
     pool : to be used instead of either; it is not closed
     policy : how work is cut into batches
@@ -89,8 +86,7 @@ class RunEngine:
 
     Attributes
     ----------
-    contents : what the files of each pair hold, by pair_id and side; of pairs whose files can all be read
-    frames : by pair_id, those of `contents` whose simulated scan seems to lie in another frame
+    contents : hashes of the files of each pair, by pair_id and side; of pairs whose existing files can all be hashed
     failures : why something failed: by pair_id, or "pair_id, part" for a part of an experiment
     n_made : jobs that were made
     """
@@ -105,7 +101,6 @@ class RunEngine:
     ) -> None:
         self.folder, self.settings, self.reporter = folder, settings, reporter
         self.contents: dict[str, dict[str, ScanContent]] = {}
-        self.frames: dict[str, FrameSuspect] = {}
         self.failures: dict[str, str] = {}
         self.n_made = 0
         self._machines, self._stages = machines, tuple(stages)
@@ -124,10 +119,16 @@ class RunEngine:
         if self._pool is not None and self._pool is not self._machines.pool:
             self._pool.close(now=True)
 
-    @property
-    def pool(self) -> Pool:
-        """Where batches run; started when first needed."""
+    def start(self, pairs: Iterable[ScanPair]) -> Pool:
+        """Start the pool if it is not running, so that it fails, if it does, before anything is removed.
+
+        Parameters
+        ----------
+        pairs : whose jobs it will run; if a reader may end its process, that is never the command's own
+        """
         if self._pool is None:
+            is_local = self._machines.scheduler is None
+            reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
             libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries(self.settings))
             self._pool = start_pool(
                 self._machines.workers,
@@ -136,15 +137,11 @@ class RunEngine:
                 self.folder.token_path,
                 library_versions(("fidpipe", *LIBRARIES, *libraries)),
                 dict.fromkeys(stage.make.__module__ for stage in self._stages),
-                may_end_workers=self._machines.pair_timeout_s is not None,
+                may_end_workers=self._machines.pair_timeout_s is not None or reader_may_crash,
             )
             if self._pool.dashboard:
                 self.reporter.say(f"dask dashboard: {self._pool.dashboard}")
         return self._pool
-
-    def start(self) -> None:
-        """Starts the pool, if it is not there: what fails here fails before anything is removed."""
-        _ = self.pool
 
     @property
     def n_workers(self) -> int:
@@ -168,48 +165,31 @@ class RunEngine:
         self.failures[name] = reason
         self.reporter.fail(f"pair {name}", reason)
 
-    def inspect(
-        self,
-        pairs: Sequence[ScanPair],
-        label_names: dict[int, str],
-        *,
-        sides: Sequence[str] = SIDES,
-        is_noted: bool = True,
-    ) -> None:
-        """Reads every file that is not known yet, once, and names every fault.
+    def hash_files(self, pairs: Iterable[ScanPair], *, sides: Sequence[str] = SIDES) -> None:
+        """Hash the files of pairs; a pair of which one is missing or empty fails. No file is parsed.
 
         Parameters
         ----------
-        pairs : whose files are wanted
-        label_names : class names by number
-        sides : a pair can be used if these sides of it can be read
-        is_noted : whether the ledger remembers what was learnt
+        sides : a pair can be used if these sides of it exist
         """
-        unknown, warnings = [], list[str]()
         for pair in pairs:
-            facts = self._recall(pair, sides)
-            if facts is None:
-                unknown.append(pair)
-            else:
-                warnings += self._tell(pair, self._judge(pair, facts, sides), is_noted)
-        if not is_noted:
-            unknown = [pair for pair in unknown if not self._tell_as_before(pair)]
-        judged: dict[str, tuple[str, list[str]]] = {}
-        ended: set[str] = set()
-        for pair, read in self._read_files(unknown, label_names):
-            if isinstance(read, str):
-                ended.add(pair.pair_id)
-                judged[pair.pair_id] = read, []
-                continue
-            for side, scan in read.sides.items() if is_noted else ():
-                self.folder.ledger.put_input(input_name(pair, side), scan.as_dict())
-            if read.frames and is_noted:
-                self.folder.ledger.put_input(frames_name(pair), read.frames.as_dict())
-            judged[pair.pair_id] = self._judge(pair, read, sides)
-        for pair in unknown:  # in their order, whichever was read first
-            key = _OF_READING if pair.pair_id in ended else _OF_INPUT
-            warnings += self._tell(pair, judged[pair.pair_id], is_noted, key)
-        self.reporter.warn(*warnings)
+            contents, reasons = {}, []
+            for side in sides:
+                path = pair.path(side)
+                try:
+                    if path is not None:
+                        contents[side] = scan_content(path, self.folder.ledger.input_hash)
+                    elif pair.fault and pair.fault not in reasons:
+                        reasons.append(pair.fault)
+                except ScanError as error:
+                    reasons.append(str(error))
+            if len(contents) == len([side for side in sides if pair.path(side) is not None]):
+                self.contents[pair.pair_id] = contents
+            if reasons:
+                self.fail(pair.pair_id, "; ".join(reasons))
+                self._unusable.add(pair.pair_id)
+                if self.folder.ledger.is_writable:
+                    self.folder.ledger.put_failure(pair.pair_id, {"key": "", "reason": "; ".join(reasons)})
 
     def survey(
         self,
@@ -221,7 +201,7 @@ class RunEngine:
         exhaustive: frozenset[str] = frozenset(),
         why_absent: str = "no longer in the dataset",
     ) -> Survey:
-        """Compares what is there with what is wanted; `inspect` comes before.
+        """Compares what is there with what is wanted; `hash_files` comes before.
 
         Parameters
         ----------
@@ -279,13 +259,15 @@ class RunEngine:
     @contextmanager
     def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
         """The schedule that makes the jobs that are not there, of the pairs that are to be worked on."""
-        pool = self.pool
+        pool = self.start(survey.todo)
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
             self.reporter.start(len(survey.todo), survey.n_jobs)
             yield Schedule(pool, self._limited(plans), len(survey.todo), self, self._machines.policy)
         except DiskFullError as error:
-            n_raw = sum(scan.n_raw for pair in survey.todo for scan in self.contents[pair.pair_id].values())
+            n_raw = sum(
+                scan.approximate_points for pair in survey.todo for scan in self.contents[pair.pair_id].values()
+            )
             need, n_pairs = megabytes(self._machines.policy.costs.disk_bytes(n_raw)), len(survey.todo)
             pairs = (
                 f"{n_pairs} pairs that were not finished need" if n_pairs > 1 else "pair that was not finished needs"
@@ -311,7 +293,8 @@ class RunEngine:
         The ledger learns why a pair failed, and nothing of a pair without scores stays.
         """
         own = []
-        for failure in failures:
+        order = {job.name: i for i, job in enumerate(plan.jobs)}
+        for failure in sorted(failures, key=lambda failure: order[failure.stage, failure.part]):
             if failure.part in plan.job((failure.stage, failure.part)).stage.parts:
                 own.append(failure)
             else:
@@ -319,7 +302,8 @@ class RunEngine:
         self.reporter.advance(len(plan.todo), 1)
         if plan.limit is not None:
             rmtree(plan.limit.folder, ignore_errors=True)
-        if any(is_required(plan.job((failure.stage, failure.part))) for failure in own):
+        if required := [failure for failure in own if is_required(plan.job((failure.stage, failure.part)))]:
+            own = required[:1]  # which of the others were begun depends on the number of workers
             for record in self.folder.ledger.jobs(plan.pair_id).values():
                 self.folder.forget(record)
                 self.n_made -= record.made_by == self.folder.token
@@ -333,66 +317,6 @@ class RunEngine:
             if trace not in self._traces:
                 self._traces.add(trace)
                 self.reporter.say(trace)
-
-    def _read_files(
-        self, pairs: Sequence[ScanPair], label_names: dict[int, str]
-    ) -> Iterator[tuple[ScanPair, PairFacts | str]]:
-        """See `read_files`; a few files of formats that are ours are read in this process."""
-        seconds, notes = self._machines.pair_timeout_s, self.folder.folder / _TIME_NOTES
-        is_here = not pairs or (seconds is None and not wants_workers(pairs))
-        limits = {}
-        if seconds is not None:
-            rmtree(notes, ignore_errors=True)
-            limits = {pair.pair_id: TimeLimit(seconds, notes / f"files-{i}") for i, pair in enumerate(pairs)}
-        yield from read_files(InProcess() if is_here else self.pool, pairs, self.settings.input, label_names, limits)
-        rmtree(notes, ignore_errors=True)
-
-    def _tell_as_before(self, pair: ScanPair) -> bool:
-        """Whether reading a pair's files ended a worker the last time; that is told, and not tried again."""
-        past = self.folder.ledger.failure(pair.pair_id)
-        if past is None or past["key"] != _OF_READING:
-            return False
-        self._tell(pair, (past["reason"], []), is_noted=False)
-        return True
-
-    def _recall(self, pair: ScanPair, sides: Sequence[str]) -> PairFacts | None:
-        """What a pair's files hold, if it is known from the last time and still so."""
-        known, facts = self.folder.ledger.input, {}
-        for side in sides:
-            if pair.path(side) is None:
-                continue
-            scan = recall_scan(known, pair, side, self.settings.input)
-            if scan is None:
-                return None
-            facts[side] = scan
-        if len(facts) < len(SIDES):
-            return PairFacts(facts, None)
-        frames = recall_pair_frames(known, pair, facts)
-        return None if frames is None else PairFacts(facts, frames)
-
-    def _judge(self, pair: ScanPair, known: PairFacts, sides: Sequence[str]) -> tuple[str, list[str]]:
-        """Keeps what is needed of a pair's files; gives why it cannot be used, or "", and what is odd about it."""
-        facts = {side: scan for side, scan in known.sides.items() if side in sides}
-        frames = known.frames if len(facts) == len(SIDES) else None
-        faults = [scan.fault for scan in facts.values() if scan.fault]
-        if not faults:
-            self.contents[pair.pair_id] = {side: scan.content for side, scan in facts.items()}
-            if frames and frames.suspect:
-                self.frames[pair.pair_id] = frames.suspect
-        lacks_scan = any(pair.path(side) is None for side in sides)  # that of a side not wanted may be missing
-        return (pair.fault if lacks_scan else None) or "; ".join(dict.fromkeys(faults)), pair_warnings(
-            pair, facts, frames
-        )
-
-    def _tell(self, pair: ScanPair, judged: tuple[str, list[str]], is_noted: bool, key: str = _OF_INPUT) -> list[str]:
-        """Says why a pair cannot be used; gives what is odd about it, one line each."""
-        fault, warnings = judged
-        if fault:
-            self.fail(pair.pair_id, fault)
-            self._unusable.add(pair.pair_id)
-            if is_noted:
-                self.folder.ledger.put_failure(pair.pair_id, {"key": key, "reason": fault})
-        return [f"pair {pair.pair_id}: {text}" for text in warnings]
 
 
 def current_records(folder: RunFolder, pair_ids: Iterable[str], stages: Iterable[str]) -> Iterator[JobRecord]:

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
+from ..datasets.content import ScanContent
 from ..datasets.pairs import ScanPair
-from ..inspect.scan_checks import ScanContent
-from ..stage import OBJECTS, SCAN, Grain, Stage
+from ..stage import N_RAW, OBJECTS, SCAN, Grain, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.record import library_versions
@@ -105,8 +105,18 @@ class PairPlan:
 
     @property
     def n_raw(self) -> int:
-        """Points of all files of the pair."""
-        return sum(content.n_raw for content in self.inputs.values())
+        """Points of all files of the pair; of files that no finished job has counted, estimated from their size."""
+        counted = self._counted()
+        return sum(counted.get(side, content.approximate_points) for side, content in self.inputs.items())
+
+    @property
+    def is_counted(self) -> bool:
+        """True if `n_raw` is no estimate."""
+        return self._counted().keys() >= self.inputs.keys()
+
+    def _counted(self) -> dict[str, int]:
+        records = (job.record for job in self.jobs if job.record is not None)
+        return {record.part: record.facts[N_RAW] for record in records if N_RAW in record.facts}
 
     @property
     def todo(self) -> tuple[Job, ...]:

@@ -202,7 +202,7 @@ class Schedule:
             pair.is_lost = False
             pair.n_losses += 1
             pair.scored.clear()
-        while pair.todo and (reason := self._budget.why_too_large(pair.plan)):
+        while pair.plan.is_counted and pair.todo and (reason := self._budget.why_too_large(pair.plan)):
             pair.failures.append(JobFailure(*pair.todo[0].name, reason))
         if not pair.todo:
             self._end(pair)
@@ -211,6 +211,9 @@ class Schedule:
         elif pair.n_losses > self._policy.losses_beside_others:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
+        elif not pair.plan.is_counted and self._budget.why_too_large(pair.plan):  # perhaps: the size is an estimate
+            reads_file = [job for job in pair.ready if any(source.maker is None for source in job.sources)]
+            self._submit_jobs(pair, reads_file)
         elif pair.scored:
             self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, list(pair.scored)), priority=_FIRST))
             pair.scored.clear()
@@ -274,8 +277,9 @@ class Schedule:
         need = self._costs.pair_bytes(pair.plan.n_raw)
         if any(job.stage.grain is not Grain.SIDE for job in jobs):
             need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
-        names = tuple(job.name for job in jobs)
-        self._submit(_Batch((pair,), run_batch, ([PairBatch(pair.plan, names)], self._costs), priority, need))
+        names, most_bytes = tuple(job.name for job in jobs), None if pair.plan.is_counted else need
+        batch = PairBatch(pair.plan, names, most_bytes)
+        self._submit(_Batch((pair,), run_batch, ([batch], self._costs), priority, need))
 
     def _submit_whole(self, pair: _Pair) -> None:
         """All that is left of a pair in one piece; small pairs wait for others to go with them.
@@ -297,14 +301,13 @@ class Schedule:
             self._submit_together(pairs)
 
     def _submit_together(self, pairs: list[_Pair]) -> None:
-        """All that is left of some pairs as one batch; each stops where an object needs more than its share."""
-        shares = [self._budget.object_share(pair.plan) for pair in pairs]
+        """All that is left of some pairs as one batch; each stops before a job that may need more than its share."""
+        needs = [self._costs.pair_bytes(pair.plan.n_raw) + self._budget.object_share(pair.plan) for pair in pairs]
         batches = [
-            PairBatch(pair.plan, tuple(job.name for job in pair.todo), share)
-            for pair, share in zip(pairs, shares, strict=True)
+            PairBatch(pair.plan, tuple(job.name for job in pair.todo), need)
+            for pair, need in zip(pairs, needs, strict=True)
         ]
-        need = max(self._costs.pair_bytes(pair.plan.n_raw) + share for pair, share in zip(pairs, shares, strict=True))
-        self._queue(_Batch(tuple(pairs), run_batch, (batches, self._costs), need=need))
+        self._queue(_Batch(tuple(pairs), run_batch, (batches, self._costs), need=max(needs)))
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""

@@ -16,54 +16,65 @@ from .progress import Reporter
 
 _TRIES = 3
 Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 
 def map_tasks(
-    function: Callable[[Task], object], tasks: Mapping[str, Task], reporter: Reporter, *, n_workers: int = 1
-) -> dict[str, str]:
+    function: Callable[[Task], Result],
+    tasks: Mapping[str, Task],
+    reporter: Reporter,
+    *,
+    n_workers: int | None = 1,
+    may_end_workers: bool = False,
+) -> tuple[dict[str, Result], dict[str, str]]:
     """Call a function with each task; Ctrl-C ends all of them.
 
     Parameters
     ----------
-    function : of a module; what it returns is dropped
+    function : of a module
     tasks : by name
     reporter : shows progress, and each failure
-    n_workers : processes; 1 for this one
+    n_workers : processes; None for one per core; 1 for this one, unless a task may end it
+    may_end_workers : whether a task may end the process that it is in
 
     Returns
     -------
-    Why some tasks failed, by name.
+    Results, and reasons why other tasks failed, by name.
 
     Raises
     ------
     DiskFullError
         No space is left.
     """
-    if not tasks:
-        return {}
+    results: dict[str, Result] = {}
     failures: dict[str, str] = {}
+    if not tasks:
+        return results, failures
     deaths: Counter[str] = Counter()
-    pool = start_pool(n_workers, None, None, Path(), {}, [function.__module__])
+    pool = start_pool(n_workers, None, None, Path(), {}, [function.__module__], may_end_workers=may_end_workers)
     reporter.start(len(tasks), len(tasks))
     try:
-        running = {pool.submit(_reason_of_failure, function, task): name for name, task in tasks.items()}
+        running = {pool.submit(_call, function, task): name for name, task in tasks.items()}
         while running:
-            handle, reason = pool.next_done()
+            handle, outcome = pool.next_done()
             name = running.pop(handle)
-            if isinstance(reason, WorkerDied):
+            if isinstance(outcome, WorkerDied):
                 deaths[name] += 1
                 if deaths[name] < _TRIES:
-                    running[pool.submit(_reason_of_failure, function, tasks[name])] = name
+                    running[pool.submit(_call, function, tasks[name])] = name
                     continue
-                reason = f"its worker process died {_TRIES} times ({reason.detail})"
+                outcome = None, f"its worker process died {_TRIES} times ({outcome.detail})"
+            result, reason = outcome
             if reason:
                 failures[name] = reason
                 reporter.fail(f"pair {name}", reason)
+            else:
+                results[name] = result
             reporter.advance(1, 1)
     finally:
         reporter.stop()
         pool.close(now=True)
-    return failures
+    return results, failures
 
 
 @contextmanager
@@ -81,14 +92,13 @@ def counting(reporter: Reporter) -> Iterator[Callable[[int, int], None]]:
         reporter.stop()
 
 
-def _reason_of_failure(function: Callable[[Task], object], task: Task) -> str:
-    """Call a function; gives why it failed, or ""."""
+def _call(function: Callable[[Task], Result], task: Task) -> tuple[Result | None, str]:
+    """Call a function; returns its result and "", or None and the reason why it failed."""
     try:
-        function(task)
+        return function(task), ""
     except DiskFullError:
         raise
     except FidpipeError as error:
-        return str(error)
+        return None, str(error)
     except Exception as error:  # one broken task does not stop the others
-        return f"internal error: {type(error).__name__}: {error}\n{traceback.format_exc()}"
-    return ""
+        return None, f"internal error: {type(error).__name__}: {error}\n{traceback.format_exc()}"

@@ -17,10 +17,10 @@ import pyarrow as pa
 from ...schemas.errors import DiskFullError, FidpipeError, StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
+from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
-from ..inspect.scan_checks import hash_scan
-from ..stage import SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
+from ..stage import N_RAW, SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
 from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan, Source
@@ -59,12 +59,12 @@ class PairBatch:
     """Some jobs of a pair, to be run in order.
 
     jobs : their names
-    bytes_for_objects : a batch ends before the first stage over objects where one of them needs more than this
+    most_bytes : a batch ends before a job that may need more than this
     """
 
     plan: PairPlan
     jobs: tuple[JobId, ...]
-    bytes_for_objects: int | None = None
+    most_bytes: int | None = None
 
 
 def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
@@ -83,10 +83,8 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                     if failed.intersection(job.needs):
                         failed.add(job.name)
                         continue
-                    if job.stage.grain is Grain.OBJECT and batch.bytes_for_objects is not None:
-                        _, n_keep = largest_object(tables.objects)
-                        if costs.object_bytes(n_keep) > batch.bytes_for_objects:
-                            break
+                    if batch.most_bytes is not None and tables.bytes_needed(job, costs) > batch.most_bytes:
+                        break
                     clock.begin(in_words(*job.name))
                     try:
                         records.append(make_job(tables, job))
@@ -165,6 +163,14 @@ class PairTables:
         """Takes over what is known of the pair by now: which jobs are done."""
         self.plan = plan
         self._records |= {job.name: job.record for job in plan.jobs if job.record is not None}
+        self._n_raw = plan.n_raw
+
+    def bytes_needed(self, job: Job, costs: CostModel) -> int:
+        """Bytes that a job may need, by what is known of the pair by now."""
+        n_bytes = costs.pair_bytes(self._n_raw)
+        if job.stage.grain is Grain.OBJECT:
+            n_bytes += costs.object_bytes(largest_object(self.objects)[1])
+        return n_bytes
 
     def inputs(
         self,
@@ -235,7 +241,7 @@ class PairTables:
                 raise StageError(f"no {side} scan")
             columns = self.plan.jobs[0].settings.input.columns_of(side)
             scan = read_scan(path, columns, dict(self.plan.label_names))
-            if hash_scan(path)[0] != self.plan.inputs[side].sha256:
+            if scan_content(path) != self.plan.inputs[side]:
                 raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
             self._scans[side] = scan
         return self._scans[side]
@@ -267,9 +273,12 @@ class PairTables:
             record = replace(record, files=files, steps=inputs.step.total())
         self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
         self._records[job.name] = record
-        readers = {own.name for own in self.plan.jobs if SCAN in own.stage.takes and own.part == job.part}
-        if self._records.keys() >= readers:
-            self._scans.pop(job.part, None)  # no later job reads it
+        if N_RAW in record.facts:
+            self._n_raw = self.plan.with_records(self._records.values()).n_raw
+        for side in list(self._scans):
+            readers = {own.name for own in self.plan.jobs for source in own.sources if source[:2] == (SCAN, side)}
+            if self._records.keys() >= readers:
+                del self._scans[side]  # no later job reads it
         return record
 
 

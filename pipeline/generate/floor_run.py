@@ -6,6 +6,7 @@ scan and the pair's name alone; the manifest is written last.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -19,13 +20,13 @@ from ...schemas.settings import FARTHEST_M, FrameName, InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import measure_again
 from ...stages.inspect.sensor import describe_sensor
+from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..engine.engine import Machines
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from ..inspect.scan_checks import file_marks, hash_scan, input_name
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, run_dataset, select_pairs
 from ..storage.files import key_of, path_exists, refuse_link, write_whole
@@ -185,7 +186,8 @@ def _write_dataset(
     else:
         (folder / LABEL_NAMES).unlink(missing_ok=True)
     missing = {name: task for name, task in tasks.items() if name in selected - current}
-    if failures := map_tasks(_measure_again, missing, reporter):  # here: it takes a hundredth of what their run does
+    _, failures = map_tasks(_measure_again, missing, reporter)  # here: it takes a hundredth of what their run does
+    if failures:
         raise RunError(next(iter(failures.values())))
     names = {name: f"sim/{task.path.name}" for name, task in tasks.items() if task.path.exists()}
     if AS_MEASURED in (recipe.noise_m, recipe.lost_share):
@@ -224,14 +226,10 @@ def _task(
     """The second measurement of a pair; None if it has no real scan."""
     if pair.real is None or source.real is None:
         return None
-    hashes, known = ("", ""), ledger.input(input_name(source, "real"))
-    try:
-        if known and known["sha256"] and known["marks"] == file_marks(source.real):
-            hashes = known["sha256"], known["label_sha256"]
-        else:
-            hashes = hash_scan(source.real)
-    except OSError:  # the run that follows reports it
-        pass
+    hashes = ("", "")
+    with suppress(ScanError):  # the run that follows reports it
+        content = scan_content(source.real, ledger.input_hash)
+        hashes = content.sha256, content.label_sha256
     columns, frame, names = settings.columns_of("real"), settings.frame_of("real"), dataset.label_names
     key = key_of(RECIPE_VERSION, recipe.words, pair.pair_id, hashes, sorted(names.items()), columns, frame)
     return _Task(pair.pair_id, source.real, path, key, recipe, frame, columns, names)

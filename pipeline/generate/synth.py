@@ -68,7 +68,8 @@ def make_dataset(
         }
         if 0 < len(tasks) < n_pairs:
             reporter.say(f"{n_pairs - len(tasks)} of {n_pairs} pairs already exist")
-        if failures := map_tasks(write_pair, tasks, reporter, n_workers=workers):
+        _, failures = map_tasks(write_pair, tasks, reporter, n_workers=workers)
+        if failures:
             raise FidpipeError(f"dataset {out}: {next(iter(failures.values()))}")
         rows = (
             (name, f"real/{name}.bin", f"sim/{name}.bin", f"{_time_s(seed, index):.3f}")

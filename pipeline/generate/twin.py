@@ -131,7 +131,7 @@ def make_twins(
         missing = {name: task for name, task in tasks.items() if not _is_made(task)}
         if 0 < len(missing) < len(tasks):
             reporter.say(f"{len(tasks) - len(missing)} of {len(tasks)} twins already exist")
-        failures = map_tasks(_write_twin, missing, reporter, n_workers=workers)
+        _, failures = map_tasks(_write_twin, missing, reporter, n_workers=workers)
         made = [task.frame for task in tasks.values() if _is_made(task)]
         write_table(out / MANIFEST, ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"], map(_row, made))
     return TwinOutcome(len(made), failures)

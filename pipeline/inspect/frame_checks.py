@@ -1,88 +1,70 @@
-"""Whether the two files of a pair belong together: one frame, two files, each on its own side.
-
-A pair's frames are compared once, where its files are read anyway; what came out is kept beside the marks of both
-files, so that an unchanged pair need not be compared again.
-"""
+"""Checks of pairs: one frame, one place, whole sweeps, two different files, each on its own side."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from pydantic import TypeAdapter
 
 from ...schemas.columns import SIDES
 from ...schemas.record import FrameSuspect
 from ...stages.inspect.frames import LEAST_GAIN, LEAST_SAME_PLACE, FrameCheck
+from ...stages.inspect.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
 from ..datasets.pairs import ScanPair
+from ..stage import FRAMES, INSPECTION
+from ..storage.tables import JobRecord
 
-_NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")
 _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 
 
-@dataclass(frozen=True)
-class FrameFacts:
-    """What was learnt of the frames of a pair.
-
-    marks : of each file, side by side, when it was read; see `scan_checks.file_marks`
-    settings_keys : of each file, see `scan_checks.settings_key`, and what else the comparison depends on
-    check : of the frames; None where too little could be compared
-    """
-
-    marks: list[list[list[int]]]
-    settings_keys: list[str]
-    check: FrameCheck | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, as `recall_frames` takes them back."""
-        return asdict(self)
-
-    @property
-    def suspect(self) -> FrameSuspect | None:
-        """What a run's record says of the pair; None where nothing is suspect."""
-        if self.check is None or not self.check.is_suspect:
-            return None
-        check = self.check
-        return FrameSuspect(
-            reading=check.reading,
-            coverage=round(check.coverage, 4),
-            as_it_lies=round(check.as_it_lies, 4),
-            setting=check.setting,
-        )
+def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
+    """What the finished jobs of a pair have found: by side, and for both scans together."""
+    sides, frames = {}, None
+    for job in jobs:
+        if found := job.facts.get(INSPECTION):
+            sides[job.part] = ScanInspection(**found)
+        if found := job.facts.get(FRAMES):
+            frames = FrameCheck(**found)
+    return sides, frames
 
 
-_FRAME_FACTS = TypeAdapter(FrameFacts)
+def frame_suspect(check: FrameCheck | None) -> FrameSuspect | None:
+    """The entry of a run's record for a pair; None unless its simulated scan seems to be in another frame."""
+    if check is None or not check.is_suspect:
+        return None
+    return FrameSuspect(
+        reading=check.reading,
+        coverage=round(check.coverage, 4),
+        as_it_lies=round(check.as_it_lies, 4),
+        setting=check.setting,
+    )
 
 
-def frames_name(pair: ScanPair) -> str:
-    """What the comparison is called in a ledger: by both files, wherever the command is called."""
-    return f"{pair.pair_id} frames {' '.join(str(path and path.absolute()) for path in (pair.real, pair.sim))}"
-
-
-def recall_frames(
-    known: Callable[[str], Mapping[str, Any] | None],
-    pair: ScanPair,
-    marks: list[list[list[int]]],
-    settings_keys: list[str],
-) -> FrameFacts | None:
-    """What was learnt of a pair's frames before, if files and settings are the same; else None.
+def pair_warnings(pair: ScanPair, sides: Mapping[str, ScanInspection], frames: FrameCheck | None) -> list[str]:
+    """Warnings about a pair that can be evaluated all the same, one line each.
 
     Parameters
     ----------
-    known : gives the facts by `frames_name`, as a run's ledger has them
-    marks, settings_keys : of both files as they are now
+    sides : inspection of its usable scans
+    frames : comparison of both scans, if there is one
     """
-    facts = known(frames_name(pair))
-    try:
-        found = None if facts is None else _FRAME_FACTS.validate_python(facts)
-    except ValueError:  # not as this version writes them
-        return None
-    return found if found and (found.marks, found.settings_keys) == (marks, settings_keys) else None
+    name = f"pair {pair.pair_id}"
+    warnings = [
+        f"{name}: {pair.path(side)}: {text}" for side in SIDES if side in sides for text in sides[side].warnings
+    ]
+    if len(sides) == len(SIDES):
+        (narrow_deg, narrow), (wide_deg, wide) = sorted((own.azimuth_gap_deg, side) for side, own in sides.items())
+        if wide_deg > HALF_SWEEP_GAP_DEG >= narrow_deg:
+            warnings.append(
+                f"{name}: {pair.path(wide)}: no point in a sector of {wide_deg:.0f} degrees, {narrow_deg:.0f} on the "
+                f"{narrow} side; is it a half sweep (rotation frequency and tick rate of the simulator differ)?"
+            )
+    if suspect := frame_suspect(frames):
+        warnings.append(f"{name}: {frame_warning(suspect)}")
+    if frames and frames.is_elsewhere:
+        warnings.append(f"{name}: {place_warning(frames)}")
+    return warnings
 
 
 def place_warning(check: FrameCheck) -> str:
@@ -107,27 +89,8 @@ def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
     )
 
 
-def frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
-    """One line for all suspect pairs of a run, told by the most frequent reading."""
-    kinds = [_NUMBER.sub("", suspect.reading) for suspect in suspects.values()]
-    kind = max(kinds, key=kinds.count)
-    alike = {pair_id: own for (pair_id, own), other in zip(suspects.items(), kinds, strict=True) if other == kind}
-    before, after = (
-        float(np.mean([getattr(own, name) for own in alike.values()])) for name in ("as_it_lies", "coverage")
-    )
-    pair_id, first = next(iter(alike.items()))
-    is_one_setting = all(own.setting == first.setting for own in alike.values())
-    where = "" if is_one_setting else f" (in pair {pair_id}; the others stand under frames in run.json)"
-    others = f"; {len(suspects) - len(alike)} in other ways, see frames in run.json" * (len(alike) < len(suspects))
-    return (
-        f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: in {len(alike)} it "
-        f"covers {before:.2f} of the real one as it lies and {after:.2f} {first.reading}; set {first.setting}{where} "
-        f"and run again{others}"
-    )
-
-
 def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """One line for each content that stands in more than one pair or on both sides of one.
+    """One line for each content that is in more than one pair or on both sides of one.
 
     Parameters
     ----------
@@ -142,14 +105,14 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     for where in places.values():
         pair_ids = list(dict.fromkeys(pair_id for pair_id, _ in where))
         lines += [
-            f"pair {pair_id}: real and simulated file hold the same points; two different scans are wanted"
+            f"pair {pair_id}: real and simulated file hold the same points; expected two different scans"
             for pair_id in pair_ids
             if len([side for name, side in where if name == pair_id]) == len(SIDES)
         ]
         if len(pair_ids) > 1:
             named = ", ".join(f"{pair_id} ({side})" for pair_id, side in where[:5])
             more = f" and {len(where) - 5} more" * (len(where) > 5)
-            lines.append(f"pairs {named}{more}: the files hold the same points; each scan is wanted in one pair")
+            lines.append(f"pairs {named}{more}: the files hold the same points; expected each scan in one pair")
     return lines
 
 

@@ -2,40 +2,56 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
+
 import numpy as np
 
+from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import GROUND
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
+from ...stages.inspect.plausibility import inspect_points
 from ...stages.method import remove_road
 from ..datasets.readers.scan import Scan
-from ..stage import OF_PAIR, SCAN, Columns, Facts, Grain, Inputs, JobResult, Stage
+from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Facts, Grain, Inputs, JobResult, Stage
 from .points import column
 
 _LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
 
 
 def make_ground(own: Inputs) -> JobResult:
-    """Clean a scan and cut the road away."""
+    """Inspect and clean a scan and cut the road away.
+
+    Raises
+    ------
+    StageError
+        Too few points are left; also names what is implausible about the scan, which is the likely cause.
+    """
     with own.step("read"):
         scan = own.scans[own.part]()
+    with own.step("inspect"):
+        inspection = inspect_points(scan.points, own.part, own.settings.input)
     real_cut = real_points = None
     if ("ground", "real") in own.outputs:
         real_cut = _cut(own.facts("ground", "real"))
     if ("ground", "real") in own.tables:
         real = own.table("ground", "real")
         real_points = np.column_stack([column(real, axis) for axis in "xyz"])
-    clean, cut = remove_road(
-        scan.points,
-        own.settings,
-        own.part,
-        T_real_sim=np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None,
-        real_cut=real_cut,
-        real_points=real_points,
-        watch=own.step,
-    )
-    return ground_result(own.pair_id, own.part, scan, clean, cut)
+    try:
+        clean, cut = remove_road(
+            scan.points,
+            own.settings,
+            own.part,
+            T_real_sim=np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None,
+            real_cut=real_cut,
+            real_points=real_points,
+            watch=own.step,
+        )
+    except StageError as error:
+        raise StageError("; ".join((str(error), *inspection.warnings))) from error
+    result = ground_result(own.pair_id, own.part, scan, clean, cut)
+    return replace(result, facts=result.facts | {INSPECTION: asdict(inspection)})
 
 
 def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> JobResult:
@@ -58,7 +74,7 @@ def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: 
         len(x),
     )
     n_ground = int(np.count_nonzero(cut.is_ground))
-    counts = {"n_raw": len(scan.points), "n_clean": len(x), "n_points": len(x) - n_ground}
+    counts = {N_RAW: len(scan.points), "n_clean": len(x), "n_points": len(x) - n_ground}
     measures = {name: getattr(cut, name) for name in ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")}
     measures["removed_share"] = n_ground / len(x)
     of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}

@@ -1,13 +1,20 @@
-"""Stage sensor: beams, steps, noise and losses of the sensor of a side, estimated from the file's own points."""
+"""Stage sensor: beams, steps, noise and losses of the sensor of a side, estimated from the file's own points.
+
+The job of the simulated side also checks whether both scans are in one frame.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
+import numpy as np
+
+from ...schemas.settings import Settings
 from ...schemas.tables import SENSOR
 from ...stages.clean import as_ros
+from ...stages.inspect.frames import can_move, check_frames
 from ...stages.inspect.sensor import SensorFacts, describe_sensor, pair_columns, sensor_row
-from ..stage import OF_PAIR, SCAN, Grain, Inputs, JobResult, Stage
+from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Stage
 
 
 def make_sensor(own: Inputs) -> JobResult:
@@ -17,7 +24,15 @@ def make_sensor(own: Inputs) -> JobResult:
     points = as_ros(scan.points, own.settings.input.frame_of(own.part))
     with own.step("sensor"):
         sensor = describe_sensor(points, scan.rings, scan.times_s is not None)
-    return sensor_result(own.pair_id, own.part, sensor)
+    result = sensor_result(own.pair_id, own.part, sensor)
+    if own.part == "real" or "real" not in own.scans:
+        return result
+    with own.step("read"):
+        real = own.scans["real"]()
+    with own.step("frames"):
+        T_real_sim = np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None
+        check = check_frames(real.points, scan.points, own.settings.input, T_real_sim)
+    return replace(result, facts=result.facts | {FRAMES: None if check is None else asdict(check)})
 
 
 def sensor_result(pair_id: str, side: str, sensor: SensorFacts) -> JobResult:
@@ -27,6 +42,21 @@ def sensor_result(pair_id: str, side: str, sensor: SensorFacts) -> JobResult:
     return JobResult({"sensor": SENSOR.build(row, 1)}, facts)
 
 
+def _libraries(settings: Settings) -> tuple[str, ...]:
+    return ("small_gicp",) if can_move() else ()
+
+
+def _takes_real(settings: Settings) -> Columns:
+    return {SCAN: ()}
+
+
 STAGE = Stage(
-    name="sensor", takes={SCAN: ()}, gives=("sensor",), settings=("input",), grain=Grain.SIDE, make=make_sensor
+    name="sensor",
+    takes={SCAN: ()},
+    gives=("sensor",),
+    settings=("input",),
+    grain=Grain.SIDE,
+    make=make_sensor,
+    libraries=_libraries,
+    takes_real=_takes_real,
 )

@@ -29,6 +29,7 @@ from ..datasets.readers.frames import address_of
 from ..engine.engine import Machines, RunEngine, Survey
 from ..engine.plan import OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
+from ..inspect.frame_checks import inspection_of, pair_warnings
 from ..jobs import STAGES
 from ..run import select_pairs
 from ..stage import Stage
@@ -149,10 +150,13 @@ class Experiment:
         ScanError
             One scan file was named, and it cannot be used.
         """
-        self.engine.inspect(self._source.pairs, self._source.label_names, sides=self._sides)
+        self.engine.hash_files(self._source.pairs, sides=self._sides)
+        self._make(STAGES)
         if self._source.is_scan and self.engine.failures:
             raise ScanError("; ".join(self.engine.failures.values()))
-        self._make(STAGES)
+        for pair in self._source.pairs:
+            jobs = self.folder.ledger.jobs(pair.pair_id).values()
+            self.engine.reporter.warn(*pair_warnings(pair, *inspection_of(jobs)))
         return [plan for plan in self._plans() if not plan.todo]
 
     def make(self, parts: Mapping[str, Sequence[Part]], facts: Mapping[str, Any]) -> None:
@@ -233,7 +237,7 @@ class Experiment:
         )
         self._refuse_replacing(survey)
         if survey.todo:
-            self.engine.start()
+            self.engine.start(survey.todo)
         only_adds = stages is STAGES and self._finished and not survey.unwanted  # what stays is still as it was asked
         if (survey.todo or survey.unwanted) and not only_adds:
             self._write_record({})

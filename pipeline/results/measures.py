@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.errors import DatasetError, SettingsError
+from ...schemas.errors import DatasetError, ScanError, SettingsError
 from ...schemas.metrics import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
+from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, read_dataset
-from ..inspect.scan_checks import input_hashes
 from .finished import FinishedRun
 from .floor import RunExcess
 from .measure_names import (
@@ -156,8 +156,8 @@ class Measures:
                 pair_id not in now or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
                 for pair_id, hashes in before.items()
             )
-        except OSError as error:
-            raise _AbsentError(f"a file of the dataset cannot be read ({error})") from error
+        except ScanError as error:
+            raise _AbsentError(str(error)) from error
 
     @cached_property
     def _dataset(self) -> Dataset:

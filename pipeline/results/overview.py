@@ -5,16 +5,17 @@ The objects are counted in one pass with the findings (`findings.describe_object
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.record import MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
+from ...schemas.record import FrameSuspect, MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
 from ...schemas.results import Caution, Findings, ObjectOverview, Overview, Piece, SurfaceGroup
 from ...schemas.settings import MatchingSettings
 from ...schemas.tables import TABLES
@@ -22,7 +23,6 @@ from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
 from ...stages.statistics.findings import BAND_NAMES
-from ..inspect.frame_checks import frames_summary
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
@@ -43,6 +43,7 @@ BAD_ALIGNMENT = 0.25
 BAD_ALIGNMENT_M = MatchingSettings().delta_m
 #: From this share of badly aligned objects on it is reported.
 _MANY_BADLY_ALIGNED = 0.05
+_NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")
 BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
 #: Columns of the frame of objects that the overview uses.
@@ -233,7 +234,7 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
     if pairs.to_do:
         yield Caution(kind="to_do", words=f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet")
     if record.frames:
-        yield Caution(kind="frames", words=frames_summary(record.frames, n_pairs))
+        yield Caution(kind="frames", words=_frames_summary(record.frames, n_pairs))
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
         words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
@@ -255,3 +256,22 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         return  # it is a floor itself
     floor = shlex.join(["fidpipe", "floor", record.dataset, "--preset", record.preset])
     yield Caution(kind="floor", words=f"no floor yet; the scores of a perfect simulator: {floor}")
+
+
+def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
+    """One line for all suspect pairs of a run, by their most frequent reading."""
+    kinds = [_NUMBER.sub("", suspect.reading) for suspect in suspects.values()]
+    kind = max(kinds, key=kinds.count)
+    similar = {pair_id: own for (pair_id, own), other in zip(suspects.items(), kinds, strict=True) if other == kind}
+    before, after = (
+        float(np.mean([getattr(own, name) for own in similar.values()])) for name in ("as_it_lies", "coverage")
+    )
+    pair_id, first = next(iter(similar.items()))
+    is_one_setting = all(own.setting == first.setting for own in similar.values())
+    where = "" if is_one_setting else f" (in pair {pair_id}; the others are listed under frames in run.json)"
+    others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json" * (len(similar) < len(suspects))
+    return (
+        f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: in {len(similar)} it "
+        f"covers {before:.2f} of the real one as it lies and {after:.2f} {first.reading}; set {first.setting}{where} "
+        f"and run again{others}"
+    )

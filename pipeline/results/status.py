@@ -62,7 +62,7 @@ def run_status(folder: Path) -> RunStatus:
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
     seconds, failures = StageSeconds(), {}
     with RunEngine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
-        engine.inspect(dataset.pairs, dataset.label_names, is_noted=False)
+        engine.hash_files(dataset.pairs)
         for pair in dataset.pairs:
             failure = engine.failures.get(pair.pair_id)
             if failure is not None or pair.pair_id not in engine.contents:

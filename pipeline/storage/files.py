@@ -132,6 +132,12 @@ def key_of(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
+def file_marks(path: Path) -> str:
+    """Length, times and inode of a file, as text: while they stay the same, so does the content."""
+    status = path.stat()
+    return f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns} {status.st_ino}"
+
+
 def hash_file(path: Path | str) -> str:
     """SHA-256 of a file's content, as hexadecimal digits; OSError where it cannot be read."""
     digest = hashlib.sha256()

@@ -1,4 +1,4 @@
-"""A run's ledger: finished jobs, the inspection of each input file, and why pairs failed. In SQLite.
+"""A run's ledger: finished jobs, hashes of input files, and why pairs failed. In SQLite.
 
 A cache that the command alone writes: the same stands in the footers of the tables. It is believed if it has the hash
 that was noted when it was closed in order; else it is deleted, and made again from the footers. Nothing of it is kept
@@ -7,6 +7,7 @@ in memory, so that a command over ten thousand pairs stays small.
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,7 +20,7 @@ from typing import Any
 import orjson
 
 from ...schemas.errors import RunError
-from .files import disk_full, hash_file, write_whole
+from .files import disk_full, file_marks, hash_file, write_whole
 from .tables import JobRecord, job_record
 
 LEDGER = "ledger.sqlite"
@@ -32,7 +33,7 @@ _TABLES = """
 PRAGMA page_size = 16384;
 CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB);
 CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
-CREATE TABLE inputs (name TEXT PRIMARY KEY, entry BLOB);
+CREATE TABLE hashes (path BLOB PRIMARY KEY, marks TEXT, sha256 TEXT) WITHOUT ROWID;
 CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB) WITHOUT ROWID;
 """
 
@@ -56,7 +57,7 @@ class Ledger:
     """
 
     def __init__(self, path: Path, *, is_writable: bool) -> None:
-        self._path = path
+        self._path, self.is_writable = path, is_writable
         self._begun: float | None = None
         self._seal = path.with_name(_SEAL)
         try:
@@ -146,13 +147,16 @@ class Ledger:
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
 
-    def input(self, name: str) -> dict[str, Any] | None:
-        """What was learnt of an input file; None if nothing."""
-        return self._entry("SELECT entry FROM inputs WHERE name = ?", name)
-
-    def put_input(self, name: str, facts: Mapping[str, Any]) -> None:
-        """Adds what was learnt of an input file."""
-        self._put("INSERT OR REPLACE INTO inputs VALUES (?, ?)", name, facts)
+    def input_hash(self, path: Path) -> str:
+        """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
+        name, marks = os.fsencode(path.absolute()), file_marks(path)
+        row = self._db.execute("SELECT sha256 FROM hashes WHERE path = ? AND marks = ?", (name, marks)).fetchone()
+        if row is not None:
+            return str(row[0])
+        sha256 = hash_file(path)
+        if self.is_writable:
+            self._change("INSERT OR REPLACE INTO hashes VALUES (?, ?, ?)", name, marks, sha256)
+        return sha256
 
     def failure(self, pair_id: str) -> dict[str, Any] | None:
         """Why a pair failed (`key` of the job that did, `reason`); None if it did not."""
@@ -203,8 +207,11 @@ class Ledger:
             why = f"a path of {n} characters, SQLite takes {_LONGEST_PATH}" if n > _LONGEST_PATH else str(error)
             raise RunError(f"{self._path}: cannot be opened ({why}); give another --out") from error
         try:
-            if not db.execute("SELECT 1 FROM sqlite_master").fetchone():
+            names = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
+            if not names:
                 db.executescript(_TABLES)
+            elif "hashes" not in names:
+                raise sqlite3.DatabaseError("the ledger has other tables")
         except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
             db.close()
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
@@ -248,7 +255,7 @@ def _read_only(path: Path, is_complete: bool) -> sqlite3.Connection:
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         db = _connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
         try:
-            db.execute("SELECT 1 FROM jobs").fetchone()
+            db.execute("SELECT 1 FROM hashes").fetchone()
         except sqlite3.OperationalError:
             db.close()
             continue

@@ -22,8 +22,8 @@ from ...schemas.results import JsonObject
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
 from ...stages.literal.method import mean_and_std
+from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, ScanPair, read_dataset
-from ..inspect.scan_checks import input_hashes
 from ..jobs import EXTRAS, STAGES
 from ..results.finished import FinishedRun
 from ..storage.record import unmatched_worst

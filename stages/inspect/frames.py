@@ -18,7 +18,6 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import as_ros, clean_scan
 from .surfels import voxel_ids
 
-FRAMES_VERSION = 3  # raised where a result can change
 AS_IT_LIES = "as it lies"
 VOXEL_M = 0.5
 REACH_M = 40.0

@@ -1,11 +1,14 @@
-"""What is odd about the points of a scan: units, axes, hits on the ego vehicle, a half sweep."""
+"""Plausibility of the points of a scan: units, axes, hits on the ego vehicle, a half sweep."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ...schemas.settings import FARTHEST_M
+from ...schemas.settings import FARTHEST_M, InputSettings
 from ..arrays import FloatArray
+from ..clean import as_ros
 
 FAR_COORDINATE_M = 1000.0
 SMALLEST_EXTENT_M = 1.0
@@ -15,6 +18,36 @@ HALF_SWEEP_GAP_DEG = 90.0
 EGO_RANGE_M = 3.0
 MOST_RANGE_M = 150.0
 _UNITS = (("centimetres", 100), ("millimetres", 1000))
+_MOST_NOT_FINITE = 0.25
+
+
+@dataclass(frozen=True)
+class ScanInspection:
+    """Result of inspecting the points of a scan.
+
+    azimuth_gap_deg : widest sector around the sensor without a point
+    warnings : one line each
+    """
+
+    azimuth_gap_deg: float
+    warnings: tuple[str, ...]
+
+
+def inspect_points(points: FloatArray, side: str, settings: InputSettings) -> ScanInspection:
+    """Inspect the points of a scan before it is cleaned.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, as read, in the side's own frame
+    side : "real" or "sim"
+    """
+    is_finite = np.isfinite(points).all(axis=1)
+    own = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
+    warnings = implausible(own, side, settings.min_range_m)
+    if (share := 1.0 - float(is_finite.mean())) > _MOST_NOT_FINITE:
+        dropped = f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped"
+        warnings.append(f"{dropped}; is the export complete?")
+    return ScanInspection(widest_azimuth_gap_deg(own), tuple(warnings))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # distances may be infinite

@@ -1,9 +1,11 @@
 """A pair whose reader crashes the interpreter, never ends or fills the memory: one that another package installed."""
 
+import json
 import os
 import re
 import struct
 import time
+from contextlib import contextmanager
 
 import laspy
 import numpy as np
@@ -17,7 +19,7 @@ N_PAIRS = 4
 LIMIT_S = 3  # a healthy pair takes 0.2 s
 POISON = "002"
 
-#: Reads what `numpy.save` writes, unless a file beside it says what else to do, and at which reading.
+#: Reads what `numpy.save` writes, unless a file next to it names something else to do.
 READER = """
 import ctypes
 import time
@@ -30,13 +32,8 @@ from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
 def read(path):
     trap = path.with_suffix(".do")
     if trap.exists():
-        what, nth = trap.read_text().split()
-        with path.with_suffix(".readings").open("a+") as readings:
-            readings.write("x")
-            readings.flush()
-            readings.seek(0)
-            if len(readings.read()) >= int(nth):
-                HARM[what]()
+        path.with_suffix(".begun").touch()
+        HARM[trap.read_text()]()
     with path.open("rb") as file:
         return scan_from_columns(path, dict(zip("xyz", np.load(file).T, strict=True)))
 
@@ -99,40 +96,43 @@ def undisturbed(dataset, finished, installed):
     return finished
 
 
-def set_trap(dataset, what, nth):
+@contextmanager
+def trap(dataset, what):
+    """Within it the reader does something else; a path that exists once it has begun."""
     path = dataset / "real" / f"{POISON}.do"
-    path.write_text(f"{what} {nth}")
-    return path
+    path.write_text(what)
+    try:
+        yield path.with_suffix(".begun")
+    finally:
+        path.unlink()
+        path.with_suffix(".begun").unlink(missing_ok=True)
 
 
-DIED_READING = r"the worker process died while it read the files, and again when it did so alone \(a crash of"
-DIED_IN_STAGE = "stage ground, real: the worker process died, and again when the pair ran alone \\(.*out of memory"
-OUT_OF_TIME = f"not finished after {LIMIT_S} s of work in reading its files; a larger --pair-timeout gives it more"
-OUT_OF_TIME_IN_STAGE = f"not finished after {LIMIT_S} s of work in stage ground, real; a larger --pair-timeout"
+DIED = "stage ground, real: the worker process died, and again when the pair ran alone \\(.*out of memory"
+OUT_OF_TIME = f"not finished after {LIMIT_S} s of work in stage ground, real; a larger --pair-timeout"
 OUT_OF_MEMORY = r"cannot be read \(Unable to allocate|the worker process died"  # the limit of the worker, or dask's
 IN_LITTLE_MEMORY = ("--set", "machine.memory_gib=1.5")
 WITH_LIMIT = ("--pair-timeout", LIMIT_S)
 
-#: What is done at which reading, with which options, and what is said of it.
+#: What the reader does, with how many workers and which options, and the message.
 TRIES = [
-    ("crash", 1, (), DIED_READING),
-    ("crash", 2, (), DIED_IN_STAGE),
-    ("hang", 1, WITH_LIMIT, OUT_OF_TIME),
-    ("hang", 2, WITH_LIMIT, OUT_OF_TIME_IN_STAGE),
-    ("wait", 1, WITH_LIMIT, OUT_OF_TIME),
-    ("wait", 2, WITH_LIMIT, OUT_OF_TIME_IN_STAGE),
-    ("fill_memory", 1, IN_LITTLE_MEMORY, OUT_OF_MEMORY),
+    ("crash", 1, (), DIED),
+    ("crash", 2, (), DIED),
+    ("hang", 2, WITH_LIMIT, OUT_OF_TIME),
+    ("wait", 2, WITH_LIMIT, OUT_OF_TIME),
     ("fill_memory", 2, IN_LITTLE_MEMORY, OUT_OF_MEMORY),
 ]
 
 
 @pytest.mark.parametrize(
-    ("what", "nth", "words", "reason"), some_of(TRIES, TRIES[:1]), ids=[f"{t[0]}-{t[1]}" for t in TRIES]
+    ("what", "workers", "words", "reason"), some_of(TRIES, TRIES[:1]), ids=[f"{t[0]}-{t[1]}" for t in TRIES]
 )
-def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(dataset, undisturbed, tmp_path, what, nth, words, reason):
-    out, trap = tmp_path / "run", set_trap(dataset, what, nth)
-    try:
-        started = Started("run", dataset, "--out", out, "--workers", 2, *words)
+def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
+    dataset, undisturbed, tmp_path, what, workers, words, reason
+):
+    out = tmp_path / "run"
+    with trap(dataset, what):
+        started = Started("run", dataset, "--out", out, "--workers", workers, *words)
         code, errors = started.end()
         named = [line for line in lines_of(errors) if re.search(f"pair {POISON}: .*{reason}", line)]
         assert (code, len(named)) == (3, 1), errors
@@ -143,10 +143,16 @@ def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(dataset, undisturbe
             0,
             True,
         )
-    finally:
-        trap.unlink()
-        trap.with_suffix(".readings").unlink(missing_ok=True)
     assert_resumes(dataset, out, undisturbed, start=own_process)
+
+
+def test_check_names_a_pair_whose_reader_crashes_and_reads_the_others(dataset):
+    with trap(dataset, "crash"):
+        done = own_process("check", dataset, "--json")
+    found = json.loads(done.stdout)
+    assert (done.returncode, len(found["faults"])) == (1, 1)
+    assert re.match(f"pair {POISON}: its worker process died", found["faults"][0])
+    assert [pair["real"] is None for pair in found["pairs"]] == [pair["pair_id"] == POISON for pair in found["pairs"]]
 
 
 @pytest.mark.exhaustive
@@ -164,21 +170,18 @@ def test_a_damaged_laz_that_ends_its_reader_fails_alone_and_is_named(tmp_path):
     started = Started("run", data, "--out", tmp_path / "run", "--workers", 2, *IN_LITTLE_MEMORY)
     code, errors = started.end()
     assert code == 3, errors
-    assert errors.count("pair 001: the worker process died") == 1
+    assert errors.count("pair 001: stage ground, real: the worker process died") == 1
     assert len(list((tmp_path / "run" / "metrics").glob("*.parquet"))) == 2
 
 
 @pytest.mark.exhaustive
 def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_path):
-    out, trap = tmp_path / "run", set_trap(dataset, "hang", 1)
-    try:
+    out = tmp_path / "run"
+    with trap(dataset, "hang") as begun:
         started = Started("run", dataset, "--out", out, "--workers", 2)
-        assert started.wait_for(trap.with_suffix(".readings").exists)
+        assert started.wait_for(begun.exists)
         time.sleep(0.5)
         started.process.terminate()
         code, errors = started.end()
         assert (code, lines_of(errors)[-1:]) == (130, ["interrupted; run the same command again to go on"])
-    finally:
-        trap.unlink()
-        trap.with_suffix(".readings").unlink(missing_ok=True)
     assert_resumes(dataset, out, undisturbed, start=own_process)

@@ -1,7 +1,5 @@
 """Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
 
-from collections import Counter
-
 import pytest
 from rich.console import Console
 
@@ -10,7 +8,6 @@ from fidpipe.pipeline.engine.engine import Machines, RunEngine
 from fidpipe.pipeline.engine.plan import Part, Planner
 from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.stage import Grain, Inputs, JobResult, Stage
 from fidpipe.pipeline.storage.folder import RunFolder
@@ -18,8 +15,6 @@ from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
 from pools import DyingPool, WatchedPool
-from runs import JOBS_PER_PAIR, run
-from scenes import write_dataset
 
 N_BASE = 7  # both sides of ground, graph and communities, and matching
 
@@ -50,7 +45,7 @@ def make_parts(dataset, out, parts, pool):
     folder = RunFolder(out)
     machines = Machines(pool=pool)
     with folder.locked(), RunEngine(folder, Settings(), machines, Reporter(Console(quiet=True))) as engine:
-        engine.inspect(pairs, {})
+        engine.hash_files(pairs)
 
         def plan(pair):
             return planner.plan(pair, engine.contents[pair.pair_id], parts)
@@ -108,19 +103,3 @@ def test_a_failed_part_does_not_stop_another(dataset, tmp_path):
 def test_two_parts_of_one_name_are_refused(dataset, tmp_path):
     with pytest.raises(ValueError, match="is there twice; each needs its own name"):
         make_parts(dataset, tmp_path, [Part(SEES_GROUND, "a"), Part(SEES_GROUND, "a")], InProcess())
-
-
-@pytest.mark.parametrize("n_deaths", [1, 2, 3, 4])
-def test_a_file_at_which_the_worker_dies_fails_its_pair_alone(tmp_path, n_deaths):
-    many = write_dataset(tmp_path / "streets", 17, n=40)
-    pool = DyingPool(lambda jobs, name: ("005", "inspect", "") in jobs, n_deaths)
-    outcome = run(many, tmp_path / "run", pool=pool, policy=Policy(bundle_s=10.0))
-    assert pool.n_deaths == n_deaths
-    assert sum(row["status"] == "scored" for row in outcome.rows) == 17 - (n_deaths == 4)
-    own = Counter(jobs[0][0] for jobs in pool.batches if len(jobs) == 1 and jobs[0][1] == "inspect")
-    assert own == {"004": 1, "005": min(n_deaths, 3), "016": 1}  # the first was beside it, the last is left over
-    if n_deaths == 4:
-        reason = "the worker process died while it read the files, and again when it did so alone (a crash of"
-        assert list(outcome.failures) == ["005"]
-        assert outcome.failures["005"].startswith(reason)
-        assert run(many, tmp_path / "run").n_made == JOBS_PER_PAIR

@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fidpipe.pipeline.datasets.content import scan_content
 from fidpipe.pipeline.datasets.readers import read_scan, stem_of, suffix_of
-from fidpipe.pipeline.inspect.scan_checks import ScanContent, check_dataset, hash_scan
+from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.errors import ScanError
 from fidpipe.schemas.settings import GraphSettings, Settings
 from fidpipe.stages.graph import build_graph
@@ -226,9 +227,9 @@ def test_names_of_labels_hold_for_a_column_of_numbers_and_are_part_of_the_key(tm
     (tmp_path / "a.ply").write_bytes(ply(POINTS, "ascii", label=True))
     assert read_scan(tmp_path / "a.ply").labels.tolist() == ["4"] * 3
     assert read_scan(tmp_path / "a.ply", label_names={4: "tree"}).labels.tolist() == ["tree"] * 3
-    contents = [ScanContent(*hash_scan(tmp_path / "a.ply"), 3).key(names) for names in ({}, {4: "tree"}, {4: "car"})]
+    contents = [scan_content(tmp_path / "a.ply").key(names) for names in ({}, {4: "tree"}, {4: "car"})]
     assert len(set(contents)) == 3
-    raw = ScanContent(*hash_scan(write_bin(tmp_path / "b.bin", POINTS)), 3)
+    raw = scan_content(write_bin(tmp_path / "b.bin", POINTS))
     assert raw.key({}) == raw.key({4: "tree"})
 
 

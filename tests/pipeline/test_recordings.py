@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fidpipe.pipeline.datasets.content import scan_content
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan, rosbag, stem_of, suffix_of, velodyne
 from fidpipe.pipeline.datasets.readers.frames import address_of
-from fidpipe.pipeline.inspect.scan_checks import file_marks, hash_scan
 from fidpipe.schemas.errors import ScanError
 from recordings import cloud, packets_message, write_bag, write_pcap
 from runs import command
@@ -168,14 +168,14 @@ def test_frames_of_a_time_are_read_without_the_others(tmp_path, monkeypatch):
     assert len(read_scan(path).points) == len(street())
 
 
-def test_content_of_a_frame_is_that_of_its_points_alone(tmp_path):
-    first, longer = bag_of(tmp_path / "a.bag", street(0)), bag_of(tmp_path / "b_mcap", street(0), street(1))
-    frames = frames_of(longer)
-    assert hash_scan(first) == hash_scan(frames[0])
-    assert hash_scan(frames[0]) != hash_scan(frames[1])
-    marks = file_marks(frames[0])
-    shutil.copy(longer / "metadata.yaml", longer / "more.yaml")
-    assert file_marks(frames[0]) != marks
+def test_content_of_a_frame_is_its_recording_and_its_address(tmp_path):
+    bag = bag_of(tmp_path / "b_mcap", street(0), street(1))
+    first, second = frames_of(bag)
+    before = scan_content(first)
+    assert before.sha256 != scan_content(second).sha256
+    assert shutil.copytree(bag, tmp_path / "copy") and scan_content(frames_of(tmp_path / "copy")[0]) == before
+    shutil.copy(bag / "metadata.yaml", bag / "more.yaml")
+    assert scan_content(first) != before
 
 
 @pytest.fixture

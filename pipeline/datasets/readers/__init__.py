@@ -30,18 +30,18 @@ class Format(NamedTuple):
     columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
         these, or those of the setting `input.columns`; () where the shape tells them
     holds_frames : whether a file is a recording; `read` then takes an `Address`, and `frames` lists those of all frames
+    may_crash : whether a damaged file may end the process that reads it, or fill the memory: formats whose libraries
+        trust what a file says of its compressed parts, and the readers of other packages
     """
 
     module: str
     columns: tuple[str, ...] | None = None
     holds_frames: bool = False
+    may_crash: bool = False
 
 
 #: What `pip install 'fidpipe[...]'` brings the libraries that are not everywhere.
 _EXTRAS = {"rosbags": "ros", "velodyne_decoder": "velodyne", "dpkt": "velodyne", "laspy": "las"}
-
-#: Formats whose libraries believe what a file says of its compressed parts.
-_COMPRESSED = frozenset({".laz", ".parquet", ".bag", ".db3", ".mcap", "/metadata.yaml"})
 
 #: A longer suffix is tried before a shorter one that it ends with. One that begins with / is a file in a folder.
 FORMATS = {
@@ -51,13 +51,13 @@ FORMATS = {
     ".pcd": Format(".pcd"),
     ".ply": Format(".ply"),
     ".csv": Format(".csv"),
-    ".parquet": Format(".parquet"),
+    ".parquet": Format(".parquet", may_crash=True),
     ".las": Format(".las"),
-    ".laz": Format(".las"),
-    ".bag": Format(".rosbag", holds_frames=True),
-    ".db3": Format(".rosbag", holds_frames=True),
-    ".mcap": Format(".rosbag", holds_frames=True),
-    "/metadata.yaml": Format(".rosbag", holds_frames=True),
+    ".laz": Format(".las", may_crash=True),
+    ".bag": Format(".rosbag", holds_frames=True, may_crash=True),
+    ".db3": Format(".rosbag", holds_frames=True, may_crash=True),
+    ".mcap": Format(".rosbag", holds_frames=True, may_crash=True),
+    "/metadata.yaml": Format(".rosbag", holds_frames=True, may_crash=True),
     ".pcap": Format(".velodyne", holds_frames=True),
     ".pcapng": Format(".velodyne", holds_frames=True),
 }
@@ -83,9 +83,9 @@ def suffix_of(path: Path) -> str | None:
 
 
 def may_crash(path: Path) -> bool:
-    """True if reading a file may crash or fill the memory: by another package, or because it is compressed."""
+    """True if reading a file may end the process; see `Format`."""
     suffix = suffix_of(path)
-    return suffix in _COMPRESSED or suffix in _other_formats()
+    return suffix is not None and formats()[suffix].may_crash
 
 
 def stem_of(path: Path) -> str:
@@ -198,7 +198,7 @@ def _other_formats() -> dict[str, Format]:
                 f"two readers of {suffix} files are installed, {other.module.strip('.')} and {entry.value}; one is "
                 f"wanted: uninstall the package of {entry.value}"
             )
-        found[suffix] = Format(entry.value)
+        found[suffix] = Format(entry.value, may_crash=True)
     return found
 
 

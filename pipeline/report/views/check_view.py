@@ -11,7 +11,7 @@ from ....schemas.columns import SIDES
 from ....schemas.results import JsonObject
 from ....stages.inspect.sensor import sensor_lines
 from ...engine.costs import CostModel
-from ...inspect.scan_checks import DatasetCheck, ScanFacts
+from ...inspect.scan_checks import DatasetCheck, ScanCheck
 from ...inspect.sensor_checks import SensorCheck
 from ...storage.files import free_bytes, megabytes
 from ..view import Note, Table, View
@@ -74,7 +74,7 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
     return [*lines, *(Note(f"warning: {text}", "yellow") for text in sensors.unlike)]
 
 
-def _scan_json(facts: ScanFacts | None) -> JsonObject | None:
+def _scan_json(facts: ScanCheck | None) -> JsonObject | None:
     if facts is None:
         return None
     names = ("n_raw", "n_clean", "dropped", "low", "high", "azimuth_gap_deg", "fault")

@@ -46,7 +46,7 @@ def outcome_view(outcome: RunOutcome) -> View:
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)
     return summary_view(
-        outcome.folder, outcome.rows, record, record.overview, outcome.told_failures, took=f"{took}{jobs}"
+        outcome.folder, outcome.rows, record, record.overview, outcome.reported_failures, took=f"{took}{jobs}"
     )
 
 
