@@ -38,7 +38,7 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.families import judge_families, overall
 from fidpipe.stages.paper.claim_rules import HOLDS
-from fidpipe.stages.paper.claims import check_claims
+from fidpipe.stages.paper.run_claims import check_run_claims
 from fidpipe.stages.statistics.comparison import adjusted_p_values, holm
 from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects
 
@@ -193,7 +193,7 @@ CLASSES = ("tree", "vegetation", "car", "wall")
 
 
 def objects(rng, n_pairs, scores, alone, n_objects=N_OBJECTS):
-    """The arguments of `check_claims` for random pairs, with a scan every two minutes.
+    """The arguments of `check_run_claims` for random pairs, with a scan every two minutes.
 
     scores : of (rng, pair, range_m, label) the scores cdc, r_lambda, r_gap of matched objects
     alone : of (rng, pair, range_m, label) the chance that an object has no partner
@@ -260,7 +260,7 @@ def as_the_paper(rng, n_pairs):
 
 
 def copied(rng, n_pairs, n_copies=8):
-    """Noise, and the same with further copies of its first pair: the arguments of `check_claims` for both."""
+    """Noise, and the same with further copies of its first pair: the arguments of `check_run_claims` for both."""
     once = noise(rng, n_pairs, own_level=0.1)
     real, sim, matched, names, _, times_s = once
     names = [*names, *["0"] * (n_copies - 1)]
@@ -291,7 +291,7 @@ def holding(make, repeats, seed=0):
     """By claim, how often it holds, and how often the estimate of an order alone is above 0 (NaN of the others)."""
     rng, found = np.random.default_rng(seed), []
     for _ in range(repeats):
-        claims = check_claims(*make(rng))
+        claims = check_run_claims(*make(rng))
         found.append([(one.verdict == HOLDS, (one.estimate or 0) > 0) for one in claims])
     rates = np.mean(found, axis=0)
     return {

@@ -69,7 +69,7 @@ def show(
 
     finished = FinishedRun(run)
     if paper:
-        from ..paper.claims import claims_of, claims_view
+        from ..paper.claims_view import claims_of, claims_view
 
         claims = claims_of(finished)
         print_json([dict(vars(claim)) for claim in claims]) if as_json else print_view(claims_view(finished, claims))

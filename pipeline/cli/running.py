@@ -279,7 +279,7 @@ def status(
 
     found = run_status(run)
     if timings and found.mean_seconds:
-        from ..paper.timings import timings_view
+        from ..paper.timings_view import timings_view
 
         print_view(status_view(found, timings_view(found.mean_seconds)))
     else:

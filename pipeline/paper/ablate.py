@@ -23,7 +23,7 @@ from ...schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
 from ...schemas.metrics import DATASET_SCORES
 from ...schemas.settings import Settings, parse
 from ...stages.arrays import FloatArray
-from ...stages.paper.parameter_choice import Influence, ParameterSet, Trial, Verdict, influence, judge_parameters
+from ...stages.paper.parameter_choice import Choice, Influence, ParameterSet, Trial, choose_parameters, influence
 from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
@@ -60,7 +60,7 @@ class AblateOutcome(ExperimentOutcome):
 
     def along(self, name: str) -> list[ParameterSet]:
         """The parameter sets in which one parameter moves and the others are in force."""
-        return [self.base.moved(name, value) for value in self.values[name]]
+        return [self.base.with_value(name, value) for value in self.values[name]]
 
     def scores(self, metric: str, tried: Sequence[ParameterSet]) -> FloatArray:
         """(n_pairs, n_sets) values of a column of `ablate`; pairs in which one is missing are left out."""
@@ -119,14 +119,14 @@ def ablate_dataset(
         return AblateOutcome(**experiment.finish(), base=base, values=tried, grid=grid, rows=rows)
 
 
-def choose(outcome: AblateOutcome) -> list[Verdict]:
-    """A verdict for each parameter that the rule can choose and that has several values, and for the grid."""
+def choose(outcome: AblateOutcome) -> list[Choice]:
+    """A choice for each parameter that the rule can choose and that has several values, and for the grid."""
     tried = {name: outcome.along(name) for name in CHOSEN if len(outcome.values[name]) > 1}
     if outcome.grid:
         rows = outcome.rows.to_pandas()[_NAMES].drop_duplicates()
         rows = rows[rows["delta_m"] == outcome.base.delta_m]
         tried["grid"] = [ParameterSet(*row) for row in rows.itertuples(index=False)]
-    return judge_parameters(
+    return choose_parameters(
         [
             Trial(
                 name,
@@ -168,7 +168,7 @@ def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], gri
     """
     if grid:
         return [ParameterSet(int(k), *rest) for k, *rest in product(*values.values())]
-    return sorted({base.moved(name, value) for name, tried in values.items() for value in tried})
+    return sorted({base.with_value(name, value) for name, tried in values.items() for value in tried})
 
 
 def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:

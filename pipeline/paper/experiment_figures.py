@@ -12,7 +12,7 @@ import pandas as pd
 from ...schemas.metrics import metric_of
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.generate.perturbations import Perturbation
-from ...stages.paper.sweeps import Means
+from ...stages.paper.sweep_means import Means
 from ..report.figures.style import (
     VIEW,
     box_of,

@@ -9,10 +9,10 @@ import pandas as pd
 
 from ...schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ...stages.generate.perturbations import Perturbation
+from ...stages.paper.paper_values import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ...stages.paper.parameter_choice import RULE
-from ...stages.paper.reported import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
-from ...stages.paper.sweep_claims import judge_claims
-from ...stages.paper.sweeps import OWN_METRICS, Mean, Means, react, strongest_levels
+from ...stages.paper.sweep_claims import check_sweep_claims
+from ...stages.paper.sweep_means import OWN_METRICS, Mean, Means, react, strongest_levels
 from ..report.view import Note, Part, Table, View, mean_and_spread, number
 from .ablate import PARAMETERS, AblateOutcome, choose, influences
 from .experiment import ExperimentOutcome
@@ -61,7 +61,7 @@ def perturb_view(outcome: PerturbOutcome) -> View:
         parts.append(_detail_table(outcome, means))
         if len(react(means, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
-        claims = [(claim.claim, claim.paper, claim.here, claim.verdict) for claim in judge_claims(means, levels)]
+        claims = [(claim.claim, claim.paper, claim.here, claim.verdict) for claim in check_sweep_claims(means, levels)]
         if claims:
             headings = ("claim", "paper", "here", "verdict")
             parts.append(Table("What the paper says of them", headings, claims, words=range(4)))
@@ -77,7 +77,7 @@ def ablate_view(outcome: AblateOutcome) -> View:
         parts += [_parameter_table(outcome, rows, name) for name in PARAMETERS if len(outcome.values[name]) > 1]
         parts += _influence_tables(outcome)
         parts += [Note("The choice", "bold"), Note(f"Rule: {RULE}.")]
-        parts += [Note(f"  {verdict.name.removesuffix('_m')}: {verdict.words}") for verdict in choose(outcome)]
+        parts += [Note(f"  {choice.name.removesuffix('_m')}: {choice.text}") for choice in choose(outcome)]
         note = "A small r_lambda can also come of a bad alignment (a large change): read it beside shift and change.\n"
         parts.append(Note(note))
     results = "ablate_summary.parquet (means over pairs), ablate/ (one row per pair and choice of settings), ablate.png"

@@ -22,7 +22,7 @@ from ...schemas.metrics import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.generate.perturbations import KINDS, Perturbation
-from ...stages.paper.sweeps import Means
+from ...stages.paper.sweep_means import Means
 from ...stages.statistics.typical_objects import ChosenObject
 from ..engine.engine import Machines
 from ..engine.plan import Part

@@ -196,25 +196,25 @@ def made_up(tmp_path, rates, r_lambdas):
 
 def test_the_value_in_force_stays_where_the_data_do_not_decide(tmp_path):
     rates = [[0.60, 0.70, 0.50, 0.62], [0.66, 0.61, 0.59, 0.57], [0.58, 0.69, 0.55, 0.60]]
-    (verdict,) = choose(made_up(tmp_path, rates, [[0.4, 0.3, 0.35, 0.38]] * 3))
-    assert not verdict.decided
-    assert verdict.chosen.k == 90
-    assert verdict.words == "the data do not decide: no other value is clearly better; k = 90 stays"
+    (choice,) = choose(made_up(tmp_path, rates, [[0.4, 0.3, 0.35, 0.38]] * 3))
+    assert not choice.decided
+    assert choice.chosen.k == 90
+    assert choice.text == "the data do not decide: no other value is clearly better; k = 90 stays"
 
 
 def test_a_clearly_higher_match_rate_wins(tmp_path):
     rates = [[0.50, 0.52, 0.48, 0.51], [0.80, 0.83, 0.79, 0.80], [0.60, 0.62, 0.59, 0.61]]
-    (verdict,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
-    assert verdict.decided
-    assert verdict.chosen.k == 60
-    assert verdict.words == "k = 60 instead of k = 90: match rate 0.805 against 0.605"
+    (choice,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
+    assert choice.decided
+    assert choice.chosen.k == 60
+    assert choice.text == "k = 60 instead of k = 90: match rate 0.805 against 0.605"
 
 
 def test_of_equal_match_rates_the_clearly_lower_r_lambda_wins(tmp_path):
     r_lambdas = [[0.30, 0.31, 0.29, 0.30], [0.40, 0.42, 0.39, 0.41], [0.36, 0.37, 0.35, 0.36]]
-    (verdict,) = choose(made_up(tmp_path, [[0.6] * 4] * 3, r_lambdas))
-    assert verdict.chosen.k == 30
-    assert verdict.words == "k = 30 instead of k = 90: r_lambda 0.300 against 0.360"
+    (choice,) = choose(made_up(tmp_path, [[0.6] * 4] * 3, r_lambdas))
+    assert choice.chosen.k == 30
+    assert choice.text == "k = 30 instead of k = 90: r_lambda 0.300 against 0.360"
 
 
 def test_many_values_need_a_clearer_difference(tmp_path):
@@ -227,22 +227,22 @@ def test_many_values_need_a_clearer_difference(tmp_path):
 
 def test_delta_is_never_chosen(tmp_path):
     outcome = made_up(tmp_path, [[0.5] * 4] * 3, [[0.4] * 4] * 3)
-    assert [verdict.name for verdict in choose(replace(outcome, values=outcome.values | {"delta_m": (1.0, 5.0)}))] == [
+    assert [choice.name for choice in choose(replace(outcome, values=outcome.values | {"delta_m": (1.0, 5.0)}))] == [
         "k"
     ]
 
 
 def test_the_value_in_force_can_be_clearly_the_best(tmp_path):
     rates = [[0.50, 0.52, 0.48, 0.51], [0.60, 0.61, 0.59, 0.60], [0.80, 0.83, 0.79, 0.80]]
-    (verdict,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
-    assert verdict.decided
-    assert verdict.words == "k = 90 stays: all other values are clearly worse"
+    (choice,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
+    assert choice.decided
+    assert choice.text == "k = 90 stays: all other values are clearly worse"
 
 
 def test_two_pairs_decide_nothing(tmp_path):
-    (verdict,) = choose(made_up(tmp_path, [[0.5, 0.5], [0.9, 0.9], [0.6, 0.6]], [[0.4, 0.4]] * 3))
-    assert not verdict.decided
-    assert "2 pairs, at least 3 are needed; k = 90 stays" in verdict.words
+    (choice,) = choose(made_up(tmp_path, [[0.5, 0.5], [0.9, 0.9], [0.6, 0.6]], [[0.4, 0.4]] * 3))
+    assert not choice.decided
+    assert "expected at least 3 pairs, got 2; k = 90 stays" in choice.text
 
 
 def test_diffusion_time_cannot_move_the_match_rate(done):
@@ -262,7 +262,7 @@ def test_the_command_prints_a_choice_and_its_rule(dataset, tmp_path):
     words = ("--workers", 1, "--set", "graph.k=12", "--k", "8", "--tau", "0.2", "--delta", "5", "--t", "1")
     result = command("ablate", dataset, *words, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "Rule: a value replaces the one in force if its match rate is clearly higher" in result.stdout
+    assert "Rule: a value replaces the current one if its match rate is clearly higher" in result.stdout
     assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate")) == 2 * 2
     assert (tmp_path / "runs" / "streets-ablate" / "ablate.png").exists()
     wrong = command("ablate", dataset, "--k", "many", cwd=tmp_path)

@@ -306,5 +306,5 @@ def test_status_answers_in_ten_lines_and_times_only_when_asked(by_command):
     shown = invoked("status", by_command[1]).stdout
     assert len(shown.splitlines()) <= 10
     assert "done of all pairs: ground, sensor, graph" in shown
-    assert "Time of a pair" not in shown
-    assert "Time of a pair" in invoked("status", by_command[1], "--timings").stdout
+    assert "Time per pair" not in shown
+    assert "Time per pair" in invoked("status", by_command[1], "--timings").stdout

@@ -32,7 +32,7 @@ from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.perturbations import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.method import partition
-from fidpipe.stages.paper.sweeps import react
+from fidpipe.stages.paper.sweep_means import react
 from fidpipe.stages.statistics.typical_objects import ScanObjects
 from runs import command, contents
 from scenes import street, write_bin, write_dataset

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from fidpipe.pipeline import run as run_module
-from fidpipe.pipeline.paper.claims import claims_of
+from fidpipe.pipeline.paper.claims_view import claims_of
 from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.views.run_view import summary_view
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -112,7 +112,7 @@ def test_a_run_shows_findings_and_the_claims(finished):
     claims = command("show", folder, "--paper")
     assert claims.returncode == 0
     assert "0.37 ± 0.03" in claims.stdout
-    assert "3 of 6 pairs that are needed" in claims.stdout
+    assert "expected at least 6 pairs, got 3" in claims.stdout
     for claim in json.loads(command("show", folder, "--paper", "--json").stdout):
         if "above 0" in claim["rule"]:
             assert claim["verdict"] == "not decided"

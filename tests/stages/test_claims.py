@@ -18,7 +18,7 @@ from fidpipe.stages.paper.claim_rules import (
     over_pairs,
     share_order,
 )
-from fidpipe.stages.paper.claims import check_claims
+from fidpipe.stages.paper.run_claims import check_run_claims
 from fidpipe.stages.statistics.comparison import mean_test
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
@@ -37,7 +37,7 @@ RATIOS = ("n_sim / n_real goes",)
 
 
 def verdicts(arguments):
-    return {claim.claim: claim.verdict for claim in check_claims(*arguments)}
+    return {claim.claim: claim.verdict for claim in check_run_claims(*arguments)}
 
 
 @pytest.fixture(scope="module")
@@ -95,41 +95,41 @@ def test_without_an_error_the_orders_would_hold_in_half_of_the_cases():
 def test_eight_copies_of_a_pair_change_no_verdict_and_no_interval(seed):
     once, copied = false_alarms.copied(np.random.default_rng(seed), 9)
     assert len(copied[3]) == 16
-    assert check_claims(*once) == check_claims(*copied)
+    assert check_run_claims(*once) == check_run_claims(*copied)
 
 
 def test_eight_copies_of_one_pair_decide_nothing():
     _, copied = false_alarms.copied(np.random.default_rng(0), 1)
-    found = check_claims(*copied)
+    found = check_run_claims(*copied)
     assert {claim.verdict for claim in found} == {UNDECIDED}
     assert {claim.n_pairs for claim in found} == {0, 1}
 
 
 def test_frames_of_a_few_seconds_count_as_one_pair(as_the_paper):
     *objects, times_s = as_the_paper
-    frames = check_claims(*objects, [0.1 * i for i in range(len(times_s))])
+    frames = check_run_claims(*objects, [0.1 * i for i in range(len(times_s))])
     assert {claim.n_pairs for claim in frames} == {0, 1}
     assert {claim.verdict for claim in frames} == {UNDECIDED}
 
 
 def test_pairs_of_one_real_scan_count_as_one(as_the_paper):
     real, sim, matched, contents, scans, times_s = as_the_paper
-    found = check_claims(real, sim, matched, contents, [str(int(scan) // 10) for scan in scans], times_s)
+    found = check_run_claims(real, sim, matched, contents, [str(int(scan) // 10) for scan in scans], times_s)
     assert max(claim.n_pairs for claim in found) == 5
 
 
 @pytest.mark.parametrize("n_pairs", range(1, 6))
 def test_fewer_than_six_pairs_decide_no_order(n_pairs):
-    for claim in check_claims(*false_alarms.as_the_paper(np.random.default_rng(0), n_pairs)):
+    for claim in check_run_claims(*false_alarms.as_the_paper(np.random.default_rng(0), n_pairs)):
         if "above 0" in claim.rule:
             assert claim.verdict == UNDECIDED
-            assert claim.why in ("too few values", *(f"{n} of 6 pairs that are needed" for n in range(n_pairs + 1)))
+            assert claim.why in ("too few values", *(f"expected at least 6 pairs, got {n}" for n in range(n_pairs + 1)))
 
 
 def test_without_labels_and_timestamps_those_claims_are_not_decided(as_the_paper):
     *sides, contents, scans, times_s = as_the_paper
     unlabelled = [replace(side, label=np.full(len(side.pair), "")) for side in sides]
-    found = check_claims(*unlabelled, contents, scans, [None] * len(times_s))
+    found = check_run_claims(*unlabelled, contents, scans, [None] * len(times_s))
     unknown = [claim for claim in found if not claim.n_pairs]
     assert len(unknown) == 5
     assert {(claim.here, claim.estimate, claim.verdict) for claim in unknown if "scans" not in claim.claim} == {
@@ -139,13 +139,13 @@ def test_without_labels_and_timestamps_those_claims_are_not_decided(as_the_paper
 
 def test_a_dataset_without_objects_decides_nothing():
     nothing = [type(side)(**{name: values[:0] for name, values in vars(side).items()}) for side in _one_pair()]
-    assert {claim.verdict for claim in check_claims(*nothing, ["a"], ["a"], [None])} == {UNDECIDED}
+    assert {claim.verdict for claim in check_run_claims(*nothing, ["a"], ["a"], [None])} == {UNDECIDED}
 
 
 def test_sides_that_are_identical_have_no_variation_and_raise_no_error(as_the_paper):
     real, sim, matched, *names = as_the_paper
     zeros = np.zeros(len(matched.pair))
-    found = {one.claim: one for one in check_claims(real, sim, replace(matched, cdc=zeros, r_lambda=zeros), *names)}
+    found = {one.claim: one for one in check_run_claims(real, sim, replace(matched, cdc=zeros, r_lambda=zeros), *names)}
     claim = found["r_lambda varies more than CDC relative to its mean"]
     assert (claim.verdict, claim.here, claim.why) == (UNDECIDED, "-", "too few values")
     assert found["CDC takes no value below 0.4"].verdict == FAILS
@@ -157,7 +157,7 @@ def _one_pair():
 
 
 def test_nothing_is_claimed_that_the_paper_only_shows_in_single_pictures_or_that_cannot_fail(as_the_paper):
-    claims = check_claims(*as_the_paper)
+    claims = check_run_claims(*as_the_paper)
     assert len(claims) == 24
     assert not any("lowest" in claim.claim or "50 of 50" in claim.paper for claim in claims)
     assert "r_lambda is larger than r_gap" not in {claim.claim for claim in claims}
@@ -173,7 +173,7 @@ def test_the_interval_of_a_mean_over_pairs_is_that_of_their_own_means(rng):
     _, low, high = mean_test(means)
     for n_objects in (1, 8):  # further objects of the same pairs make nothing surer
         found = over_pairs(np.mean, by_pair(means, n_objects))
-        assert (found.value, found.low, found.high) == (
+        assert (found.estimate, found.low, found.high) == (
             pytest.approx(means.mean()),
             pytest.approx(low),
             pytest.approx(high),
@@ -189,12 +189,13 @@ def test_many_pairs_are_left_out_in_groups_and_the_interval_stays_about_the_same
 
 def test_pairs_that_lack_one_of_two_samples_do_not_count():
     found = over_pairs(lambda a, b: a.mean() - b.mean(), by_pair(np.arange(9.0)), by_pair(np.arange(7.0) ** 2))
-    assert (found.n_pairs, found.value) == (7, 3.0 - 13.0)
+    assert (found.n_pairs, found.estimate) == (7, 3.0 - 13.0)
 
 
 def test_pairs_that_are_all_alike_say_nothing_of_chance():
     found = over_pairs(np.mean, by_pair(np.full(9, 0.3)))
-    assert (found.value, found.low, found.why) == (0.3, None, "all pairs alike, so that nothing says what chance is")
+    assert (found.estimate, found.low) == (0.3, None)
+    assert found.why == "all pairs have the same value, so chance cannot be estimated"
 
 
 @pytest.mark.parametrize(
@@ -204,8 +205,8 @@ def test_pairs_that_are_all_alike_say_nothing_of_chance():
 def test_shares_of_all_and_none_are_as_sure_as_their_objects_are_many(n_pairs, n_cars, verdict):
     # 6 pairs, 6 of 6 and 0 of 6: centres 0.8 and 0.2, variance 2 x 0.016, t(2.5 degrees) 3.6: 0.6 < 3.6 x 0.18
     all_of, none_of = by_pair(np.full(n_pairs, True), n_cars), by_pair(np.full(n_pairs, False), n_cars)
-    assert share_order("", "", "", all_of, none_of).verdict == verdict
-    assert share_order("", "", "", none_of, none_of).verdict == UNDECIDED
+    assert share_order("", "", all_of, none_of).verdict == verdict
+    assert share_order("", "", none_of, none_of).verdict == UNDECIDED
 
 
 @pytest.mark.parametrize(
@@ -213,7 +214,7 @@ def test_shares_of_all_and_none_are_as_sure_as_their_objects_are_many(n_pairs, n
     [(0.35, 0.39, HOLDS), (0.33, 0.39, UNDECIDED), (0.1, 0.9, UNDECIDED), (0.41, 0.5, FAILS), (0.1, 0.33, FAILS)],
 )
 def test_a_value_is_near_where_its_whole_interval_is(low, high, verdict):
-    assert near("", "", "", (0.34, 0.40), Interval((low + high) / 2, low, high, 20)).verdict == verdict
+    assert near("", "", (0.34, 0.40), Interval((low + high) / 2, low, high, 20), paper="").verdict == verdict
 
 
 @pytest.mark.parametrize(
@@ -221,7 +222,7 @@ def test_a_value_is_near_where_its_whole_interval_is(low, high, verdict):
     [(6, 6, HOLDS), (5, 5, UNDECIDED), (46, 50, HOLDS), (44, 50, UNDECIDED), (40, 50, FAILS), (0, 1, UNDECIDED)],
 )
 def test_most_pairs_are_nine_of_ten_and_beyond_a_toss_of_a_coin(n_so, n, verdict):
-    assert in_most_pairs("", "", "", by_pair(np.arange(n) < n_so), 0.9).verdict == verdict
+    assert in_most_pairs("", "", by_pair(np.arange(n) < n_so), 0.9).verdict == verdict
 
 
 @pytest.mark.parametrize(
@@ -230,14 +231,14 @@ def test_most_pairs_are_nine_of_ten_and_beyond_a_toss_of_a_coin(n_so, n, verdict
 )
 def test_one_stray_object_neither_shows_nor_denies_that_there_are_such(n_so, n, verdict):
     pairs = by_pair(np.arange(n) < n_so)
-    assert in_some_pairs("", "", "", pairs, is_wanted=True, extreme="").verdict == verdict
+    assert in_some_pairs("", "", pairs, "", paper="").verdict == verdict
     opposite = {HOLDS: FAILS, FAILS: HOLDS, UNDECIDED: UNDECIDED}[verdict]
-    assert in_some_pairs("", "", "", pairs, is_wanted=False, extreme="").verdict == opposite
+    assert in_some_pairs("", "", pairs, "", paper="", exists=False).verdict == opposite
 
 
 def judged_together(a, b, trait):
     pair = np.repeat(np.arange(30, dtype=np.int32), len(a) // 30)
-    return complementary("", "", "", Sample(np.column_stack([a, b]), pair), Sample(trait, pair))
+    return complementary("", Sample(np.column_stack([a, b]), pair), Sample(trait, pair))
 
 
 def test_only_scores_that_both_follow_something_but_not_each_other_are_complementary(rng):

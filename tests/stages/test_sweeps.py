@@ -4,8 +4,8 @@ import pytest
 
 from fidpipe.stages.generate.perturbations import Perturbation
 from fidpipe.stages.paper.claim_rules import FAILS, HOLDS, UNDECIDED
-from fidpipe.stages.paper.sweep_claims import judge_claims
-from fidpipe.stages.paper.sweeps import Means, react
+from fidpipe.stages.paper.sweep_claims import check_sweep_claims
+from fidpipe.stages.paper.sweep_means import Means, react
 
 
 def means(levels, curves, n=1, std=None):
@@ -28,7 +28,7 @@ def rigid(slope):
         (None, "centroid_distance_m_mean", (0.2, slope)),
         ("car", "r_lambda", (0.001, 0.002)),
     ]
-    return judge_claims(means(levels, scores), levels)
+    return check_sweep_claims(means(levels, scores), levels)
 
 
 def test_claims_are_judged_by_the_numbers():
@@ -37,15 +37,15 @@ def test_claims_are_judged_by_the_numbers():
         return levels, means(levels, [(None, "match_rate", rates), ("car", "r_lambda", curve)])
 
     levels, good = summary((0.9, 0.8), (0.1, 0.2))
-    assert [claim.verdict for claim in judge_claims(good, levels)] == [HOLDS, HOLDS]
+    assert [claim.verdict for claim in check_sweep_claims(good, levels)] == [HOLDS, HOLDS]
     levels, bad = summary((0.8, 0.9), (0.2, 0.1))
-    claims = judge_claims(bad, levels)
+    claims = check_sweep_claims(bad, levels)
     assert [claim.verdict for claim in claims] == [FAILS, FAILS]
     assert claims[0].here == "0 of 1, not car"
     levels, flat = summary((0.8, 0.8), (0.2, 0.2))
-    assert [claim.verdict for claim in judge_claims(flat, levels)] == [FAILS, FAILS]
+    assert [claim.verdict for claim in check_sweep_claims(flat, levels)] == [FAILS, FAILS]
     levels, gap = summary((0.9, None), (None, 0.2))
-    claims = judge_claims(gap, levels)
+    claims = check_sweep_claims(gap, levels)
     assert [claim.verdict for claim in claims] == [UNDECIDED, UNDECIDED]
     assert [claim.here for claim in claims] == ["no value for dropout 0.1 of car", "no value for dropout 0.2"]
 
@@ -83,7 +83,7 @@ def class_claims(r_gap_of_wall, r_lambdas, std=0.02, n=20):
         for (name, metric), (*values, spread) in curves.items()
         for level, value in zip(levels, values, strict=True)
     ]
-    return {claim.claim: claim for claim in judge_claims(Means(rows), levels)}
+    return {claim.claim: claim for claim in check_sweep_claims(Means(rows), levels)}
 
 
 LOWEST, MOST = (
@@ -137,7 +137,7 @@ def test_classes_that_are_alike_hold_and_fail_by_chance_in_at_most_one_of_twenty
             for name, own in zip(("vegetation", "car", "tree", "wall"), repeats, strict=True)
             for level in levels
         ]
-        claims = {claim.claim: claim.verdict for claim in judge_claims(Means(rows), levels)}
+        claims = {claim.claim: claim.verdict for claim in check_sweep_claims(Means(rows), levels)}
         found.append([claims[LOWEST], claims[MOST]])
     most = 0.05 + 2.33 * (0.05 * 0.95 / 100) ** 0.5  # the nominal rate and its binomial error, one-sided 1 %
     for verdicts in zip(*found, strict=True):
@@ -152,5 +152,5 @@ def test_the_tree_is_flat_under_noise_only_where_it_moves_least_beyond_chance(tr
     levels = [Perturbation("noise", 0.01), Perturbation("noise", 0.1), Perturbation("dropout", 0.4)]
     moves = {"vegetation": 0.1, "car": 0.2, "tree": tree, "wall": 0.1}
     curves = [(name, "r_lambda", (0.1, 0.1 + move, 0.5)) for name, move in moves.items()]
-    claims = {claim.claim: claim for claim in judge_claims(means(levels, curves, 20, std), levels)}
+    claims = {claim.claim: claim for claim in check_sweep_claims(means(levels, curves, 20, std), levels)}
     assert claims["noise: r_lambda of the tree is near-flat (moves least)"].verdict == holds

@@ -1,4 +1,4 @@
-"""What the paper reports, where fidpipe shows it beside its own numbers; the means of its scores are in `metrics`."""
+"""Values that the paper reports and fidpipe shows next to its own; the means of its scores are in `metrics`."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ N_PAIRS = 50
 N_MATCHED = 1067
 MEDIAN_UNMATCHED_RANGE_M = 29.0
 
-#: The settings that the paper chose in its ablation; it does not say so of t.
+#: The settings that the paper chose in its ablation; it makes no choice of t.
 CHOSEN = {"k": 90, "tau_m": 0.2, "delta_m": 5.0}
-#: What the paper says of a setting's influence on a score.
+#: The influence of a setting on a score according to the paper.
 INFLUENCES = {
     ("k", "match_rate"): "main influence",
     ("tau_m", "match_rate"): "main influence",
@@ -40,18 +40,19 @@ TABLE_I = {
 
 @dataclass(frozen=True)
 class Timing:
-    """A step of the paper's section "Pipeline Timing" with its milliseconds, and which of our steps do that work.
+    """A step of the paper's section "Pipeline Timing" with its milliseconds, and the steps of ours that do that work.
 
     steps : (stage, step); an empty step stands for all steps of the stage
+    text : description of these steps; by default their names
     """
 
     name: str
     milliseconds: int
     steps: tuple[tuple[str, str], ...]
-    words: str = ""
+    text: str = ""
 
 
-#: The last row is the paper's total, of which further scores (baselines, seeds) are no part.
+#: The last row is the paper's total, which does not include further scores (baselines, seeds).
 TIMINGS = (
     Timing("community detection", 544, (("communities", "louvain"),)),
     Timing("Laplacians", 596, (("selection", "subgraphs"), ("selection", "laplacian"), ("metrics", "laplacian"))),

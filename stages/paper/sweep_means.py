@@ -1,4 +1,4 @@
-"""The means of perturbation sweeps over their repeats, and which metric reacts to which alteration."""
+"""Means of perturbation sweeps over their repeats, and the alteration that each metric reacts to most."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPECTRA = "eigenspectrum_distance_mean"
 
 @dataclass(frozen=True)
 class Mean:
-    """Mean and standard deviation of a metric at a level over `n` repeats; None where it could not be computed."""
+    """Mean and standard deviation of a metric at a level over `n` repeats; None if it could not be computed."""
 
     mean: float | None = None
     std: float | None = None
@@ -33,8 +33,8 @@ class Mean:
 class Reaction:
     """A metric at the strongest level of each kind.
 
-    values : means over the objects, in the order of the levels; None where nothing could be computed
-    most : the level at which it is farthest from its value for equal objects; None where it never moves
+    values : means over the objects, in the order of the levels; None if nothing could be computed
+    most : the level at which it is farthest from its value for equal objects; None if it never moves
     """
 
     metric: str
@@ -43,11 +43,11 @@ class Reaction:
 
 
 class Means:
-    """The means of the sweeps, to be looked up.
+    """Means of the sweeps by object, level and metric.
 
     Parameters
     ----------
-    rows : of `perturb_summary`: object (None for the whole scan), kind, amount, shift_m, metric, mean, std, n
+    rows : rows of `perturb_summary`: object (None for the whole scan), kind, amount, shift_m, metric, mean, std, n
     """
 
     def __init__(self, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -59,28 +59,28 @@ class Means:
         self.object_metrics = {metric for name, _, metric in self._by_key if name is not None}
 
     def get(self, object_name: str | None, level: Perturbation, metric: str) -> Mean:
-        """One value; of the whole scan where `object_name` is None."""
+        """One mean; that of the whole scan if `object_name` is None."""
         return self._by_key.get((object_name, level, metric), Mean())
 
     def series(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[float]:
-        """The means at some levels; those that could not be computed are left out."""
+        """The means at some levels without those that could not be computed."""
         means = (self.get(object_name, level, metric).mean for level in levels)
         return [mean for mean in means if mean is not None]
 
     def missing(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[Perturbation]:
-        """The levels at which a metric could not be computed; none where it was not asked for at any."""
+        """The levels at which a metric could not be computed; none if it was requested at no level."""
         if not any((object_name, level, metric) in self._by_key for level in levels):
             return []
         return [level for level in levels if self.get(object_name, level, metric).mean is None]
 
 
 def react(means: Means, levels: Sequence[Perturbation]) -> list[Reaction]:
-    """How each metric answers: our own, then the baselines that were swept, by name.
+    """The reaction of each of our metrics, then of the swept baseline metrics by name.
 
     Parameters
     ----------
     means : of the sweeps
-    levels : that were swept
+    levels : the swept levels
     """
     strongest = strongest_levels(levels)
     reactions = []
@@ -97,7 +97,7 @@ def react(means: Means, levels: Sequence[Perturbation]) -> list[Reaction]:
 
 
 def strongest_levels(levels: Sequence[Perturbation]) -> list[Perturbation]:
-    """Of each kind the level with the largest amount; of density also the one with the smallest."""
+    """The level of each kind with the largest amount; of density also the one with the smallest."""
     strongest = []
     for kind in dict.fromkeys(level.kind for level in levels):
         own = sorted((level for level in levels if level.kind == kind), key=lambda level: (level.amount, level.shift_m))
