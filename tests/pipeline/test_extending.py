@@ -490,5 +490,5 @@ def test_check_reads_the_new_format_and_names_what_is_wrong_with_a_file(tmp_path
     (dataset / "sim" / "a.xyz").write_text("1 2\n3 4\n")
     shown = fidpipe("check", dataset)
     assert shown.exit_code == 1
-    with pytest.raises(ScanError, match=r"a\.xyz: 2 columns found, 3 wanted \(x y z\)"):
+    with pytest.raises(ScanError, match=r"a\.xyz: expected 3 columns \(x y z\), got 2"):
         read_scan(dataset / "sim" / "a.xyz")
