@@ -15,7 +15,6 @@ from packaging.utils import canonicalize_name
 
 from fidpipe.pipeline.storage.record import library_versions
 from licences import is_allowed, libraries, licence
-from release import LOOPBACK
 from runs import FIDPIPE, some_of
 
 HOUSE = Path(__file__).resolve().parents[1]
@@ -166,15 +165,6 @@ def test_the_guard_sees_who_reaches_out(guarded, code):
 def test_no_command_reaches_out(guarded, dataset, n_commands):
     for words in islice(all_commands(dataset), n_commands):
         assert guarded(*words) == "", words
-
-
-@pytest.mark.exhaustive
-def test_every_command_does_its_work_where_there_is_no_network(guarded, dataset):
-    alone = ("unshare", "--net", "--map-root-user")
-    if subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:
-        pytest.skip("a network namespace is not permitted here")
-    for words in all_commands(dataset):
-        guarded(*alone, sys.executable, "-c", LOOPBACK, *words)
 
 
 def test_an_extra_that_is_not_installed_has_no_version_and_stops_no_plan():

@@ -5,10 +5,8 @@ The tables are the truth: what they tell of themselves is enough to go on.
 
 import io
 import json
-import re
 import shutil
 from dataclasses import replace
-from functools import partial
 
 import pandas as pd
 import pyarrow.parquet as pq
@@ -31,9 +29,7 @@ from runs import (
     STAGE_NAMES,
     assert_same_tables,
     changed_files,
-    command,
     marks,
-    read_only,
     run,
     some_of,
 )
@@ -112,20 +108,6 @@ def test_show_and_status_need_no_ledger(again, finished):
     assert pair_facts(lost, "001") == pair_facts(whole, "001")
     assert run_status(again).stages == {stage: {"done": 2} for stage in STAGE_NAMES}
     assert {path: path.read_bytes() for path in again.rglob("*") if path.is_file()} == files
-
-
-def test_a_folder_that_may_not_be_written_is_shown_and_judged_but_not_run(again, dataset):
-    lose_ledger(again)
-    in_it = partial(command, preexec_fn=read_only(again))
-    shown = in_it("show", again)
-    assert shown.returncode == 0, shown.stderr
-    assert "surface" in shown.stdout
-    status = in_it("status", again)
-    assert status.returncode == 0, status.stderr
-    assert re.search(r"done of all pairs: .*metrics", status.stdout)
-    refused = in_it("run", dataset, "--out", again, "--workers", 1)
-    assert refused.returncode == 1
-    assert f"run {again}: cannot be written (Permission denied); give another --out" in " ".join(refused.stderr.split())
 
 
 def test_a_run_whose_tables_lost_their_footers_is_not_shown_as_if_it_were_whole(again):

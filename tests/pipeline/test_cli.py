@@ -125,12 +125,6 @@ def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, tmp_pat
     assert "1 of 2 pairs can be evaluated" in bad.stdout
 
 
-def test_a_status_of_no_run_is_one_line(tmp_path):
-    result = command("status", tmp_path)
-    assert result.returncode == 1
-    assert "no run.json of fidpipe run found" in one_line(result.stderr)
-
-
 @pytest.mark.parametrize("name", ["ablate", "check", "compare", "gate", "perturb", "run", "show", "status", "synth"])
 def test_every_command_has_an_example_in_its_help(name):
     result = command(name, "--help")

@@ -294,19 +294,10 @@ def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(ve
         assert sum(group.n for group in groups) == len(found.objects)
         for kind in found.kinds:
             assert sum(group.kinds[kind] for group in groups) == found.kinds[kind]
-    good, bad = (
-        pd.read_parquet(folder / "metrics").merge(
-            pd.read_parquet(folder / "objects").query("side == 'real'"),
-            left_on=["pair_id", "real_id"],
-            right_on=["pair_id", "community_id"],
-        )
-        for folder in versions
-    )
-    both = good.merge(bad, on=["pair_id", "real_id"], suffixes=("", "_after"))
-    near = both[both.range_m < 10]
+    near = [of for of in found.objects if of.range_m < 10 and of.cdc_before is not None and of.cdc_after is not None]
     group = next(group for group in found.by_range if group.name == "0 to 10 m")
     assert group.n_both == len(near) > 0
-    assert group.cdc == pytest.approx((near.cdc_after - near.cdc).mean())
+    assert group.cdc == pytest.approx(sum(of.cdc_after - of.cdc_before for of in near) / len(near))
     assert {group.name for group in found.by_class} <= {"linear", "planar", "scattered"}
 
 

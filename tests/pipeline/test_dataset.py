@@ -63,11 +63,6 @@ def test_no_pairs_stop_everything(tmp_path, made):
         read_dataset(tmp_path)
 
 
-def test_a_missing_folder_is_named(tmp_path):
-    with pytest.raises(DatasetError, match="nowhere: no such folder"):
-        read_dataset(tmp_path / "nowhere")
-
-
 def test_a_manifest_wins_over_folders(tmp_path):
     T = "1 0 0 0.5 0 1 0 0 0 0 1 0"
     dataset = read_dataset(manifest(tmp_path, [f"first,real/a.bin,sim/a.bin,12.5,{T}"]))

@@ -9,7 +9,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.baselines import summarise_baselines
 from fidpipe.pipeline.results.status import run_status
@@ -65,13 +64,6 @@ def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, fin
     assert [run_status(out).stages[stage] for stage in EXTRAS] == [{"done": 2}] * 2
 
 
-@pytest.mark.exhaustive
-def test_two_workers_give_the_same_tables(dataset, finished, tmp_path):
-    run(dataset, tmp_path / "run", BOTH, workers=2, policy=Policy(worth_splitting_s=0.0))
-    assert_same_tables(tmp_path / "run", finished)
-    assert extras(tmp_path / "run") == extras(finished)
-
-
 def test_there_is_a_baseline_for_each_object_and_each_pair_of_scans(finished):
     metrics = pd.read_parquet(finished / "metrics")
     for pair_id in ("000", "001"):
@@ -105,19 +97,6 @@ def test_the_seeds_of_a_pair_are_what_runs_under_them_give(dataset, finished, tm
     assert SEEDS.check(table.cast(SEEDS.schema))["seed"].to_pylist() == [7, 8]
     with pytest.raises(SettingsError, match="the last of stability.seeds is 2147483648"):
         load(None, [f"communities.seed={2**31 - 2}", "stability.seeds=3"])
-
-
-def test_the_record_holds_means_over_pairs_of_means_over_objects(finished, record):
-    frame = pd.read_parquet(finished / "baselines")
-    summary = {(row["baseline"], row["level"]): row for row in record["baselines"]}
-    for name in ("chamfer_mean_m", "dcd", "icp_rmse_m"):
-        of_objects = frame[(frame.baseline == name) & frame.real_id.notna()]
-        means = of_objects.groupby("pair_id").value.mean()
-        row = summary[name, "objects"]
-        assert (row["mean"], row["std"]) == (pytest.approx(means.mean()), pytest.approx(means.std()))
-        assert (row["n"], row["n_null"]) == (of_objects.value.notna().sum(), of_objects.value.isna().sum())
-        of_scans = frame[(frame.baseline == name) & frame.real_id.isna()].value
-        assert summary[name, "scans"]["mean"] == pytest.approx(of_scans.mean())
 
 
 def test_the_record_holds_the_spread_over_seeds_and_pairs(finished, record):

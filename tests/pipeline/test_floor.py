@@ -84,17 +84,6 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
     assert len(again) == pytest.approx(len(rows) * (1 - own.lost_in_all), rel=0.02)
 
 
-def test_more_noise_is_no_better(folder, tmp_path):
-    covered, cdc = [], []
-    for noise_m in (0.0, 0.05, 0.2):
-        made = floor(folder / "streets", tmp_path / f"{noise_m}", settings=REFERENCE, noise_m=noise_m, lost_share=0.0)
-        rows = pd.DataFrame(made.rows)
-        covered.append(rows.covered_sim_0p1m.mean())
-        cdc.append(rows.cdc_mean.mean())
-    assert covered[0] == 1 > covered[1] > covered[2]
-    assert 0 == cdc[0] < cdc[1] < cdc[2]
-
-
 def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, tmp_path):
     data, out = write_dataset(tmp_path / "streets", 3), tmp_path / "floor"
     first = floor(data, out, pattern="000")

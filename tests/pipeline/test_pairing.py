@@ -1,7 +1,5 @@
 """Frames of two recordings that are of one time."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -144,39 +142,3 @@ def test_a_capture_and_a_bag_of_the_same_turns_are_paired_turn_by_turn(real_data
     for pair in pairs:
         assert read_scan(pair.real).content_hash() == read_scan(pair.sim).content_hash()
     assert len(pd.read_csv(tmp_path / "out" / "unpaired.csv")) == 2
-
-
-@pytest.mark.exhaustive
-def test_a_run_straight_from_two_bags_sees_what_was_changed(real_data, tmp_path):
-    """The simulated bag is the real one with 3 cm of noise, without its left half beyond 3 m."""
-    real = real_data / "velodyne_vlp32c/rosbag1.bag"
-    rng = np.random.default_rng(0)
-
-    def changed(number):
-        points = read_scan(Path(f"{real}#{number}")).points
-        points = points[points[:, 1] < 3]
-        range_m = np.linalg.norm(points, axis=1, keepdims=True)
-        return points * (1 + rng.normal(0, 0.03, range_m.shape) / range_m)
-
-    sim = bag_at(tmp_path / "sim_mcap", [5.0, 5.1, 5.2], changed)
-    assert command("pair", real, sim, "-o", tmp_path / "data").returncode == 0
-    shared = ("--set", "ground.shared=true")  # half a scene would have a ground of its own
-    done = command(
-        "run", tmp_path / "data", "--out", tmp_path / "run", "--preset", "reference", "--workers", 1, *shared
-    )
-    assert done.returncode == 0, done.stderr
-    tables = {
-        name: pd.read_parquet(tmp_path / "run" / name) for name in ("ground", "communities", "matching", "metrics")
-    }
-    keys = ["pair_id", "side", "point_id"]
-    points = tables["communities"].merge(tables["ground"], on=keys).query("side == 'real'")
-    y = points.groupby(["pair_id", "community_id"]).y.agg(["min", "max"]).reset_index()
-    matching = tables["matching"].merge(y, left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"])
-    is_left, is_right = matching["min"] > 4, matching["max"] < 2
-    assert is_left.sum()
-    assert set(matching[is_left].status) == {"missing"}
-    assert is_right.sum()
-    assert set(matching[is_right].status) == {"matched"}
-    scores = tables["metrics"].merge(matching[is_right], on=["pair_id", "real_id"])
-    assert len(scores) == is_right.sum()
-    assert scores.cdc.max() < 0.005  # two means of 1 - exp(-d^2), d of 3 cm: 0.0018

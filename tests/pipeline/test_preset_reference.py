@@ -6,18 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import fidpipe
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, departures, load, parse, preset_of
+from fidpipe.schemas.settings import departures, load, parse, preset_of
 from fidpipe.schemas.settings_text import to_toml
-from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
-from pools import WatchedPool
-from runs import assert_same_tables, changed_files, command, marks, run, tables
+from runs import changed_files, command, marks, run, tables
 from scenes import box, drifted, street, write_bin, write_dataset
 
 REFERENCE = load(None, preset="reference")
@@ -50,20 +47,6 @@ def test_a_second_run_makes_nothing_and_the_record_names_the_preset(dataset, fin
     assert FinishedRun(out).preset == "reference"
 
 
-def test_on_many_workers_the_tables_are_the_same(dataset, finished, tmp_path):
-    run(dataset, tmp_path / "run", REFERENCE, pool=WatchedPool())
-    assert_same_tables(tmp_path / "run", finished[0])
-
-
-def test_in_memory_the_numbers_are_those_of_the_run(dataset, finished):
-    scans = [read_scan(dataset / side / "000.bin").points for side in ("real", "sim")]
-    result = fidpipe.evaluate_pair(*scans, REFERENCE)
-    row = finished[1].rows[0]
-    assert {name: value for name, value in result.summary.items() if name != "pair_id"} == {
-        name: value for name, value in row.items() if name not in ("pair_id", "reason")
-    }
-
-
 def test_another_simulator_has_the_same_real_objects(dataset, finished, tmp_path):
     out, _ = finished
     scan = read_scan(dataset / "real" / "001.bin").points
@@ -83,13 +66,7 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(finished):
     counts = matching.status.value_counts()
     assert counts.get("missing", 0) == row["n_missing"] > 0
     assert counts.get("hallucinated", 0) == row["n_hallucinated"] > 0
-    n_real = len(objects["real"])
-    missing = matching.real_id[matching.status == "missing"].astype(int)
-    left = objects["sim"].n_points[missing]
-    assert (left < np.minimum(8, objects["real"].n_points[missing])).all()
-    assert (matching.sim_id[matching.status == "hallucinated"] >= n_real).all()
-    assert row["n_communities_sim"] == row["n_matched"] + row["n_hallucinated"]
-    assert row["match_rate"] == row["n_matched"] / max(row["n_communities_real"], row["n_communities_sim"])
+    assert (matching.sim_id[matching.status == "hallucinated"] >= len(objects["real"])).all()
     empty = objects["sim"].n_points == 0
     assert objects["sim"].loc[empty, ["cx", "range_m", "linearity"]].isna().all(axis=None)
     facts = pair_facts(FinishedRun(out), "000")
@@ -97,30 +74,6 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(finished):
     findings = json.loads((out / "run.json").read_text())["findings"]
     n_hallucinated = sum(band["n_hallucinated"] for band in findings["range_m"]["bands"])
     assert n_hallucinated == sum(row["n_hallucinated"] for row in outcome.rows)
-
-
-def test_coverage_and_what_is_behind_the_unmatched_agree_with_the_points(finished):
-    out, outcome = finished
-    record = json.loads((out / "run.json").read_text())
-    states = dict.fromkeys(("missing", "hallucinated"), 0)
-    for row in outcome.rows:
-        name = row["pair_id"]
-        coverage = pd.read_parquet(out / "coverage" / f"{name}.parquet").set_index(["side", "community_id"])
-        clouds = {}
-        for side in ("real", "sim"):
-            ground = pd.read_parquet(out / "ground" / f"{name}.{side}.parquet").query("~is_ground")
-            clouds[side] = ground[["x", "y", "z"]].to_numpy()
-        distance_m, _ = nearest_distances(clouds["real"], clouds["sim"])
-        whole = coverage.loc["real"].loc[np.nan]
-        shares = [(distance_m <= reach_m).mean() for reach_m in COVERAGE_DISTANCES_M]
-        for reach, share in zip(("0p1m", "0p3m", "1m"), shares, strict=True):
-            assert np.ravel(whole[f"covered_{reach}"])[0] == pytest.approx(share, abs=1e-15)
-            assert row[f"covered_real_{reach}"] == pytest.approx(share, abs=1e-15)
-        matching = pd.read_parquet(out / "matching" / f"{name}.parquet")
-        for status, side in (("missing", "real"), ("hallucinated", "sim")):
-            ids = matching[f"{side}_id"][matching.status == status]
-            states[status] += int((coverage.loc[side].covered_0p3m.reindex(ids) <= 0.2).sum())
-    assert {status: record["metrics"]["unmatched"][status]["absent"] for status in states} == states
 
 
 def test_the_terminal_the_comparison_and_the_gate_take_it(finished):
@@ -155,23 +108,6 @@ def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
     refused = command(*ablation, "--delta", "1,9")
     assert refused.returncode == 1
     assert "are not matched by distance" in refused.stderr
-
-
-def test_labels_of_the_input_are_the_objects(tmp_path):
-    scan = street(seed=1)
-    labels = np.where(scan[:, 0] > 0, 1, 2).astype("<u4")
-    write_bin(tmp_path / "real" / "a.bin", scan)
-    write_bin(tmp_path / "sim" / "a.bin", drifted(scan))
-    (labels + (np.arange(len(scan)) % 2 << 16)).astype("<u4").tofile(tmp_path / "real" / "a.label")
-    settings = load(None, ["communities.reference=labels"], preset="reference")
-    outcome = run(tmp_path, tmp_path / "run", settings)
-    assert not outcome.failures
-    ground = pd.read_parquet(tmp_path / "run" / "ground" / "a.real.parquet").query("~is_ground")
-    assert set(ground.instance) == {0, 1}
-    own = ground.merge(pd.read_parquet(tmp_path / "run" / "communities" / "a.real.parquet"), on="point_id")
-    assert (own.groupby("community_id").label.nunique() == 1).all()
-    failed = run(tmp_path, tmp_path / "paper", Settings()).failures
-    assert not failed
 
 
 @pytest.mark.parametrize(("word", "left_out"), [((), {"0"}), (("communities.leave_out=0,2",), {"0", "2"})])

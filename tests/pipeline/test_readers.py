@@ -1,11 +1,8 @@
 """Files of every format: what is read, exactly, and what is said of files that are not whole."""
 
-import re
 import struct
 import subprocess
 import sys
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,8 +12,7 @@ from fidpipe.pipeline.datasets.content import scan_content
 from fidpipe.pipeline.datasets.readers import read_scan, stem_of, suffix_of
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.errors import ScanError
-from fidpipe.schemas.settings import GraphSettings, Settings
-from fidpipe.stages.graph import build_graph
+from fidpipe.schemas.settings import Settings
 from recordings import carla_ply
 from scenes import street, write_bin
 
@@ -167,16 +163,6 @@ def test_a_missing_file_and_an_unknown_format_are_refused(tmp_path):
         read_scan(tmp_path / "a.xyz")
 
 
-def test_real_scans_of_every_format_are_read(real_data):
-    expected = {
-        "rellis/vel000104.bin": 37334,
-        "velodyne_vlp32c/one_sweep.pcd": 26216,
-        "registration/source.ply": 69792,
-        "nuscenes/n008-2018-08-01-15-16-36-0400__LIDAR_TOP__1533151603597909.pcd.bin": 34752,
-    }
-    assert {name: len(read_scan(real_data / name).points) for name in expected} == expected
-
-
 def test_real_labels_are_read(real_data):
     labels = read_scan(real_data / "rellis/000104.bin", label_names={4: "tree"}).labels
     assert len(labels) == 131072
@@ -277,14 +263,6 @@ def test_projected_coordinates_keep_their_millimetres(tmp_path, name, version, p
     assert scan.labels[:3].tolist() == ["0", "unclassified", "ground"]
 
 
-def test_a_graph_of_projected_points_is_that_of_the_same_points_at_home(tmp_path):
-    points = np.round(street(), 3)
-    far = read_scan(las_of(tmp_path / "a.laz", points + PROJECTED)).points
-    near, moved_away = (build_graph(each, GraphSettings(k=10)) for each in (points, far))
-    assert set(zip(near.src, near.dst, strict=True)) == set(zip(moved_away.src, moved_away.dst, strict=True))
-    np.testing.assert_allclose(near.length_m, moved_away.length_m, atol=1e-6)
-
-
 def test_a_projected_scan_is_named_by_check_and_not_cut_silently(tmp_path):
     for side in ("real", "sim"):
         (tmp_path / side).mkdir()
@@ -377,10 +355,3 @@ def test_no_library_of_an_extra_is_loaded_before_its_file_is_met():
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.strip() == "[]"
-
-
-def test_every_extra_for_users_is_among_all():
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"]
-    (everything,) = extras["all"]
-    assert set(re.search(r"\[(.*)\]", everything)[1].split(",")) == set(extras) - {"all", "dev", "docs"}

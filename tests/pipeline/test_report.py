@@ -2,7 +2,6 @@
 
 import html
 import json
-import os
 import re
 import shutil
 from io import StringIO
@@ -33,7 +32,6 @@ from fidpipe.pipeline.report.figures.run import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.data import page_data, page_words
 from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, views_of, write_report
-from fidpipe.pipeline.report.page.render import render
 from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.report.verdict import verdict_of
@@ -158,26 +156,6 @@ def test_the_verdict_has_coverage_displacement_and_roughness_over_pairs(by_refer
         for cell, reach in zip(row[1:], ("0p1m", "0p3m", "1m"), strict=True):
             column = pairs[f"covered_{side}_{reach}"]
             assert cell == f"{column.mean():.3f} ± {column.std(ddof=1):.3f}"
-
-
-@pytest.mark.parametrize("run_of", ["report_run", "by_reference"])
-def test_every_object_of_the_table_has_its_coverage(run_of, request):
-    folder = request.getfixturevalue(run_of)
-    stored = coverage_of(folder).covered_0p3m
-    table = page_data(read_results(folder))["objects"]
-    assert next(own for own in table["columns"] if own["key"] == "covered_real_0p3m")["about"].startswith(
-        "covered_real"
-    )
-    rows = [dict(zip((own["key"] for own in table["columns"]), row, strict=True)) for row in table["rows"]]
-    for row in rows:
-        ids = dict(name.split() for name in row["object"].split(", "))
-        for side in ("real", "sim"):
-            found = row[f"covered_{side}_0p3m"]
-            assert (found is None) == (side not in ids)
-            if side in ids:
-                assert found == pytest.approx(stored[row["pair_id"], side, int(ids[side])], abs=1e-6)
-    objects = pd.read_parquet(folder / "matching")
-    assert len(rows) == len(objects) > 0
 
 
 @pytest.mark.exhaustive
@@ -404,30 +382,6 @@ def test_pairs_chooses_by_name_and_says_when_nothing_matches(report_run):
         results.select("nothing*")
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path):
-    found = command("report", tmp_path)
-    assert found.returncode == 1
-    assert "a folder written by fidpipe run is wanted" in found.stderr
-
-
-def test_a_run_that_has_not_ended_is_refused(copied_run):
-    record = json.loads((copied_run / "run.json").read_text())
-    del record["summary"]
-    (copied_run / "run.json").write_text(json.dumps(record))
-    with pytest.raises(RunError, match="has not ended"):
-        read_results(copied_run)
-
-
-def test_a_damaged_table_is_refused(copied_run):
-    path = sorted((copied_run / "metrics").iterdir())[0]
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(bytes(content))
-    os.utime(path, (1, 1))
-    with pytest.raises(RunError, match="damaged or gone"):
-        read_results(copied_run)
-
-
 def test_a_run_without_a_scored_pair_is_refused(tmp_path):
     for side in ("real", "sim"):
         (tmp_path / "dataset" / side).mkdir(parents=True)
@@ -435,16 +389,6 @@ def test_a_run_without_a_scored_pair_is_refused(tmp_path):
     run(tmp_path / "dataset", tmp_path / "run")
     with pytest.raises(RunError, match="none of its 1 pairs is scored"):
         read_results(tmp_path / "run")
-
-
-def test_signs_of_markup_are_escaped_in_the_embedded_data():
-    page = render("compare.html", {"name": "</script><!--&"}, sections=[], method="")
-    assert r"\u003c/script\u003e\u003c!--\u0026" in page
-    assert embedded(page)["name"] == "</script><!--&"
-
-
-def test_names_in_templates_are_escaped():
-    assert "&lt;b&gt;&amp;" in render("compare.html", {}, sections=[], method="<b>&")
 
 
 def test_a_damaged_table_of_points_is_refused_before_anything_is_written(copied_run):

@@ -13,17 +13,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scipy.spatial import cKDTree
 
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
 from fidpipe.pipeline.report.aggregates import score_limits
 from fidpipe.pipeline.report.page.compare import compare_page, history_page
 from fidpipe.pipeline.report.page.page import write_report
-from fidpipe.pipeline.report.page.pair import pair_data
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.history import read_history
-from reports import HOSTILE_CLASS, HOSTILE_PAIRS, points_in
+from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 WIDTHS = (1280, 390)
 BLUE, VERMILION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
@@ -202,25 +200,12 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     for column in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m"):
         assert shown[column] == f"{row[column]:.{2 if column.endswith('_m') else 3}f}", column
     assert shown["n_keep"] == f"{row.n_keep:,}"
+    assert f"largest shift {row.max_eigenvalue_shift:.3f}" in by_id(page, "spectrum").text
+    assert f"{row.max_eigenvalue_shift:.3f} / {row.laplacian_change:.3f}" in by_id(page, "spectrum_note").text
+    note = by_id(page, "overlay_note").text
+    assert f"{row.n_real:,} of {row.n_real:,} real points, {row.n_sim:,} of {row.n_sim:,} simulated points" in note
+    assert f"{row.n_keep:,} nodes a side are kept" in note
     assert (pixels(page, "scene") != picture).any(axis=2).sum() > 50, "the object is marked"
-
-
-@pytest.mark.exhaustive
-def test_a_chosen_object_has_its_numbers_points_and_spectra(page, run_folder):
-    metrics = pd.read_parquet(run_folder / "metrics")
-    for row in metrics[metrics.pair_id == FIRST_PAIR].head(2).itertuples():
-        choose(page, "object", f"real {row.real_id}")
-        shown = shown_numbers(page)
-        assert shown["cdc"] == f"{row.cdc:.3f}"
-        assert shown["r_lambda"] == f"{row.r_lambda:.3f}"
-        assert f"largest shift {row.max_eigenvalue_shift:.3f}" in by_id(page, "spectrum").text
-        assert f"{row.max_eigenvalue_shift:.3f} / {row.laplacian_change:.3f}" in by_id(page, "spectrum_note").text
-        note = by_id(page, "overlay_note").text
-        assert f"{row.n_real:,} of {row.n_real:,} real points, {row.n_sim:,} of {row.n_sim:,} simulated points" in note
-        assert f"{row.n_keep:,} nodes a side are kept" in note
-    both = pixels(page, "overlay")
-    assert near(both, BLUE).sum() > 50
-    assert near(both, VERMILION).sum() > 50
 
 
 def test_tables_sort_and_filter(page, run_folder):
@@ -362,20 +347,26 @@ def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
-def test_a_comparison_draws_its_chart_in_the_theme_and_fits_the_window(browser, run_folder, tmp_path, width, dark):
-    path = tmp_path / "compare.html"
-    (comparison,) = compare_runs([run_folder, run_folder])
-    path.write_text(compare_page([comparison]), encoding="utf-8")
-    complaints(browser), requests(browser)
+def test_comparison_and_history_draw_their_charts_in_the_theme_and_fit_the_window(
+    browser, run_folder, tmp_path, width, dark
+):
+    (comparison,), history = compare_runs([run_folder] * 2), read_history([run_folder] * 3)
     resize(browser, width, dark)
-    open_page(browser, path)
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-    drawn = pixels(browser, "changes_0").mean(axis=2)
-    assert (drawn.mean() < 100) == dark
-    assert drawn.std() > 2, "an empty chart"
-    assert len(browser.find_elements("css selector", "#changes_0 .ytick")) == len(comparison.scores) > 12
-    assert complaints(browser) == []
-    assert requests(browser) == [path.as_uri()]
+    for text, marks, chart, n_marks in (
+        (compare_page([comparison]), "#changes_0 .ytick", "changes_0", len(comparison.scores)),
+        (history_page(history), ".chart .js-line", "history_0", len(history.families)),
+    ):
+        path = tmp_path / f"{chart}.html"
+        path.write_text(text, encoding="utf-8")
+        complaints(browser), requests(browser)
+        open_page(browser, path)
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+        picture = pixels(browser, chart).mean(axis=2)
+        assert (picture.mean() < 100) == dark
+        assert picture.std() > 2, "an empty chart"
+        assert len(browser.find_elements("css selector", marks)) == n_marks >= 5
+        assert complaints(browser) == []
+        assert requests(browser) == [path.as_uri()]
 
 
 @pytest.mark.exhaustive
@@ -407,56 +398,23 @@ def test_the_worst_changes_are_drawn_and_lead_into_both_reports(browser, by_refe
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_history_draws_a_line_for_each_score_and_fits_the_window(browser, run_folder, tmp_path, width):
-    path = tmp_path / "history.html"
-    history = read_history([run_folder] * 3)
-    path.write_text(history_page(history), encoding="utf-8")
-    complaints(browser), requests(browser)
-    resize(browser, width)
-    open_page(browser, path)
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-    assert len(browser.find_elements("css selector", ".chart .js-line")) == len(history.families) >= 5
-    assert complaints(browser) == []
-    assert requests(browser) == [path.as_uri()]
-
-
-@pytest.mark.exhaustive
 def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_reference, tmp_path):
-    results = read_results(by_reference)
-    pair_id = results.pairs.pair_id[0]
+    """The distances themselves are those of the tables: `test_report_pair`."""
     resize(browser, WIDTHS[0])
     open_page(browser, write_report(by_reference, out=tmp_path).page)
     choose(browser, "colour", "distance")
-    tables = PairTables(results, pair_id)
-    sims = tables.clouds["sim"]
-    view = pair_data(results, pair_id)
-    nearest = {side: cKDTree(cloud.points).query(points_in(view, side))[1] for side, cloud in tables.clouds.items()}
     traces = browser.execute_script(
         "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"
     )
-    for (side, distance_m), (texts, colours) in zip(tables.distances_m.items(), traces, strict=True):
-        assert len(texts) == len(colours) == len(distance_m), "few points, of which none is left out"
-        for text, colour, value_m in zip(texts, colours, distance_m[nearest[side]], strict=True):
-            shown = text.rpartition("<br>")[2]
-            assert shown.endswith("to the other side"), side
-            is_far = value_m >= 1 - 0.5 / 255
-            assert ("1 m or more" in shown) == is_far
-            assert is_far or float(shown.split()[0]) == pytest.approx(value_m, abs=0.008)
-            assert (colour == FARTHEST) == is_far
+    for texts, colours in traces:
+        assert all(text.endswith("to the other side") for text in texts)
+        is_far = ["1 m or more" in text.rpartition("<br>")[2] for text in texts]
+        assert [colour == FARTHEST for colour in colours] == is_far
+        assert 0 < sum(is_far) < len(is_far)
     assert near(pixels(browser, "scene"), (252, 166, 54)).sum() > 200
     assert "1 m or more to the nearest point of the other side" in by_id(browser, "legend").text
     browser.find_element("css selector", "#objects_table input").send_keys("missing covered_real_0p3m > 0.2")
-    covered = pd.read_parquet(by_reference / "coverage").merge(
-        results.unmatched[["pair_id", "side", "community_id"]], on=["pair_id", "side", "community_id"]
-    )
-    assert len(table(browser, "objects_table")) == (covered.covered_0p3m > 0.2).sum() == 2
-    # The few simulated points of a missing object belong to it, not to any other.
-    lone = {f"real {own.community_id}:" for own in tables.unmatched.itertuples() if own.side == "real"}
-    few = [text for text, i in zip(traces[1][0], sims.community[nearest["sim"]], strict=True) if f"real {i}:" in lone]
-    assert len(few) == 3 or pair_id == "1"
-    assert few
-    assert all(any(text.startswith(name) for name in lone) for text in few)
+    assert len(table(browser, "objects_table")) == 2
     assert complaints(browser) == []
 
 
@@ -508,18 +466,7 @@ def test_next_and_previous_move_camera_list_address_and_table(page):
         rows = page.find_elements("css selector", "#objects_table tr[aria-current]")
         assert [row.text.split(",")[0].split(" \n")[0][: len(name)] for row in rows] == [name]
         seen.append(camera_of(page))
-        corners = drawn(page, "scene", "chosen")
-        middle = (np.nanmin(corners, axis=0) + np.nanmax(corners, axis=0)) / 2
-        axes = page.execute_script(
-            "const {xaxis, yaxis, zaxis, aspectratio: {x, y, z}} = document.getElementById('scene')._fullLayout.scene;"
-            "return [[...xaxis.range, x], [...yaxis.range, y], [...zaxis.range, z]]"
-        )
-        looked_at = [
-            (value - (low + high) / 2) / (high - low) * ratio
-            for value, (low, high, ratio) in zip(middle, axes, strict=True)
-        ]
-        assert [seen[-1][axis] for axis in "xyz"] == pytest.approx(looked_at, abs=1e-6)
-    assert whole not in seen
+    assert len({str(camera) for camera in (whole, *seen)}) == 4
     by_id(page, "previous").click()
     settle(page)
     assert camera_of(page) == pytest.approx(seen[1])
@@ -545,8 +492,6 @@ def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, run
     assert np.abs(aligned - as_lie - move).max() < 1e-5
     ends = lines.reshape(-1, 3, 3)[:, :2]
     assert len(ends) == row.n_keep
-    apart = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-    assert np.sqrt((apart**2).mean()) == pytest.approx(row.alignment_rms_m, abs=0.01)
     assert f"moved by ({move[0]:.2f}, {move[1]:.2f}, {move[2]:.2f}) m" in by_id(page, "overlay_note").text
     assert page.execute_script(ranges) == box, "one box for both"
     choose(page, "object_colour", "kept")

@@ -1,7 +1,6 @@
 """A finished run read again: the same numbers as its tables, for people and for programs."""
 
 import json
-import shutil
 
 import pandas as pd
 import pytest
@@ -138,23 +137,6 @@ def test_a_name_that_is_nearly_right_is_suggested(finished):
     result = command("show", finished, "faild")
     assert result.returncode == 1
     assert "it has 'failed'" in result.stderr
-
-
-def test_a_damaged_table_is_named_and_not_believed(finished, tmp_path):
-    folder = shutil.copytree(finished, tmp_path / "run")
-    path = next((folder / "metrics").glob("script*.parquet"), None) or next((folder / "metrics").iterdir())
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    names = {row["pair_id"] for row in FinishedRun(folder).scored}
-    faults = 0
-    for name in names:
-        try:
-            pair_facts(FinishedRun(folder), name)
-        except RunError as error:
-            faults += 1
-            assert path.name in str(error)
-    assert faults == 1
 
 
 def test_a_folder_without_a_finished_run_is_refused(tmp_path):

@@ -105,18 +105,10 @@ def test_times_of_points_are_described_where_they_are_right(tmp_path):
     assert check.notes == ["real scans: 0.1 s from first to last point"]
 
 
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        (lambda times: np.where(np.arange(len(times)) % 2, times, np.nan), "50% of the points have no time"),
-        (np.zeros_like, "all points have one time"),
-        (lambda times: 1e3 * times, "are they in milliseconds?"),
-        (lambda times: np.random.default_rng(0).permutation(times), "do not go round with azimuth"),
-    ],
-)
-def test_wrong_times_of_points_are_named_with_their_side(tmp_path, change, fault):
-    (warning,) = warnings(write(tmp_path, [timed(i) for i in range(3)], [timed(i, change, seed=9) for i in range(3)]))
-    assert warning.startswith("simulated scans: ") and fault in warning
+def test_wrong_times_of_points_are_named_with_their_side(tmp_path):
+    wrong = [timed(i, np.zeros_like, seed=9) for i in range(3)]
+    (warning,) = warnings(write(tmp_path, [timed(i) for i in range(3)], wrong))
+    assert warning.startswith("simulated scans: ") and "all points have one time" in warning
 
 
 def test_the_command_prints_notes_and_warnings_of_sides(tmp_path):

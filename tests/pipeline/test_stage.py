@@ -151,12 +151,6 @@ def test_interrupted_in_any_of_them_a_run_goes_on_where_it_was(whole, dataset, t
     assert_same_results(out, whole)
 
 
-def test_a_second_run_makes_nothing(again, dataset):
-    before = files(again)
-    assert run_with_toys(dataset, again).n_made == 0
-    assert files(again) == before
-
-
 def test_a_changed_setting_reruns_the_stage_that_declares_it_and_what_follows(again, dataset):
     before = files(again)
     outcome = run_with_toys(dataset, again, ToySettings(toy=ToyGroup(least_points=50)))
@@ -176,19 +170,6 @@ def test_a_raised_version_reruns_the_stage_and_what_follows(again, dataset, toy,
     before = files(again)
     run_with_toys(dataset, again, stages=with_toys(**{toy: replace(stage, version=2)}))
     assert made_again(again, before) == follow
-
-
-def test_a_setting_that_no_toy_declares_reruns_what_reads_it_alone(again, dataset):
-    before = files(again)
-    run_with_toys(dataset, again, ToySettings.model_validate({"matching": {"delta_m": 3.0}}))
-    expected = {"matching", "selection", "metrics", "toy_ratios", "toy_marks"}
-    assert made_again(again, before) == expected
-
-
-def test_one_damaged_table_is_made_again_alone(again, dataset):
-    path = again / "toy_crowds" / "001.sim.parquet"
-    path.write_bytes(path.read_bytes()[:-9])
-    assert run_with_toys(dataset, again).n_made == 1
 
 
 def test_communities_made_again_on_a_graph_that_stays_share_their_points_with_later_stages(again, dataset, tmp_path):

@@ -108,13 +108,6 @@ def test_the_reader_finds_pairs_labels_and_frames_over_a_minute_apart(dataset):
             assert set(scan.labels) <= set(KINDS)
 
 
-def test_a_folder_with_other_things_is_left_alone(tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):
-        make_dataset(tmp_path)
-    assert content(tmp_path) == {"thesis.tex": b"years of work"}
-
-
 def test_the_recipe_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "synth.toml").write_text('wave = "saw"')
     with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):

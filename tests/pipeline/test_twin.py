@@ -298,6 +298,9 @@ def test_the_beams_of_the_recording_are_the_usual_ones(drive, tmp_path):
         ),
         (["yaw=1", "yaw=2"], "flaw yaw: named twice"),
         (["noise=0.1:2"], "flaw noise: a second number, 2, is given; it has none"),
+        (["dropout=nan"], "flaw dropout: amount nan"),
+        (["holes=2.5"], "flaw holes: amount 2.5; a whole number is wanted"),
+        (["holes=2:0"], "second number 0; more than 0 is wanted .radius of a hole"),
     ],
 )
 def test_flaws_that_make_no_sense_are_refused(words, reason):
