@@ -15,10 +15,8 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    SerializerFunctionWrapHandler,
     ValidationError,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
@@ -138,12 +136,6 @@ class InputSettings(_Group):
                 'frame says how axes lie, and sim_flip_y = true is sim_frame = "carla": leave sim_flip_y out'
             )
         return self
-
-    @model_serializer(mode="wrap")
-    def _leave_usual_frames_out(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Frames came after the first runs: at their default they stand in no record and no key, which so stay."""
-        values: dict[str, Any] = plain(self)
-        return {name: value for name, value in values.items() if not name.endswith("_frame") or value != "ros"}
 
     def frame_of(self, side: str) -> FrameName:
         """The frame that the scans of a side ("real" or "sim") are recorded in."""

@@ -70,11 +70,12 @@ def test_a_wrong_file_is_named(tmp_path, text, fault):
         load(file)
 
 
-def test_frames_at_their_default_are_in_no_key_and_no_record_of_a_run():
-    assert not [name for name in Settings().input.model_dump(mode="json") if name.endswith("_frame")]
-    settings = load(None, ["input.sim_frame=kitti-cam"])
-    assert settings.input.model_dump(mode="json")["sim_frame"] == "kitti-cam"
-    assert load(None, ["input.sim_frame=ros"]) == Settings()
+def test_every_setting_is_written_also_at_its_default():
+    groups = load(None, []).model_dump(mode="json")
+    assert {f"{group}.{name}" for group, values in groups.items() for name in values} == {
+        f"{group}.{name}" for group, model in Settings.model_fields.items() for name in model.annotation.model_fields
+    }
+    assert 'real_frame = "ros"' in to_toml(Settings())
 
 
 def test_the_mirror_is_the_frame_of_carla():
