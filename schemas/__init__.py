@@ -1,1 +1,1 @@
-"""What data looks like: tables, settings, errors. Imports no other room."""
+"""Tables, metrics, settings, results and errors. Imports no other package of fidpipe."""

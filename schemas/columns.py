@@ -1,4 +1,4 @@
-"""What a table is: named columns of fixed type, nullability, unit and meaning, and the columns that sort its rows."""
+"""Definition of a table: named columns of fixed type, nullability, unit and meaning, and the sort keys of its rows."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import pyarrow as pa
 from .metrics import OBJECT_METRICS, Metric
 
 SIDES = ("real", "sim")
-#: A row of a table, by column; the table says which columns there are and of which type.
+#: A row of a table by column; the schema of the table has names and types.
 Row = dict[str, Any]
-_ROWS_AT_ONCE = 5000
+_CHUNK_ROWS = 5000
 
 STRING, INT32, FLOAT64, BOOL = pa.string(), pa.int32(), pa.float64(), pa.bool_()
 #: Strings that are the same in all rows of a file: in memory a dictionary, in Parquet plain strings.
@@ -32,7 +32,7 @@ class Table:
     version: int = 1
 
     def check(self, table: pa.Table) -> pa.Table:
-        """The table itself, if names, types and nullability are as agreed.
+        """Return the table unchanged after checking names, types and nullability.
 
         Raises
         ------
@@ -40,19 +40,17 @@ class Table:
             A column is missing, surplus, of another type, or has a null that the schema forbids.
         """
         if table.schema.names != self.schema.names:
-            raise ValueError(f"table {self.name}: columns {table.schema.names} found, {self.schema.names} wanted")
+            raise ValueError(f"table {self.name}: expected columns {self.schema.names}, got {table.schema.names}")
         for field in self.schema:
             column = table.column(field.name)
             if column.type != field.type and not (field.type == CONSTANT and column.type == pa.string()):
-                raise ValueError(f"table {self.name}, column {field.name}: {column.type} found, {field.type} wanted")
+                raise ValueError(f"table {self.name}, column {field.name}: expected {field.type}, got {column.type}")
             if not field.nullable and column.null_count:
-                raise ValueError(
-                    f"table {self.name}, column {field.name}: {column.null_count} nulls found, none allowed"
-                )
+                raise ValueError(f"table {self.name}, column {field.name}: expected no nulls, got {column.null_count}")
         return table
 
     def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
-        """A checked table from arrays; a single string, number or None fills its column for `n_rows` rows."""
+        """Build a checked table from arrays; a single string, number or None fills its column for `n_rows` rows."""
         if n_rows is None:
             n_rows = next(len(value) for value in columns.values() if _is_column(value))
         arrays = []
@@ -68,19 +66,19 @@ class Table:
 
     @property
     def same(self) -> list[str]:
-        """The columns that are dictionaries in memory."""
+        """Columns that are dictionaries in memory."""
         return [field.name for field in self.schema if field.type == CONSTANT]
 
     def plain(self, table: pa.Table) -> pa.Table:
-        """The table with plain strings in place of dictionaries."""
+        """Replace dictionaries by plain strings."""
         plain = [field.with_type(pa.string()) if field.type == CONSTANT else field for field in table.schema]
         return table.cast(pa.schema(plain))
 
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
-        """A checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
-        left = iter(rows)
+        """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
+        remaining = iter(rows)
         parts = [self.schema.empty_table()]
-        while part := list(islice(left, _ROWS_AT_ONCE)):  # dictionaries are large; there may be very many
+        while part := list(islice(remaining, _CHUNK_ROWS)):  # dictionaries need much memory
             parts.append(pa.Table.from_pylist(part, schema=self.schema))
         table = pa.concat_tables(parts)
         return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
@@ -91,7 +89,7 @@ def _is_column(value: Any) -> bool:
 
 
 def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional: bool = False) -> pa.Field:
-    """A column with its meaning, and its unit if it has one."""
+    """Column with its meaning, and its unit if it has one."""
     metadata = {"meaning": meaning}
     if unit:
         metadata["unit"] = unit
@@ -99,17 +97,17 @@ def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional:
 
 
 def table(name: str, keys: tuple[str, ...], *columns: pa.Field) -> Table:
-    """A table of some columns, whose rows are sorted by `keys`."""
+    """Table of these columns, with rows sorted by `keys`."""
     return Table(name, pa.schema(columns), keys)
 
 
 def mean_columns(of: str) -> list[pa.Field]:
-    """The means of all object scores."""
+    """Columns for the means of all object scores."""
     return [column(f"{name}_mean", FLOAT64, f"mean of {name} over {of}", optional=True) for name in OBJECT_METRICS]
 
 
 def score_column(metric: Metric, *, optional: bool | None = None) -> pa.Field:
-    """The column of a score, as the catalogue describes it; `optional` where a table sees that otherwise."""
+    """Column of a score as the catalogue describes it; `optional` overrides the nullability of the catalogue."""
     kind = INT32 if metric.is_count else FLOAT64
     is_nullable = metric.is_nullable if optional is None else optional
     return column(metric.column, kind, metric.meaning, metric.unit or "", is_nullable)
@@ -119,4 +117,4 @@ PAIR = column("pair_id", CONSTANT, "name of the scan pair")
 SIDE = column("side", CONSTANT, "real or sim")
 POINT = column("point_id", INT32, "row of the point in its input file, from 0")
 COMMUNITY = column("community_id", INT32, "object of this side; 0 is the largest, -1 no object (communities.leave_out)")
-LABEL = column("label", STRING, "semantic class, where the input has labels", optional=True)
+LABEL = column("label", STRING, "semantic class, if the input has labels", optional=True)

@@ -1,4 +1,4 @@
-"""The errors that users meet. Each is one line: the thing, the value found, the value wanted, the next step."""
+"""Errors for users. A message is one line: where, what is wrong, expected, got, next step."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from difflib import get_close_matches
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name: the known one that is nearest, or all of them."""
+    """End of a message about an unknown name: the most similar known name, or all known names."""
     known = list(known)
     near = get_close_matches(name.lower(), known, 1)
     return f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
 
 
 class FidpipeError(Exception):
-    """A fault of the input or of a setting; the command prints its one line and exits with 1."""
+    """Invalid input or setting. The command prints a one-line message and exits with 1."""
 
     def __str__(self) -> str:
-        """The message in one line, whatever the names in it are made of."""
+        """Message in one line; line breaks in names become spaces."""
         return " ".join(super().__str__().splitlines())
 
 
 class SettingsError(FidpipeError):
-    """A setting that does not exist or whose value is out of bounds."""
+    """Unknown setting, or a value out of bounds."""
 
 
 class DatasetError(FidpipeError):
-    """A fault of the dataset as a whole: nothing can start."""
+    """Problem of the dataset as a whole: nothing can start."""
 
 
 class ScanError(FidpipeError):
-    """A fault of one scan file: its pair fails, the others run."""
+    """Problem of one scan file: its pair fails, the others run."""
 
 
 class StageError(FidpipeError):
-    """A stage that cannot go on with what it was given: its pair fails, the others run."""
+    """Input that a stage cannot process: its pair fails, the others run."""
 
 
 class RunError(FidpipeError):
-    """A fault of the run folder: it is in use, or it is not ours."""
+    """Problem of the run folder, such as one that is in use or was not written by fidpipe."""
 
 
 class DiskFullError(RunError):
-    """No space is left where a run writes: nothing can go on, of whichever pair."""
+    """No space left on the disk of the run: no pair can continue."""

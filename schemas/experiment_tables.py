@@ -8,13 +8,13 @@ from .columns import FLOAT64, INT32, PAIR, STRING, column, mean_columns, table
 from .metrics import OBJECT_METRICS
 
 _LEVEL = [
-    column("kind", STRING, "null, noise, dropout, rigid, hallucination or density"),
+    column("kind", STRING, "perturbation: null, noise, dropout, rigid, hallucination or density"),
     column("amount", FLOAT64, "noise: m; dropout, hallucination: share of the points; rigid: degrees; density: factor"),
     column("shift_m", FLOAT64, "rigid: length of the translation; else 0", "m"),
 ]
 _REPEAT = [
-    column("repeat", INT32, "from 0"),
-    column("seed", pa.int64(), "of the random numbers of this repeat, derived from the job's name"),
+    column("repeat", INT32, "number of the repetition, from 0"),
+    column("seed", pa.int64(), "random seed of this repetition, derived from the job's name"),
 ]
 _UNDER_TEST = [
     PAIR.with_type(STRING),
@@ -23,8 +23,8 @@ _UNDER_TEST = [
 ]
 
 _SPREAD = [
-    column("mean", FLOAT64, "over these", optional=True),
-    column("std", FLOAT64, "standard deviation (n - 1) over these", optional=True),
+    column("mean", FLOAT64, "mean over these values", optional=True),
+    column("std", FLOAT64, "standard deviation (n - 1) over these values", optional=True),
 ]
 
 PERTURB_GLOBAL = table(
@@ -37,10 +37,10 @@ PERTURB_GLOBAL = table(
     column("n_points_altered", INT32, "object points of the altered scan"),
     column("n_communities", INT32, "objects of the unaltered scan"),
     column("n_communities_altered", INT32, "objects of the altered scan", optional=True),
-    column("n_matched", INT32, "objects that both have", optional=True),
-    column("n_identical", INT32, "matched objects whose Laplacians do not differ", optional=True),
+    column("n_matched", INT32, "objects that both scans have", optional=True),
+    column("n_identical", INT32, "matched objects with equal Laplacians", optional=True),
     column("n_too_small", INT32, "matched objects with fewer than 3 nodes", optional=True),
-    column("match_rate", FLOAT64, "matched / max(communities of either)", optional=True),
+    column("match_rate", FLOAT64, "matched / max(communities of either scan)", optional=True),
     *mean_columns("matched objects"),
     column("reason", STRING, "why nothing could be computed", optional=True),
 )
@@ -54,7 +54,7 @@ PERTURB_OBJECTS = table(
     column("n_points", INT32, "points of the unaltered object"),
     column("n_points_altered", INT32, "points of the altered object"),
     *(
-        column(name, FLOAT64, "of the altered against the unaltered object, as in metrics", optional=True)
+        column(name, FLOAT64, "score of the altered against the unaltered object, as in metrics", optional=True)
         for name in OBJECT_METRICS
     ),
     column("status", STRING, "scored, identical or too_small"),
@@ -67,20 +67,20 @@ PERTURB_BASELINES = table(
     *_UNDER_TEST,
     *_LEVEL,
     *_REPEAT,
-    column("baseline", STRING, "name of the distance, with its convention and unit, as in baselines"),
-    column("unit", STRING, "of the value; null for a plain number", optional=True),
-    column("value", FLOAT64, "of the altered against the unaltered object", optional=True),
-    column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
+    column("baseline", STRING, "name of the baseline metric, with its convention and unit, as in baselines"),
+    column("unit", STRING, "unit of the value; null for a plain number", optional=True),
+    column("value", FLOAT64, "baseline metric of the altered against the unaltered object", optional=True),
+    column("reason", STRING, "why the value is null, or a note about it", optional=True),
 )
 
 PERTURB_SUMMARY = table(
     "perturb_summary",
     ("scope", "object", "kind", "shift_m", "amount", "metric"),
     column("scope", STRING, "global (whole scan) or object"),
-    column("object", STRING, "class of the object; null where global", optional=True),
+    column("object", STRING, "class of the object; null if the scope is global", optional=True),
     *_LEVEL,
     column("metric", STRING, "column of perturb_global or perturb_objects, or baseline of perturb_baselines"),
-    column("n", INT32, "repeats, over all scans, in which the metric could be computed"),
+    column("n", INT32, "repetitions, over all scans, in which the metric could be computed"),
     *_SPREAD,
 )
 

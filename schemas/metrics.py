@@ -1,7 +1,7 @@
-"""The catalogue of scores: what each is called, its unit and bounds, which way is better, and what it means.
+"""Catalogue of scores: name, unit, bounds, direction, meaning and source of each.
 
-The columns of the tables, the headings of every view, the names that a gate knows, the limits of the report's quadrants
-and the list of baselines all come from here. To add a score: a row here and the function that computes it.
+Columns of tables, headings of views, names of measures for a gate, limits of the report's quadrants and the list of
+baseline metrics come from here. To add a score: a row here and the function that computes it.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ class PaperMean:
 class Metric:
     """One score.
 
-    column : name in the tables, with the unit where there is one
+    column : name in the tables, with the unit if it has one
     heading : short name for table headings, without the unit
     meaning : one sentence: what the column holds
-    reading : one sentence for people: how to read a value
-    short : heading for narrow columns, where `heading` is too long
+    reading : one sentence: how to read a value
+    short : heading for narrow columns if `heading` is too long
     unit : "m", "m2", or None for a plain number
-    low, high : bounds; None where there is none
-    better : which way is better; None for a number that says nothing of the quality
-    equal : value for two identical objects (or scans); None where that depends on the object
-    source : where the definition comes from
-    paper : what the paper measured on its 50 pairs
-    is_count : whether values are whole numbers
-    is_nullable : whether a finished job may have no value
-    has_mean : whether `pairs` has mean and standard deviation over the objects
-    method : which word of the setting metrics.baselines asks for it; "" for our own scores
+    low, high : bounds, or None
+    better : direction of a better value; None for a number that does not measure quality
+    equal : value for two identical objects (or scans); None if it depends on the object
+    source : source of the definition
+    paper : mean of the paper's 50 pairs
+    is_count : values are integers
+    is_nullable : a finished job may have no value
+    has_mean : `pairs` has mean and standard deviation over the objects
+    method : name in the setting metrics.baselines that selects it; "" for our own scores
     """
 
     column: str
@@ -65,35 +65,35 @@ class Metric:
 
     @property
     def label(self) -> str:
-        """Heading with the unit, as it stands over a column: `offset (m)`."""
+        """Heading with the unit, such as `offset (m)`."""
         return f"{self.heading} ({unit_words(self.unit)})" if self.unit else self.heading
 
     @property
     def narrow_label(self) -> str:
-        """The same for a narrow column: one word per line, the unit on the last."""
+        """Heading for a narrow column: one word per line, the unit on the last line."""
         words = (self.short or self.heading).split()
         return "\n".join([*words, f"({unit_words(self.unit)})"] if self.unit else words)
 
     @property
     def mean_column(self) -> str:
-        """The column of `pairs` with the mean over the objects of a pair."""
+        """Column of `pairs` with the mean over the objects of a pair."""
         return f"{self.column}_mean"
 
     @property
     def higher_is_better(self) -> bool:
-        """Whether more is better."""
+        """True if a larger value is better."""
         return self.better == "higher"
 
     @property
     def scale(self) -> str:
-        """Best and worst value, where there are such: `0 best, 1 worst`."""
+        """Best and worst value as far as they exist, such as `0 best, 1 worst`."""
         best, worst = (self.high, self.low) if self.higher_is_better else (self.low, self.high)
         ends = [f"{value:g} {word}" for value, word in ((best, "best"), (worst, "worst")) if value is not None]
         return ", ".join(ends) if self.better else ""
 
 
 def unit_words(unit: str | None) -> str:
-    """A unit as people write it; "" for a plain number."""
+    """Unit for display, such as m²; "" for a plain number."""
     return {"m2": "m²", None: ""}.get(unit, unit or "")
 
 
@@ -108,7 +108,7 @@ OBJECT_SCORES = (
     Metric(
         "centroid_distance_m",
         "offset",
-        "between the centroids",
+        "distance between the centroids",
         "distance between the centroids of matched objects",
         unit="m",
         source='paper, section "Controlled Perturbation Analysis", d_cent',
@@ -118,7 +118,7 @@ OBJECT_SCORES = (
         "cdc",
         "CDC",
         "density-aware Chamfer distance of the paper, 0 to 2",
-        "geometry: 0 the same points, 2 nothing near",
+        "geometry: 0 for the same points, 2 without any near point",
         high=2.0,
         source='paper, equation "cdc"',
         paper=PaperMean(0.75, 0.02),
@@ -165,7 +165,7 @@ OBJECT_SCORES = (
         _spectral(
             f"gap_{side}",
             f"gap, {side}",
-            f"second smallest eigenvalue less the smallest, {words}",
+            f"second smallest eigenvalue minus the smallest, {words}",
             f"second smallest eigenvalue of the {words} object",
             high=2.0,
             better=None,
@@ -178,7 +178,7 @@ OBJECT_SCORES = (
         "alignment_rms_m",
         "alignment",
         "root mean square distance of aligned nodes, both sides centred",
-        "distance of aligned nodes; large: r_lambda is to be mistrusted",
+        "distance of aligned nodes; if it is large, do not trust r_lambda",
         short="align",
         unit="m",
         source="fidpipe; the cost of the paper's one-to-one alignment",
@@ -186,7 +186,7 @@ OBJECT_SCORES = (
     ),
 )
 
-#: What is said of a pair as a whole, in the order of the columns of `seeds` and then of `pairs`.
+#: Scores of a pair as a whole, in the order of the columns of `seeds` and then of `pairs`.
 PAIR_SCORES = (
     *(
         _count(f"n_communities_{side}", f"{words} objects", f"objects of the {words} side", better=None, equal=None)
@@ -212,22 +212,22 @@ PAIR_SCORES = (
     ),
 )
 
-#: How near the other side has to be for a point to count as covered, as it stands in names of columns: 0.1, 0.3, 1 m.
+#: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.
 COVERAGE_REACHES = ("0p1m", "0p3m", "1m")
 
 
 def reach_words(reach: str) -> str:
-    """A reach as people write it: `0.3 m` for `0p3m`."""
+    """Distance for display: `0.3 m` for `0p3m`."""
     return f"{reach.replace('p', '.').removesuffix('m')} m"
 
 
-#: What is said of both surfaces of a pair, in the order of the columns of `pairs`.
+#: Coverage of both surfaces of a pair, in the order of the columns of `pairs`.
 COVERAGE_SCORES = tuple(
     _share(
         f"covered_{side}_{reach}",
         f"{words} covered, {reach_words(reach)}",
         f"share of {words} object points with {an_other} object point at most {reach_words(reach)} away",
-        f"surface: share of the {words} points that the other side has within {reach_words(reach)}; 1 is best",
+        f"surface: share of the {words} points with a point of the other side within {reach_words(reach)}; 1 is best",
         short=f"{side} in {reach_words(reach)}",
         source="fidpipe",
     )
@@ -236,16 +236,16 @@ COVERAGE_SCORES = tuple(
 )
 
 _ROUGHNESS = "standard deviation of the 20 nearest points from their plane"
-_MEDIAN = "roughness of a typical point; not the mean that the bias is of"
+_MEDIAN = "roughness of a typical point (median); the bias is a difference of means"
 
-#: What is said of the place and the roughness of the surfaces of a pair, in the order of the columns of `pairs`.
+#: Displacement and roughness of the surfaces of a pair, in the order of the columns of `pairs`.
 SURFACE_SCORES = (
     *(
         Metric(
             f"shift_{axis}_m",
             f"shift {axis}",
             f"displacement of the simulated surface along {axis}, point to plane",
-            f"displacement of the simulated surface along {axis}: 0 where both lie at the same place",
+            f"displacement of the simulated surface along {axis}; 0 if both are at the same place",
             unit="m",
             low=None,
             better=None,
@@ -256,8 +256,8 @@ SURFACE_SCORES = (
     Metric(
         "shift_m",
         "shift",
-        "length of the displacement in the directions that the real surface tells",
-        "mean over pairs: of the lengths, which noise makes larger; the mean vector is that of shift x, y and z",
+        "length of the displacement along the observable directions",
+        "the mean over pairs is a mean of lengths, which noise enlarges; for the mean vector see shift x, y and z",
         unit="m",
         source="fidpipe; Chen and Medioni 1992",
     ),
@@ -276,8 +276,8 @@ SURFACE_SCORES = (
         "roughness_bias_m",
         "roughness bias",
         "mean roughness, simulated minus real",
-        "above 0: the simulated surface is rougher (noise); below: it is smoother. The mean follows the roughest "
-        "points, so that the medians may differ in the other direction",
+        "above 0 the simulated surface is rougher (noise), below 0 it is smoother. The roughest points dominate the "
+        "mean, so the medians may differ in the other direction",
         unit="m",
         low=None,
         better=None,
@@ -286,7 +286,7 @@ SURFACE_SCORES = (
     Metric(
         "roughness_area_m",
         "roughness area",
-        "area between both distributions of roughness without their bias",
+        "area between the two distributions of roughness after removing the bias",
         unit="m",
         source="double validation metric, Rosenberger 2023",
     ),
@@ -294,13 +294,13 @@ SURFACE_SCORES = (
 
 _PIECES = (("missing", "real", "simulated", "simulation"), ("invented", "simulated", "real", "real scan"))
 
-#: Surface pieces of a pair, and its objects that were found, in the order of the columns of `pairs`.
+#: Missing and invented pieces of surface of a pair, and share of found objects, in the order of the columns of `pairs`.
 PIECE_SCORES = (
     *(
         Metric(
             f"n_{kind}_pieces",
             f"{kind} pieces",
-            f"connected parts of {own} objects without any {other} point within pieces.reach_m",
+            f"connected parts of {own} objects without a {other} point within pieces.reach_m",
             f"connected parts of {own} objects where the {place} has nothing",
             is_count=True,
             source="fidpipe",
@@ -326,12 +326,12 @@ PIECE_SCORES = (
     ),
 )
 
-#: Those that say how far the simulated surface is displaced.
+#: Scores of the displacement of the simulated surface.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 
 
 def _baseline(method: str, column: str, meaning: str, **others: Any) -> Metric:
-    """A baseline: its heading is its column; a column that ends with _m or _m2 is in that unit."""
+    """Baseline metric, headed by its column; the ending _m or _m2 of the column is the unit."""
     ending = column.rpartition("_")[2]
     return Metric(column, column, meaning, unit=ending if ending in ("m", "m2") else None, method=method, **others)
 
@@ -373,13 +373,13 @@ BASELINES = (
     _baseline(
         "emd",
         "emd_mean_m",
-        "exact earth mover's distance of all points of the object, every point of a side weighs the same",
+        "exact earth mover's distance of all points of the object; all points of a side have the same weight",
         source="Rubner et al., The earth mover's distance, IJCV 2000",
     ),
     _baseline(
         "emd",
         "emd_kept_mean_m",
-        "exact earth mover's distance of the kept nodes alone, as many on either side, mean per node",
+        "exact earth mover's distance of the kept nodes only, equally many on each side, mean per node",
     ),
     _baseline(
         "emd",
@@ -388,7 +388,7 @@ BASELINES = (
     ),
     _baseline("sliced_wasserstein", "sliced_wasserstein_m", "mean earth mover's distance along random lines"),
     _baseline(
-        "histogram", "histogram", "Minkowski distance of the histograms of pairwise distances over their maximum"
+        "histogram", "histogram", "Minkowski distance of the histograms of pairwise distances divided by the maximum"
     ),
     _baseline(
         "icp",
@@ -420,53 +420,53 @@ METRIC = {
     for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES, *BASELINES)
 }
 
-#: The object scores whose mean and standard deviation stand in `pairs`, in that order.
+#: Object scores with mean and standard deviation in `pairs`, in that order.
 OBJECT_METRICS = tuple(metric.column for metric in OBJECT_SCORES if metric.has_mean)
-#: The object scores whose distributions over all objects a run tells.
+#: Object scores whose distributions over all objects a run reports.
 DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
-#: Where the report's quadrants part; the limit itself belongs to the better one. Fidpipe's, not the paper's. CDC: each
-#: side lies on average about half a metre from the other (1 - exp(-0.54^2) = 0.25, twice). r_lambda: what is usual for
-#: an object of a twin that was meshed from scans ends there (the paper's mean is 0.37).
+#: Limits of the quadrants of the report, by fidpipe, not by the paper; a limit itself belongs to the better quadrant.
+#: CDC: the sides are on average about half a metre apart (1 - exp(-0.54^2) = 0.25, twice). r_lambda: upper end of the
+#: usual values for objects of a twin meshed from scans (the paper's mean is 0.37).
 QUADRANT_LIMITS = {"cdc": 0.5, "r_lambda": 0.4}
-#: The scores of a pair that are repeated under other seeds.
+#: Scores of a pair that are repeated under other seeds.
 SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean_column for name in OBJECT_METRICS))
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
 DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
-#: The same of a run, which also measures surfaces.
+#: Columns of `pairs` that describe a run, which also measures surfaces.
 RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)))
-#: What a summary for people shows of each pair and of the dataset.
+#: Columns of `pairs` in a summary of pairs and dataset.
 HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
-#: What may be given to the setting metrics.baselines.
+#: Valid names in the setting metrics.baselines.
 BASELINE_NAMES = tuple(dict.fromkeys(metric.method for metric in BASELINES))
 
 
 def metric_of(column: str) -> Metric:
-    """The score that a column of any table holds: `cdc` for `cdc` and for its mean over a pair, `cdc_mean`.
+    """Score of a column of any table: `cdc` for `cdc` and for its mean over a pair, `cdc_mean`.
 
     Raises
     ------
     KeyError
-        The catalogue has no such score.
+        The catalogue has no score of that name.
     """
     return METRIC[column] if column in METRIC else METRIC[column.removesuffix("_mean")]
 
 
 def labels(columns: Iterable[str]) -> list[str]:
-    """The headings of columns, each with its unit."""
+    """Headings of columns, each with its unit."""
     return [metric_of(column).label for column in columns]
 
 
 def narrow_labels(columns: Iterable[str]) -> list[str]:
-    """The same for narrow columns: one word per line, the unit on the last."""
+    """Headings of narrow columns: one word per line, the unit on the last line."""
     return [metric_of(column).narrow_label for column in columns]
 
 
 def to_markdown() -> str:
-    """A table of our own scores for people: name, column, range, best, the paper's mean, and what it is."""
-    rows = ["| score | column | range | better | paper | what |", "|---|---|---|---|---|---|"]
+    """Markdown table of our own scores: name, column, range, direction, the paper's mean, and how to read it."""
+    rows = ["| score | column | range | better | paper | meaning |", "|---|---|---|---|---|---|"]
     for metric in (METRIC["match_rate"], *OBJECT_SCORES):
         high = "" if metric.high is None else f" to {metric.high:g}"
-        values = f"{metric.low:g}{high or ' and more'}" if metric.low is not None else "any"
+        values = f"{metric.low:g}{high or ' or more'}" if metric.low is not None else "any"
         paper = "" if metric.paper is None else f"{metric.paper}"
         cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
         rows.append(f"| {' | '.join(cells)} |")

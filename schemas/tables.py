@@ -1,8 +1,8 @@
-"""The tables that fidpipe writes: columns, types, nullability, units, keys and versions.
+"""All tables that fidpipe writes: columns, types, nullability, units, keys and versions.
 
-This is the contract with everybody who reads our Parquet. `Table.check` is called before a table is written and after
-it is read; a column's unit and meaning stand in the metadata of its field here. Columns of scores come from `metrics`,
-the tables of perturb and ablate are in `experiment_tables`.
+This is the contract with all readers of our Parquet files. `Table.check` is called before a table is written and after
+it is read; the metadata of a field has the unit and meaning of the column. Columns of scores come from `metrics`, the
+tables of perturb and ablate are in `experiment_tables`.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ GROUND = table(
     column("y", FLOAT64, "left, real sensor's frame", "m"),
     column("z", FLOAT64, "up, real sensor's frame", "m"),
     column("height_m", FLOAT64, "height along the ground axis, from the road's peak", "m"),
-    column("is_ground", BOOL, "below the ground threshold; only the others go on"),
+    column("is_ground", BOOL, "below the ground threshold; all other points are object points"),
     column("intensity", FLOAT64, "as in the input file", optional=True),
     LABEL,
-    column("instance", INT32, "thing that the point belongs to, as in the input; 0 for none", optional=True),
+    column("instance", INT32, "instance id from the input; 0 if the point has none", optional=True),
 )
 
 SENSOR = table(
@@ -62,19 +62,19 @@ SENSOR = table(
     ("side",),
     PAIR,
     SIDE,
-    column("model", STRING, "known sensor with these beams", optional=True),
-    column("n_beams", INT32, "beams", optional=True),
+    column("model", STRING, "known sensor model with these beams", optional=True),
+    column("n_beams", INT32, "number of beams", optional=True),
     column("lowest_deg", FLOAT64, "elevation of the lowest beam", "deg", optional=True),
     column("highest_deg", FLOAT64, "elevation of the highest beam", "deg", optional=True),
     column(
         "origin_height_m",
         FLOAT64,
-        "height above the origin of the file's frame at which beams start; the mean of two blocks",
+        "height of the beams' origin above the origin of the file's frame; for two blocks of beams, their mean",
         "m",
         optional=True,
     ),
-    column("azimuth_step_deg", FLOAT64, "between two firings of a beam", "deg", optional=True),
-    column("range_quantum_m", FLOAT64, "ranges are multiples of it; null if none is seen", "m", optional=True),
+    column("azimuth_step_deg", FLOAT64, "angle between two firings of a beam", "deg", optional=True),
+    column("range_quantum_m", FLOAT64, "ranges are multiples of it; null if not detected", "m", optional=True),
     column("range_noise_m", FLOAT64, "standard deviation along the ray on smooth surfaces", "m", optional=True),
     column("lost_share", FLOAT64, "share of the pulses within visible surfaces that have no return", optional=True),
     column("reason", STRING, "why a value is null", optional=True),
@@ -101,9 +101,9 @@ OBJECTS = table(
     column(
         "n_points",
         INT32,
-        "object points of the community; 0 for a real object of which nothing is simulated (reference objects)",
+        "object points of the community; 0 for a real object without simulated points (reference objects)",
     ),
-    column("cx", FLOAT64, "centroid: mean of the member points; null without any", "m", optional=True),
+    column("cx", FLOAT64, "centroid: mean of the member points; null without points", "m", optional=True),
     column("cy", FLOAT64, "centroid", "m", optional=True),
     column("cz", FLOAT64, "centroid", "m", optional=True),
     column("range_m", FLOAT64, "distance of the centroid from the sensor", "m", optional=True),
@@ -111,10 +111,7 @@ OBJECTS = table(
     column("extent_y", FLOAT64, "axis-aligned size", "m", optional=True),
     column("extent_z", FLOAT64, "axis-aligned size", "m", optional=True),
     column(
-        "linearity",
-        FLOAT64,
-        "(l1 - l2) / l1 of the covariance eigenvalues l1 >= l2 >= l3; 0 where l1 is 0",
-        optional=True,
+        "linearity", FLOAT64, "(l1 - l2) / l1 of the covariance eigenvalues l1 >= l2 >= l3; 0 if l1 is 0", optional=True
     ),
     column("planarity", FLOAT64, "(l2 - l3) / l1", optional=True),
     column("scattering", FLOAT64, "l3 / l1", optional=True),
@@ -125,9 +122,9 @@ MATCHING = table(
     "matching",
     ("real_id", "sim_id"),
     PAIR,
-    column("real_id", INT32, "community of the real side; null where hallucinated", optional=True),
-    column("sim_id", INT32, "community of the simulated side; null where missing", optional=True),
-    column("centroid_distance_m", FLOAT64, "between matched centroids", "m", optional=True),
+    column("real_id", INT32, "community of the real side; null if hallucinated", optional=True),
+    column("sim_id", INT32, "community of the simulated side; null if missing", optional=True),
+    column("centroid_distance_m", FLOAT64, "distance between matched centroids", "m", optional=True),
     column("status", STRING, "matched, missing (real only) or hallucinated (simulated only)"),
 )
 
@@ -137,11 +134,11 @@ SELECTION = table(
     PAIR,
     column("real_id", INT32, "community of the real side"),
     column("sim_id", INT32, "community of the simulated side"),
-    column("rank", INT32, "from 0, by decreasing real influence, ties by point id"),
+    column("rank", INT32, "rank of the real node by decreasing influence, from 0; ties by point id"),
     column("real_point_id", INT32, "kept node of the real side"),
-    column("sim_point_id", INT32, "kept node of the simulated side that is aligned with it"),
+    column("sim_point_id", INT32, "kept node of the simulated side that is aligned with the real one"),
     column("real_influence", FLOAT64, "row sum of the heat kernel, rounded to 1e-9"),
-    column("sim_influence", FLOAT64, "the same of the simulated node"),
+    column("sim_influence", FLOAT64, "row sum of the heat kernel at the simulated node, rounded to 1e-9"),
 )
 
 METRICS = table(
@@ -152,7 +149,7 @@ METRICS = table(
     column("sim_id", INT32, "community of the simulated side"),
     column("n_real", INT32, "points of the real object"),
     column("n_sim", INT32, "points of the simulated object"),
-    column("n_keep", INT32, "aligned nodes, the smaller of the two"),
+    column("n_keep", INT32, "aligned nodes: the smaller of n_real and n_sim"),
     *map(score_column, OBJECT_SCORES),
     column("status", STRING, "scored, identical or too_small"),
     column("reason", STRING, "why a score is null", optional=True),
@@ -164,21 +161,21 @@ COVERAGE = table(
     PAIR,
     column("side", STRING, "real or sim"),
     column("community_id", INT32, "object of this side; null for the whole side", optional=True),
-    column("n_points", INT32, "its object points"),
+    column("n_points", INT32, "object points of the object or side"),
     *(
         column(
             f"covered_{reach}",
             FLOAT64,
-            f"share of them with an object point of the other side at most {reach_words(reach)} away",
+            f"share of these points with an object point of the other side at most {reach_words(reach)} away",
             optional=True,
         )
         for reach in COVERAGE_REACHES
     ),
-    column("median_distance_m", FLOAT64, "of their distances to the other side", "m", optional=True),
+    column("median_distance_m", FLOAT64, "median distance of these points to the other side", "m", optional=True),
     column(
         "road_share",
         FLOAT64,
-        "share of them below the other side's ground cut, so that they are road there; null where it made none",
+        "share of these points below the ground threshold of the other side (road there); null without a threshold",
         optional=True,
     ),
 )
@@ -189,7 +186,7 @@ SURFACE = table(
     PAIR,
     column("real_id", INT32, "object of the real side; null for the whole side", optional=True),
     column("n_points", INT32, "sampled real points on planes that the simulated side covers"),
-    column("n_directions", INT32, "in how many directions, 0 to 3, their normals tell a displacement"),
+    column("n_directions", INT32, "directions, 0 to 3, in which their normals make a displacement observable"),
     *(score_column(METRIC[name]) for name in SHIFT_COLUMNS),
 )
 
@@ -199,7 +196,7 @@ PIECES = table(
     PAIR,
     column("side", STRING, "real: the piece is missing; sim: it is invented"),
     column("piece_id", INT32, "piece of this side; 0 is the largest"),
-    column("n_points", INT32, "its points"),
+    column("n_points", INT32, "points of the piece"),
     *(column(f"c{axis}", FLOAT64, "centroid: mean of its points", "m") for axis in "xyz"),
     column("range_m", FLOAT64, "distance of the centroid from the sensor", "m"),
     column("bearing_deg", FLOAT64, "direction of the centroid: 0 ahead, 90 left, -90 right", "deg"),
@@ -220,10 +217,10 @@ BASELINES = table(
     PAIR,
     column("real_id", INT32, "community of the real side; null for the whole scans", optional=True),
     column("sim_id", INT32, "community of the simulated side; null for the whole scans", optional=True),
-    column("baseline", STRING, "name of the distance, with its convention and unit"),
-    column("value", FLOAT64, "in the unit beside it", optional=True),
+    column("baseline", STRING, "name of the baseline metric, with its convention and unit"),
+    column("value", FLOAT64, "value of the baseline metric in `unit`", optional=True),
     column("unit", STRING, "m or m2; null for a plain number", optional=True),
-    column("reason", STRING, "why the value is null, or what is to be known of it", optional=True),
+    column("reason", STRING, "why the value is null, or a note about it", optional=True),
 )
 
 
@@ -231,14 +228,14 @@ SEEDS = table(
     "seeds",
     ("seed",),
     PAIR,
-    column("seed", INT32, "of the communities; the first is that of the other tables"),
+    column("seed", INT32, "seed of the communities; the first is that of the other tables"),
     *(score_column(metric, optional=False) for metric in PAIR_SCORES),
     *mean_columns("the objects"),
 )
 
 
 def _pair_columns() -> list[pa.Field]:
-    """Columns of `pairs`: of a failed pair all but its name, status and reason may be null."""
+    """Columns of `pairs`. All columns except name, status and reason may be null for a failed pair."""
 
     def count(name: str, meaning: str) -> pa.Field:
         return column(name, INT32, meaning, optional=True)
@@ -256,18 +253,18 @@ def _pair_columns() -> list[pa.Field]:
             count(f"n_{side}_raw", "points in the file"),
             count(f"n_{side}_clean", "points after cleaning"),
             count(f"n_{side}_points", "object points: clean and not ground"),
-            number(f"ground_{side}_peak_m", "height of the road along the ground axis", "m"),
+            number(f"ground_{side}_peak_m", "height of the road's peak along the ground axis", "m"),
             number(f"ground_{side}_threshold_m", "points below this height are ground", "m"),
             number(f"ground_{side}_loss", "variance loss at the threshold"),
-            count(f"ground_{side}_iterations", "how often the threshold was lowered"),
+            count(f"ground_{side}_iterations", "number of times the threshold was lowered"),
             number(f"ground_{side}_removed_share", "ground points over clean points"),
-            number(f"ground_{side}_tilt_deg", "angle of the PCA axis to +Z; above 10 the cut uses +Z", "deg"),
+            number(f"ground_{side}_tilt_deg", "angle of the PCA axis to +Z; above 10 the cut is along +Z", "deg"),
             count(f"n_communities_{side}", "objects of this side"),
         ]
     fields += [
         *(score_column(METRIC[name]) for name in ("n_matched", "n_missing", "n_hallucinated")),
         count("n_scored", "matched objects with spectral scores"),
-        count("n_identical", "matched objects whose Laplacians do not differ"),
+        count("n_identical", "matched objects with equal Laplacians"),
         count("n_too_small", "matched objects with fewer than 3 nodes"),
         score_column(METRIC["match_rate"]),
         number("median_range_matched_m", "median distance of matched real objects from the sensor", "m"),
@@ -283,7 +280,7 @@ def _pair_columns() -> list[pa.Field]:
         fields += [
             count(f"sensor_{side}_beams", "beams of the sensor, estimated from the scan"),
             number(f"sensor_{side}_azimuth_step_deg", "angle between two firings of a beam", "deg"),
-            number(f"sensor_{side}_range_quantum_m", "ranges are multiples of it; null if none is seen", "m"),
+            number(f"sensor_{side}_range_quantum_m", "ranges are multiples of it; null if not detected", "m"),
             number(f"sensor_{side}_range_noise_m", "standard deviation along the ray on smooth surfaces", "m"),
             number(f"sensor_{side}_lost_share", "share of the pulses within visible surfaces that have no return"),
         ]
@@ -300,7 +297,7 @@ TIMINGS = table(
     column("stage", STRING, "name of the stage, such as ground"),
     column("step", STRING, "read, write, or a step of the method"),
     column("seconds", FLOAT64, "wall time of the step", "s"),
-    column("reused", BOOL, "the result was reused: the seconds are of the run that made it"),
+    column("reused", BOOL, "the result was reused: the seconds are those of the run that computed it"),
 )
 
 #: All tables by name; the name is also the folder or file in a run.
@@ -318,14 +315,14 @@ _TYPES = {str(CONSTANT): "string", "double": "float64", "float": "float32"}
 
 
 def to_markdown() -> str:
-    """All tables for people: a heading for each, and its columns."""
+    """Markdown of all tables: a heading and the columns of each."""
     return "\n".join(f"### {table.name}\n\n{columns_to_markdown(table)}" for table in TABLES.values())
 
 
 def columns_to_markdown(table: Table) -> str:
-    """The columns of a table for people, with type, unit, whether null is allowed, meaning, and what sorts its rows."""
+    """Markdown of a table: the sort keys of its rows, and type, unit, nullability and meaning of each column."""
     rows = [f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", ""]
-    rows += ["| column | type | unit | null | what |", "|---|---|---|---|---|"]
+    rows += ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
     for field in table.schema:
         kind = _TYPES.get(str(field.type), str(field.type))
         unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))

@@ -19,13 +19,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 CHECKED = ("README.md", "SECURITY.md", "runs/README.md", "docs", "pipeline", "stages", "schemas")
 #: Not clean yet; entries only go.
-NOT_YET = ("docs", "pipeline", "stages", "schemas", "README.md", "SECURITY.md", "runs/README.md")
+NOT_YET = ("docs", "pipeline", "stages", "schemas/re", "schemas/settings", "README.md", "SECURITY.md", "runs/README.md")
 
 #: Regular expressions, without case, and what to write instead.
 EXPRESSIONS = {
     r"wanted|unwanted": "expected X; requested; stale",
     r"(?<!there )(is|are|was|were) no (?!longer|more\b)\w+": "is not an X",
-    r"(?<!there )(is|are) none|none is|none are": "is not one; is not a number",
+    r"(?<!there )(is|are) (?-i:none)|(?-i:none) (is|are)": "is not one; is not a number",
     r"there already|(?<!\w )(is|are) there (and|or)\b|(is|are) there(?=[,;.:])": "exists, already exists",
     r"refus(es?|ed|ing)(?! to)|refusals?": "rejects; raises E if ...",
     r"faults?(?! (toleran|inject))": "error, problem",

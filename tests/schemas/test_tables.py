@@ -18,19 +18,19 @@ def test_every_key_is_a_column():
 
 def test_a_missing_column_is_refused():
     rows = COMMUNITIES.build({"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)})
-    with pytest.raises(ValueError, match="table communities: columns .* found"):
+    with pytest.raises(ValueError, match="table communities: expected columns"):
         COMMUNITIES.check(rows.drop_columns(["side"]))
 
 
 def test_another_type_is_refused():
     rows = COMMUNITIES.build({"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)})
     wrong = rows.set_column(2, "point_id", pa.array([1, 2, 3], pa.int64()))
-    with pytest.raises(ValueError, match="column point_id: int64 found, int32 wanted"):
+    with pytest.raises(ValueError, match="column point_id: expected int32, got int64"):
         COMMUNITIES.check(wrong)
 
 
 def test_a_null_where_none_is_allowed_is_refused():
-    with pytest.raises(ValueError, match="table metrics, column n_real: 1 nulls found"):
+    with pytest.raises(ValueError, match="table metrics, column n_real: expected no nulls, got 1"):
         METRICS.from_rows([{"pair_id": "a", "real_id": 0, "sim_id": 0, "status": "scored"}])
 
 
