@@ -1,7 +1,7 @@
-"""Names for the array types of the stages, and the hook by which a caller follows the steps of one.
+"""Array types of the stages, and the hook for timing the steps of a stage.
 
-A stage reads no clock. Where it has steps worth timing it enters `watch("step")` around each of them;
-whoever calls decides what that does. By default it does nothing.
+A stage reads no clock. It enters `watch("step")` around each step worth timing; the caller decides what that does.
+By default it does nothing.
 """
 
 from __future__ import annotations
@@ -22,5 +22,5 @@ Watch = Callable[[str], AbstractContextManager[None]]
 
 
 def unwatched(step: str) -> AbstractContextManager[None]:
-    """The watch that does nothing."""
+    """Do nothing: the default watch."""
     return nullcontext()

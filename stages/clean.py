@@ -1,4 +1,4 @@
-"""Decides which points of a scan are measurements, and in which frame they lie."""
+"""Cleaning of a scan: drop points that are not measurements, and convert the rest to the real sensor's frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..schemas.settings import Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IntArray
 
-#: For x forward, y left and z up, which column of a frame each is, and its sign.
+#: Column and sign of x forward, y left and z up in each frame.
 _AXES: dict[FrameName, tuple[tuple[int, int, int], tuple[float, float, float]]] = {
     "ros": ((0, 1, 2), (1.0, 1.0, 1.0)),
     "carla": ((0, 1, 2), (1.0, -1.0, 1.0)),
@@ -21,7 +21,7 @@ _AXES: dict[FrameName, tuple[tuple[int, int, int], tuple[float, float, float]]] 
 
 @dataclass(frozen=True)
 class CleanResult:
-    """What is left of a scan.
+    """Points of a scan that are measurements.
 
     point_ids : (m,) int32, rows of the input, ascending
     points : (m, 3) float64, metres, real sensor's frame, x forward, y left, z up
@@ -40,18 +40,18 @@ def clean_scan(
     frame: FrameName = "ros",
     T_real_sim: FloatArray | None = None,
 ) -> CleanResult:
-    """Points that are measurements, in the real sensor's frame.
+    """Drop points that are not measurements, and return the others in the real sensor's frame.
 
-    In this order are dropped: points that are not finite; exact (0, 0, 0); exact duplicates of an earlier row;
-    points whose range |p| is outside [min_range_m, max_range_m]; points inside `exclude_box`. All these are judged
-    in the scan's own frame. Then the axes are turned to x forward, y left, z up, p becomes R p + t if `T_real_sim` =
-    [R | t] is given, and points outside `include_box` are dropped.
+    In the scan's own frame these points are dropped, in this order: points that are not finite; exact (0, 0, 0); exact
+    duplicates of an earlier row; points with a range |p| outside [min_range_m, max_range_m]; points inside
+    `exclude_box`. Then the axes are converted to x forward, y left, z up, p becomes R p + t if `T_real_sim` = [R | t]
+    is given, and points outside `include_box` are dropped.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, the scan's own frame; may hold NaN and infinities
     settings : ranges and boxes
-    frame : whose axes the scan has; see `as_ros`
+    frame : frame that defines the axes of the scan; see `as_ros`
     T_real_sim : (3, 4) float64, maps the simulated sensor's frame into the real one's, both x forward, y left, z up
 
     Examples
@@ -65,11 +65,11 @@ def clean_scan(
     ids = np.arange(len(points), dtype=np.int32)
     dropped: dict[str, int] = {}
 
-    def drop(reason: str, unwanted: BoolArray) -> None:
+    def drop(reason: str, is_dropped: BoolArray) -> None:
         nonlocal ids, points
-        dropped[reason] = int(np.count_nonzero(unwanted))
+        dropped[reason] = int(np.count_nonzero(is_dropped))
         if dropped[reason]:
-            ids, points = ids[~unwanted], points[~unwanted]
+            ids, points = ids[~is_dropped], points[~is_dropped]
 
     drop("not_finite", ~_all(np.isfinite(points)))
     drop("zero", _all(points == 0))
@@ -88,12 +88,12 @@ def clean_scan(
 
 
 def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
-    """The points with x forward, y left and z up (REP 103), (n, 3) float64; the same array where they have these axes.
+    """Points converted to x forward, y left and z up (REP 103), (n, 3) float64; the input array if frame is "ros".
 
     Parameters
     ----------
     points : (n, 3) float64, metres
-    frame : that they are recorded in: "ros"; "carla", left-handed; "nuscenes", that of its LIDAR_TOP; "kitti-cam"
+    frame : frame of the recording: "ros"; "carla", left-handed; "nuscenes", that of its LIDAR_TOP; "kitti-cam"
 
     Examples
     --------
@@ -104,17 +104,17 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     if frame == "ros":
         return points
     columns, signs = _AXES[frame]
-    turned: FloatArray = points[:, columns] * np.array(signs)
-    return turned
+    converted: FloatArray = points[:, columns] * np.array(signs)
+    return converted
 
 
 def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], settings: InputSettings) -> str:
-    """Why a scan cannot be used of which cleaning has left too little, and what may be done about it.
+    """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 
     Examples
     --------
     >>> too_few_left(5, 8, {"too_near": 9, "too_far": 2}, InputSettings())
-    '5 points are left after cleaning (9 too near, 2 too far), at least 8 are needed; lower input.min_range_m (now 2.5)'
+    'expected at least 8 points after cleaning, got 5 (9 too near, 2 too far); lower input.min_range_m (now 2.5)'
     """
     counts = {reason: n for reason, n in dropped.items() if n}
     why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()) or "no more in the file"
@@ -124,15 +124,12 @@ def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], setting
         "in_exclude_box": "shrink input.exclude_box",
         "outside_include_box": "widen input.include_box",
     }
-    remedy = remedies.get(max(counts, key=counts.__getitem__, default=""), "is the export whole?")
-    if not n_left:
-        return f"no point is left after cleaning ({why}); {remedy}"
-    left = "1 point is left" if n_left == 1 else f"{n_left} points are left"
-    return f"{left} after cleaning ({why}), at least {n_fewest} are needed; {remedy}"
+    remedy = remedies.get(max(counts, key=counts.__getitem__, default=""), "check that the export is complete")
+    return f"expected at least {n_fewest} points after cleaning, got {n_left} ({why}); {remedy}"
 
 
 def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:
-    """Whether an earlier row has the same coordinates, (n,) bool."""
+    """True for points with the same coordinates as an earlier row, (n,) bool."""
     order = np.lexsort(points.T)  # stable, so that of equal rows the first comes first
     in_order = points[order]
     repeats = np.zeros(len(points), dtype=np.bool_)
@@ -141,7 +138,7 @@ def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:
 
 
 def _inside(points: FloatArray, box: Box | None, *, default: bool) -> BoolArray:
-    """Whether a point lies in the box, bounds included, (n,) bool; the default for all where there is no box."""
+    """True for points in the box, bounds included, (n,) bool; the default for all points without a box."""
     if box is None:
         return np.full(len(points), default)
     low, high = np.array(box[:3]), np.array(box[3:])
@@ -149,6 +146,6 @@ def _inside(points: FloatArray, box: Box | None, *, default: bool) -> BoolArray:
 
 
 def _all(flags: BoolArray) -> BoolArray:
-    """Whether a whole row is true, (n,) bool."""
+    """True for rows that are all true, (n,) bool."""
     rows: BoolArray = np.logical_and.reduce(flags, axis=1)
     return rows

@@ -1,4 +1,4 @@
-"""Decides which points form one object: Louvain communities of the graph.
+"""Partition of the points into objects: Louvain communities of the graph.
 
 Paper, section "Object-Level Decomposition via Communities".
 """
@@ -15,7 +15,7 @@ from ..schemas.settings import CommunitySettings
 from .arrays import IntArray
 from .linalg.subgraph import Edges, connected_pieces, upper_half
 
-#: Smallest gain of modularity for which a level is gone through once more, and for which another level is begun.
+#: Smallest gain of modularity for another pass over a level, and for another level.
 TOLERANCE_OPTIMISATION = 1e-3
 _TOLERANCE_AGGREGATION = 1e-7
 
@@ -40,21 +40,21 @@ def find_communities(
     order: IntArray | None = None,
     tolerance: float = TOLERANCE_OPTIMISATION,
 ) -> Partition:
-    """A partition of the nodes that maximises modularity, found by Louvain's method.
+    """Partition of the nodes that maximises modularity by Louvain's method.
 
     Q = 1/2m sum_ij (A_ij - k_i k_j / 2m) delta(c_i, c_j), with A the edge lengths as stored (float32), k the weighted
     degrees, 2m their sum (Newman, PNAS 2006; Blondel et al., J. Stat. Mech. 2008). Both backends visit the nodes
-    in a random order that `seed` fixes. Nodes without edges are communities of their own. Where no edge has a length
-    (there is none, or all are below 1e-45 m, which float32 does not hold) the communities are the connected pieces of
-    the graph, and Q is 0.
+    in a random order that `seed` fixes. Nodes without edges form separate communities. If no edge has a length (no
+    edges, or all below 1e-45 m, the limit of float32) the communities are the connected components of the graph, and
+    Q is 0.
 
     Parameters
     ----------
     n_nodes : number of nodes
     edges : undirected, by node index
     settings : backend and seed
-    order : (n,) int32, the nodes as they are visited, instead of the order that the seed gives
-    tolerance : of scikit-network: least gain of modularity for which a level is gone through once more
+    order : (n,) int32, nodes in the order of the visits; by default a random order from the seed
+    tolerance : of scikit-network: smallest gain of modularity for another pass over a level
 
     Examples
     --------
@@ -75,7 +75,7 @@ def find_communities(
 
 
 def modularity(labels: IntArray, edges: Edges) -> float:
-    """Q of a partition: sum over communities c of w_c / m - (k_c / 2m)^2.
+    """Modularity Q of a partition: sum over communities c of w_c / m - (k_c / 2m)^2.
 
     m is the total edge length, w_c that inside c, k_c the sum of the degrees of the nodes of c.
 
@@ -94,12 +94,12 @@ def modularity(labels: IntArray, edges: Edges) -> float:
 
 
 def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) -> IntArray:
-    """The same partition, (n,) int32, with ids by size descending, of equal sizes by smallest node.
+    """Partition with ids by size descending, for equal sizes by smallest node, (n,) int32.
 
     Parameters
     ----------
     labels : (n,), any numbers
-    order : (n,) int32, the nodes in the order that tells which is the smallest; by default their own
+    order : (n,) int32, nodes in the order that defines the smallest one; by default ascending
     """
     order = np.arange(len(labels), dtype=np.int32) if order is None else order
     _, first, dense, size = np.unique(labels[order], return_index=True, return_inverse=True, return_counts=True)
@@ -111,7 +111,7 @@ def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) ->
 
 
 def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | None, tolerance: float) -> IntArray:
-    """As with `shuffle_nodes=True`, whose order of nodes it takes; but sorting the shuffled matrix costs a quarter."""
+    """Louvain in the node order of `shuffle_nodes=True`, but sorting the shuffled matrix costs a quarter."""
     from sknetwork.clustering import Louvain
 
     if order is None:
@@ -131,7 +131,7 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
 
 
 def _shuffled_adjacency(n_nodes: int, edges: Edges, order: IntArray, place: IntArray) -> sparse.csr_matrix:
-    """The adjacency matrix with node order[i] in row i = place[order[i]]; a transposition sorts it in linear time."""
+    """Adjacency matrix with node order[i] in row i = place[order[i]]; a transposition sorts it in linear time."""
     half = upper_half(n_nodes, edges)[order]
     half.indices = place[half.indices]
     half.has_sorted_indices = False
@@ -140,7 +140,7 @@ def _shuffled_adjacency(n_nodes: int, edges: Edges, order: IntArray, place: IntA
 
 
 def _python_louvain(n_nodes: int, edges: Edges, seed: int, order: IntArray | None) -> IntArray:
-    """By default nodes and edges in ascending order; the library draws the order of its visits by the seed."""
+    """Louvain with nodes and edges in ascending order by default; the seed fixes the library's order of visits."""
     import community
     import networkx
 

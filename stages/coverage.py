@@ -1,4 +1,4 @@
-"""How much of each side's surface the other side has, whatever the objects are: missing and invented surface."""
+"""Coverage: share of each side's surface that the other side has, regardless of the objects."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from scipy.spatial import cKDTree
 from ..schemas.record import SURFACE_STATES
 from .arrays import BoolArray, FloatArray, IntArray
 
-#: A point is covered if the other side has a point at most so far away.
+#: A point is covered if the other side has a point within this distance.
 COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
+#: Limits of the covered share for an unmatched object whose surface is on the other side, and for one whose is not.
 THERE, ABSENT = 0.8, 0.2
-#: Of an object that is road to the other side, more than this share of the points lies below the other side's cut.
+#: An object is road to the other side if more than this share of its points is below the other side's cut.
 ROAD = 0.5
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How much of some sets of points is covered; NaN of a set without points.
+    """Covered share of several sets of points; NaN for a set without points.
 
     n_points : (c,) int32
     covered : (c, 3) float64, share of the points at most 0.1, 0.3 and 1.0 m from the other side
-    median_distance_m : (c,) float64, of the distances to the other side
-    road_share : (c,) float64, share of the points that are road to the other side; NaN where that is not known
+    median_distance_m : (c,) float64, median distance to the other side
+    road_share : (c,) float64, share of the points that are road to the other side; NaN if unknown
     """
 
     n_points: IntArray
@@ -34,10 +35,10 @@ class Coverage:
 
 
 def surface_state(covered: float) -> str:
-    """What an unmatched object is, by the share of its points that the other side has within 0.3 m.
+    """State of an unmatched object by the share of its points with a point of the other side within 0.3 m.
 
-    Above 0.8 its surface is there and only divided differently, up to 0.2 it is absent, between them partly there. The
-    limits are fidpipe's.
+    Above 0.8 the other side has its surface and only partitions it differently ("there"), up to 0.2 the surface is
+    absent, between them it is partly there. The limits are defined by fidpipe.
 
     Examples
     --------
@@ -61,14 +62,14 @@ def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, Fl
 
 
 def below_cut(points: FloatArray, axis: FloatArray, threshold_m: float | None) -> BoolArray | None:
-    """Which points of a side the other side's ground cut would have taken for road, (n,); None if it made no cut.
+    """True for points of a side below the other side's ground threshold, (n,) bool; None if that side has no threshold.
 
-    p . axis < threshold. What one side's cut removed and the other's left stays as objects that are road (fidpipe).
+    p . axis < threshold. Road that one side's cut removed and the other's kept remains as objects (defined by fidpipe).
 
     Parameters
     ----------
     points : (n, 3) float64, metres, object points
-    axis, threshold_m : (3,) and metres, of the other side's cut; see `ground.GroundResult`
+    axis, threshold_m : (3,) and metres, cut of the other side; see `ground.GroundResult`
 
     Examples
     --------
@@ -80,16 +81,17 @@ def below_cut(points: FloatArray, axis: FloatArray, threshold_m: float | None) -
 
 
 def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: BoolArray | None = None) -> Coverage:
-    """The coverage of each object of a side, by id.
+    """Coverage of each object of a side, by id.
 
-    covered_r = |{p : min_q |p - q| <= r}| / n, p of the object, q any object point of the other side (fidpipe).
+    covered_r = |{p : min_q |p - q| <= r}| / n, p of the object, q any object point of the other side (defined by
+    fidpipe).
 
     Parameters
     ----------
-    distance_m : (n,) float64, of each point to the other side
+    distance_m : (n,) float64, distance of each point to the other side
     labels : (n,) int32, object of each point, ids from 0; -1 for none
-    n_ids : how many ids there are at least
-    is_road : (n,) bool, points that are road to the other side, see `below_cut`; None if that is not known
+    n_ids : minimum number of ids
+    is_road : (n,) bool, points that are road to the other side, see `below_cut`; None if unknown
 
     Examples
     --------

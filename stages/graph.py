@@ -1,4 +1,4 @@
-"""Decides which object points are joined, and how long each edge is (paper, section "From Point Clouds to Graphs")."""
+"""Graph of the object points: edges and their lengths (paper, section "From Point Clouds to Graphs")."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from ..schemas.settings import GraphSettings
 from .arrays import FloatArray, IndexArray, IntArray
 from .linalg.subgraph import Edges
 
-#: More pairs of points within tau than this are not joined: their graph takes about 10 GB.
-MOST_CLOSE_PAIRS = 10**8
+#: More pairs of points within tau are rejected: their graph would need about 10 GB.
+MAX_CLOSE_PAIRS = 10**8
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 _LEAF_SIZE = 32
 
-Arcs = tuple[NDArray[np.integer], NDArray[np.integer]]  #: the two ends of each
+Arcs = tuple[NDArray[np.integer], NDArray[np.integer]]  #: the two ends of each arc
 
 
 def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     """Edges between near points, weighted by distance.
 
     (i, j) is an edge if j is among the k nearest neighbours of i or i among those of j (ties at the k-th distance go
-    to the smaller index, or with `ties = "coordinates"` to the point that is first by x, y, z, whatever the order of
-    rows), or if |x_i - x_j| <= tau; with `edges = "intersection"` both must hold.
+    to the smaller index, or with `ties = "coordinates"` to the first point by x, y, z, independent of row order), or if
+    |x_i - x_j| <= tau; with `edges = "intersection"` both must hold.
     A_ij = |x_i - x_j|_2, rounded to float32 (paper, equation "main_graph": a distance, not a similarity).
 
     Parameters
     ----------
     points : (n, 3) float64, metres, finite; fewer than two have no edges
-    settings : k (at most n - 1 are taken), tau_m, edges, ties
+    settings : k (limited to n - 1), tau_m, edges, ties
 
     Raises
     ------
     StageError
-        More than 10^8 pairs of points lie within tau; or, with `edges = "intersection"`, at no distance that float64
-        holds (1e-162 m).
+        More than 10^8 pairs of points are within tau, or, with `edges = "intersection"`, at the same place (below
+        1e-162 m, the limit of float64).
 
     Examples
     --------
@@ -52,20 +52,20 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
         return Edges(empty, empty, np.empty(0, dtype=np.float32))
     near_m = settings.tau_m if settings.edges == "union" else 0.0
     if np.linalg.norm(np.ptp(points, axis=0)) <= near_m:  # a tree would compare all with all
-        _refuse_crowd(points, near_m, settings)
+        _reject_crowd(points, near_m, settings)
     tree = cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
     precedence = np.arange(n) if settings.ties == "point_id" else np.argsort(np.lexsort(points.T[::-1]))
     distance, nearest = tree.query(points, k=min(k + 2, n))
-    # Where the k-th neighbour is farther than tau, all that lie within tau are neighbours already.
+    # If the k-th neighbour is farther than tau, all points within tau are neighbours already.
     crowded = np.flatnonzero(distance[:, k] <= near_m * (1 + _SLACK))
-    _refuse_crowd(points[crowded], near_m, settings)
+    _reject_crowd(points[crowded], near_m, settings)
     neighbours = _nearest(tree, points, k, distance, nearest, precedence)
     arcs: list[Arcs] = [(np.repeat(np.arange(n), k), neighbours.ravel())]
     if settings.edges == "union":
         near, other = _within(points[crowded], settings.tau_m)
         arcs.append((crowded[near], crowded[other]))
-    src, dst = _joined(arcs, n)
+    src, dst = _unique_pairs(arcs, n)
     length_m = _distance(points, src, dst)
     if settings.edges == "intersection":
         inside = length_m <= settings.tau_m
@@ -73,26 +73,26 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     return Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
 
 
-def _refuse_crowd(points: FloatArray, near_m: float, settings: GraphSettings) -> None:
-    """Raises a `StageError` where too many pairs of these points lie within `near_m`."""
+def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) -> None:
+    """Raise a `StageError` if too many pairs of these points are within `near_m`."""
     n = len(points)
-    if n * (n - 1) // 2 <= MOST_CLOSE_PAIRS:
+    if n * (n - 1) // 2 <= MAX_CLOSE_PAIRS:
         return
     tree = cKDTree(points, leafsize=_LEAF_SIZE)
     n_pairs = (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
-    if n_pairs > MOST_CLOSE_PAIRS:
+    if n_pairs > MAX_CLOSE_PAIRS:
         raise StageError(
-            f"{n_pairs} pairs of points lie within {near_m:g} m of each other, at most {MOST_CLOSE_PAIRS} can be "
-            f"joined; lower graph.tau_m (now {settings.tau_m:g}), raise input.min_range_m, or thin the scan"
+            f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, got {n_pairs}; "
+            f"lower graph.tau_m (now {settings.tau_m:g}), raise input.min_range_m, or downsample the scan"
         )
 
 
 def _nearest(
     tree: cKDTree, points: FloatArray, k: int, distance: FloatArray, nearest: IndexArray, precedence: IndexArray
 ) -> IntArray:
-    """The k nearest neighbours of each point, (n, k), ties by smaller precedence, from what the tree found."""
+    """The k nearest neighbours of each point, (n, k), ties by smaller precedence, from the answer of the tree."""
     neighbours = nearest[:, 1 : k + 1].astype(np.int32)
-    is_open = nearest[:, 0] != np.arange(len(points))  # not the point itself is the first: another one lies upon it
+    is_open = nearest[:, 0] != np.arange(len(points))  # another point at the same place comes first
     if nearest.shape[1] > k + 1:
         is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
     for i in np.flatnonzero(is_open):
@@ -103,7 +103,7 @@ def _nearest(
 def _nearest_of_one(
     tree: cKDTree, points: FloatArray, i: int, radius: float, k: int, precedence: IndexArray
 ) -> IndexArray:
-    """The k nearest neighbours of point i, (k,), ties by smaller precedence, from all that lie within the radius."""
+    """The k nearest neighbours of point i, (k,), ties by smaller precedence, from all points within the radius."""
     ball = np.array(tree.query_ball_point(points[i], radius * (1 + _SLACK)), dtype=np.intp)
     ball = ball[ball != i]
     distance = _distance(points, np.full(len(ball), i), ball)
@@ -112,7 +112,7 @@ def _nearest_of_one(
 
 
 def _within(points: FloatArray, tau_m: float) -> IndexArray:
-    """The pairs at most tau apart, (2, m)."""
+    """Pairs of points at most tau apart, (2, m)."""
     if len(points) < 2:
         return np.empty((2, 0), dtype=np.intp)
     src, dst = cKDTree(points).query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
@@ -120,8 +120,8 @@ def _within(points: FloatArray, tau_m: float) -> IndexArray:
     return np.array([src[inside], dst[inside]])
 
 
-def _joined(arcs: list[Arcs], n: int) -> tuple[IndexArray, IndexArray]:
-    """The pairs of nodes that an arc of any list joins in either direction, smaller index first, ascending."""
+def _unique_pairs(arcs: list[Arcs], n: int) -> tuple[IndexArray, IndexArray]:
+    """Pairs of nodes with an arc in either direction in any list, smaller index first, ascending, each once."""
     codes = np.concatenate([np.minimum(a, b, dtype=np.int64) for a, b in arcs])
     codes *= n
     codes += np.concatenate([np.maximum(a, b) for a, b in arcs])
@@ -132,7 +132,7 @@ def _joined(arcs: list[Arcs], n: int) -> tuple[IndexArray, IndexArray]:
 
 
 def _distance(points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.integer]) -> FloatArray:
-    """|x_src - x_dst|, always by the same order of operations, so that ties are ties; symmetric to the last bit."""
+    """|x_src - x_dst| in a fixed order of operations, so that ties are exact; symmetric to the last bit."""
     squared = np.zeros(len(src))
     for axis in points.T:
         along = np.ascontiguousarray(axis)

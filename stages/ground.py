@@ -1,4 +1,4 @@
-"""Decides which points are road: the PCA Z-cut of the paper ("Data Collection and Graph Build-up")."""
+"""Ground removal: the PCA Z-cut of the paper ("Data Collection and Graph Build-up")."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _ROUNDING_M = 1e-9
 
 @dataclass(frozen=True)
 class GroundResult:
-    """A cut and what it does to one scan.
+    """A ground cut and its effect on one scan.
 
     is_ground : (n,) bool
     height_m : (n,) float64, along the axis, from the road's peak
     axis : (3,) float64, unit vector along which heights are measured
     tilt_deg : angle of the PCA axis to +Z; above 10 degrees `axis` is +Z instead
-    peak_m, threshold_m : heights p . axis of the road and of the cut; threshold null where the method has none
-    loss, iterations : variance loss at the threshold, and how often it was lowered; null likewise
-    notes : what a user should know about this cut
+    peak_m, threshold_m : heights p . axis of the road and of the cut; threshold None if the method has none
+    loss, iterations : variance loss at the threshold, and number of times it was lowered; None without a threshold
+    notes : notes for the user about this cut
     """
 
     is_ground: BoolArray
@@ -56,9 +56,9 @@ def remove_ground(
     shared: GroundResult | None = None,
     real_points: FloatArray | None = None,
 ) -> GroundResult:
-    """Ground flags of a scan by a cut through its heights.
+    """Classify points of a scan as ground by a cut through their heights.
 
-    The PCA axis nearest +Z gives heights h = p . axis (+Z itself if the axis is tilted by more than 10 degrees).
+    Heights are h = p . axis along the PCA axis nearest +Z (+Z itself if the axis is tilted by more than 10 degrees).
     The road's peak is the median of the fullest 0.1 m window over the sorted heights of the points within 30 m
     (the lowest of equally full windows). The threshold z starts at peak + `prior_m`; while its variance loss is above
     `max_variance_loss` and z is above the peak it is lowered by 0.05 m, the last step ending at the peak. Points with
@@ -78,11 +78,11 @@ def remove_ground(
     Raises
     ------
     StageError
-        Fewer than 8 points come in or are left; patchwork is asked for and not installed.
+        Fewer than 8 points before or after the cut; or patchwork is requested and not installed.
     """
     if len(points) < MIN_OBJECT_POINTS:
         raise StageError(
-            f"{len(points)} points after cleaning, at least {MIN_OBJECT_POINTS} are needed; "
+            f"expected at least {MIN_OBJECT_POINTS} points after cleaning, got {len(points)}; "
             "look at the dropped points in fidpipe check, and at input.min_range_m and input.max_range_m"
         )
     notes: list[str] = []
@@ -90,8 +90,8 @@ def remove_ground(
         shared = _follow_road(shared, real_points, points)
         if shared is None:
             notes.append(
-                f"fewer than {MIN_COMMON_CELLS} cells within {NEAR_M:.0f} m hold points of both sides; "
-                "the road's peak is that of this side alone"
+                f"fewer than {MIN_COMMON_CELLS} cells within {NEAR_M:.0f} m have points of both sides; "
+                "the road's peak is that of this side only"
             )
     if shared is not None:
         axis, tilt_deg = shared.axis, shared.tilt_deg
@@ -129,14 +129,14 @@ def remove_ground(
     n_left = len(points) - int(np.count_nonzero(is_ground))
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
-            f"{n_left} object points after ground removal, at least {MIN_OBJECT_POINTS} are needed; "
+            f"expected at least {MIN_OBJECT_POINTS} object points after ground removal, got {n_left}; "
             f"lower ground.prior_m (now {settings.prior_m:g}) or choose another ground.method (now {settings.method})"
         )
     return GroundResult(is_ground, height - peak_m, axis, tilt_deg, peak_m, threshold_m, loss, iterations, tuple(notes))
 
 
 def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) -> str:
-    """A note if the sides are cut at road peaks of their own that differ by more than 5 cm, else ""."""
+    """Note for two sides that are cut at different road peaks, more than 5 cm apart; else ""."""
     above_m = sim_peak_m - real_peak_m
     if settings.shared or settings.peak == "real" or abs(above_m) <= PEAKS_APART_M:
         return ""
@@ -148,7 +148,7 @@ def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) 
 
 
 def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
-    """The principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
+    """Principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
     from sklearn.decomposition import PCA
 
     with np.errstate(divide="ignore", invalid="ignore"):  # the shares of a variance that underflows; not used
@@ -160,7 +160,7 @@ def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _fullest_window_median(height: FloatArray) -> float:
-    """Median of the heights inside the fullest closed window of 0.1 m; of equally full ones the lowest."""
+    """Median of the heights inside the fullest closed window of 0.1 m; for equally full windows the lowest."""
     in_order = np.sort(height)
     end = np.searchsorted(in_order, in_order + WINDOW_M, side="right")
     start = int(np.argmax(end - np.arange(len(in_order))))
@@ -168,11 +168,11 @@ def _fullest_window_median(height: FloatArray) -> float:
 
 
 def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> GroundResult | None:
-    """The real side's cut moved by the height of the simulated road above the real one; None if they share no road.
+    """Move the real side's cut by the height of the simulated road above the real one; None without a common road.
 
-    The plane x, y is divided into cells of 0.5 m. In each cell with points of both sides within 30 m, the difference of
+    The plane x, y is split into cells of 0.5 m. In each cell with points of both sides within 30 m, the difference of
     the median heights is taken; the road's is the median of the fullest 0.1 m window over these differences. Walls and
-    holes change single cells, and a slope changes both sides alike. At least 20 such cells are needed.
+    holes change single cells, and a slope changes both sides equally. At least 20 such cells are needed.
     """
     near = [side[np.linalg.norm(side, axis=1) <= NEAR_M] for side in (real, sim)]
     cells = np.floor(np.vstack(near)[:, :2] / CELL_M).astype(np.int64)
@@ -190,7 +190,7 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
 def _lower_threshold(
     points: FloatArray, height: FloatArray, peak_m: float, settings: GroundSettings
 ) -> tuple[float, float, int]:
-    """Threshold, its loss, and how often it was lowered."""
+    """Threshold, its loss, and the number of times it was lowered."""
     iterations = 0
     while True:
         above_peak_m = settings.prior_m - iterations * STEP_M
@@ -204,24 +204,24 @@ def _lower_threshold(
 def _variance_loss(
     points: FloatArray, height: FloatArray, removed: BoolArray, peak_m: float, settings: GroundSettings
 ) -> float:
-    """The share of the scan's variance that goes with the removed points, in the reading that `loss` chooses."""
+    """Share of the scan's variance that is lost with the removed points, by the definition that `loss` selects."""
     if settings.loss == "total":
         total = float(points.var(axis=0).sum())
         kept = float(points[~removed].var(axis=0).sum()) if not removed.all() else 0.0
         return abs(kept - total) / total if total > 0 else 0.0
     scatter = _scatter(height)
     if scatter <= len(height) * _ROUNDING_M**2:
-        return 0.0  # a perfect plane: what is left of its heights is rounding
+        return 0.0  # a perfect plane: its heights differ by rounding only
     return _scatter(height[removed & (height > peak_m - DEPTH_M)]) / scatter
 
 
 def _scatter(height: FloatArray) -> float:
-    """Sum of squared distances from the mean; 0 of no points."""
+    """Sum of squared distances from the mean; 0 without points."""
     return float(((height - height.mean()) ** 2).sum()) if len(height) else 0.0
 
 
 def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
-    """Ground flags of patchwork++ (Lee, Lim and Myung, IROS 2022), the sensor's height being that of the peak."""
+    """Ground flags of patchwork++ (Lee, Lim and Myung, IROS 2022), with the sensor's height from the peak."""
     try:
         import pypatchworkpp
     except ImportError as error:
@@ -230,9 +230,9 @@ def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
         ) from error
     parameters = pypatchworkpp.Parameters()
     parameters.sensor_height = -peak_m
-    parameters.enable_RNR = False  # needs intensity, which a scan need not have
+    parameters.enable_RNR = False  # needs intensity, which is optional
     parameters.verbose = False
-    with _quiet_stdout():  # it says that it was initialised, whatever `verbose` is
+    with _quiet_stdout():  # it prints a message in spite of `verbose`
         estimator = pypatchworkpp.patchworkpp(parameters)
     estimator.estimateGround(np.column_stack([points, np.zeros(len(points))]).astype(np.float32))
     is_ground = np.zeros(len(points), dtype=np.bool_)
@@ -242,7 +242,7 @@ def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
 
 @contextmanager
 def _quiet_stdout() -> Iterator[None]:
-    """Drops what a library's compiled code writes to the standard output, which is for results."""
+    """Discard output of a library's compiled code to standard output, which is for results."""
     kept = os.dup(1)
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)

@@ -1,4 +1,4 @@
-"""Decides which real object is which simulated one: by centroids (paper, Algorithm 1), or because it was divided so."""
+"""Matching of real and simulated objects: by centroids (paper, Algorithm 1), or by the ids of reference objects."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .arrays import FloatArray, IndexArray, IntArray
 
 @dataclass(frozen=True)
 class Matching:
-    """Which objects both sides have.
+    """Matched and unmatched objects of both sides.
 
     real_ids, sim_ids : (m,) int32, matched communities, by real id
-    distance_m : (m,) float64, between their centroids
+    distance_m : (m,) float64, distance between their centroids
     missing : (a,) int32, real communities without a partner
     hallucinated : (b,) int32, simulated communities without a partner
     """
@@ -30,7 +30,7 @@ class Matching:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """The matched communities, (real id, sim id), by real id."""
+        """Matched communities, (real id, sim id), by real id."""
         return list(zip(self.real_ids.tolist(), self.sim_ids.tolist(), strict=True))
 
     @property
@@ -41,11 +41,11 @@ class Matching:
 
 
 def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSettings) -> Matching:
-    """Pairs of communities whose centroids are nearer than delta.
+    """Match communities with centroids nearer than delta.
 
-    greedy : real communities in id order; each takes the nearest simulated centroid that is still free (of equally
-        near ones the smaller id), if it is nearer than delta (Algorithm 1).
-    optimal : as many pairs nearer than delta as can be, and among those the least total distance.
+    greedy : real communities in id order; each is matched with the nearest simulated centroid that is still free (for
+        equal distances the smaller id), if it is nearer than delta (Algorithm 1).
+    optimal : the largest number of pairs nearer than delta, and among these the smallest total distance.
 
     Parameters
     ----------
@@ -72,16 +72,16 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
 
 
 def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: IntArray, min_points: int) -> Matching:
-    """The real objects of which enough is simulated, where the simulated side has the real side's ids.
+    """Match reference objects, whose ids are the same on both sides, if enough of them is simulated.
 
-    A real object is matched with the simulated one of its id, wherever that lies, if that has at least
+    A real object is matched with the simulated one of its id, regardless of the distance, if that has at least
     min(min_points, n_real) points; else it is missing. Simulated objects with higher ids are hallucinated.
 
     Parameters
     ----------
-    real, sim : (a, 3), (b, 3) float64, metres, centroids by id, b >= a; NaN where nothing is simulated
-    n_real, n_sim : (a,), (b,) int32, points of each
-    min_points : of a simulated object to count
+    real, sim : (a, 3), (b, 3) float64, metres, centroids by id, b >= a; NaN without simulated points
+    n_real, n_sim : (a,), (b,) int32, points of each object
+    min_points : minimum size of a simulated object
 
     Examples
     --------
@@ -91,15 +91,15 @@ def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: 
     >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist()
     ([0, 1], [], [2])
     """
-    is_there = n_sim[: len(n_real)] >= np.minimum(min_points, n_real)
+    is_matched = n_sim[: len(n_real)] >= np.minimum(min_points, n_real)
     ids = np.arange(len(n_sim), dtype=np.int32)
     shared = ids[: len(n_real)]
-    matched = shared[is_there]
+    matched = shared[is_matched]
     return Matching(
         real_ids=matched,
         sim_ids=matched,
         distance_m=np.linalg.norm(real[matched] - sim[matched], axis=1),
-        missing=shared[~is_there],
+        missing=shared[~is_matched],
         hallucinated=ids[len(n_real) :],
     )
 
@@ -120,9 +120,9 @@ def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArr
 
 
 def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Real and simulated ids of the most pairs at the least total distance, and their distances, by real id."""
+    """Ids of the largest number of pairs at the smallest total distance, and their distances, by real id."""
     distance = cdist(real, sim)
-    # A forbidden pair costs more than all allowed ones together, so first the fewest of them are used.
+    # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.
     forbidden = delta_m * (min(distance.shape) + 1)
     real_ids, sim_ids = linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))
     distance_m = distance[real_ids, sim_ids]

@@ -1,4 +1,4 @@
-"""Scores a matched object: how far its geometry and its structure have drifted."""
+"""Scores of a matched object: drift of its geometry and of its structure."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .selection import Selection
 
 MIN_NODES = 3
 IDENTICAL_CHANGE = 1e-5
-MOST_CHANGE = 2.0
+MAX_CHANGE = 2.0
 
 
 @dataclass(frozen=True)
 class Scores:
-    """The scores of one object; a spectral score is None where it cannot be computed, with the reason."""
+    """Scores of one object; a spectral score that cannot be computed is None, with the reason."""
 
     cdc: float
     alignment_rms_m: float
@@ -36,7 +36,7 @@ class Scores:
 
 
 def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: Watch = unwatched) -> Scores:
-    """Geometry (CDC) and structure (r_lambda, r_gap) of one matched object.
+    """Compute geometry (CDC) and structure (r_lambda, r_gap) scores of one matched object.
 
     With L_real, L_sim the normalised Laplacians of the reduced subgraphs, rows and columns of L_sim in the aligned
     order, dL = L_sim - L_real, and l_0 <= l_1 <= ... their spectra (paper, section "Graph-Based Validation Metrics"):
@@ -47,8 +47,8 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
     r_gap = |gap_sim - gap_real| / (2 laplacian_change), gap = l_1 - l_0; at most 0.5 because l_0 = 0 on both sides
     eigenspectrum_distance = |l(sim) - l(real)|_2
 
-    Where laplacian_change <= 1e-5 both ratios are 0 and the status is "identical": they would be ratios of roundings.
-    Fewer than 3 nodes have no spectral scores (status "too_small").
+    If laplacian_change <= 1e-5 both ratios are set to 0 and the status is "identical": they would be ratios of rounding
+    errors. Objects of fewer than 3 nodes have no spectral scores (status "too_small").
 
     Parameters
     ----------
@@ -68,11 +68,11 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
         laplacian_real = induced_laplacian(real, selection.real_nodes)
         laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
     with watch("norm"):
-        change = min(MOST_CHANGE, spectral_norm(laplacian_sim - laplacian_real))  # what is above is rounding
+        change = min(MAX_CHANGE, spectral_norm(laplacian_sim - laplacian_real))  # an excess is rounding
     with watch("spectra"):
         spectrum_real = eigenvalues(laplacian_real)
         spectrum_sim = eigenvalues(laplacian_sim) if change > 0 else spectrum_real  # of equal matrices, exactly equal
-    shift = min(MOST_CHANGE, float(np.max(np.abs(spectrum_sim - spectrum_real))))
+    shift = min(MAX_CHANGE, float(np.max(np.abs(spectrum_sim - spectrum_real))))
     gap_real, gap_sim = (float(spectrum[1] - spectrum[0]) for spectrum in (spectrum_real, spectrum_sim))
     is_identical = change <= IDENTICAL_CHANGE
     return Scores(
@@ -92,8 +92,8 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
 def chamfer_density_aware(real: FloatArray, sim: FloatArray) -> float:
     """CDC = mean_x min_y (1 - exp(-|x - y|^2)) + mean_y min_x (1 - exp(-|y - x|^2)), 0 to 2 (paper, equation "cdc").
 
-    x runs over the real points, y over the simulated ones, distances in metres, nothing is centred. Despite its
-    name in the paper this is not the published DCD of Wu et al. 2021, which also weighs by counts.
+    x are the real points, y the simulated ones, distances in metres, without centring. Despite its name in the paper
+    this is not the published DCD of Wu et al. 2021, which also weighs by counts.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Describes each community as an object: where it is, how large, of what shape."""
+"""Description of objects: place, size and shape of each community."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .arrays import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Objects:
-    """One row per community, by id; one without points has NaN.
+    """Place, size and shape, one row per community, by id; NaN for one without points.
 
     n_points : (c,) int32
     centroid : (c, 3) float64, metres, mean of the member points
@@ -32,16 +32,16 @@ class Objects:
 
 
 def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Objects:
-    """Size, place and shape of each community.
+    """Compute size, place and shape of each community.
 
     With l1 >= l2 >= l3 the eigenvalues of the covariance of the member points, linearity is (l1 - l2) / l1,
-    planarity (l2 - l3) / l1, scattering l3 / l1 (Demantke et al., ISPRS 2011); all three are 0 where l1 is 0.
+    planarity (l2 - l3) / l1, scattering l3 / l1 (Demantke et al., ISPRS 2011); all three are 0 if l1 is 0.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
     labels : (n,) int32, ids from 0; -1 for none
-    n_ids : how many ids there are at least; those that no point has have no points
+    n_ids : minimum number of ids; ids without a point have n_points 0
 
     Examples
     --------
@@ -62,13 +62,13 @@ def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Ob
 
 
 def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -> list[str | None]:
-    """The most frequent name in each community, of equals the first in the alphabet; None without names.
+    """Most frequent name in each community, for equal counts the first in the alphabet; None without names.
 
     Parameters
     ----------
     labels : (n,) int32, community of each point, ids from 0; -1 for none
-    n_ids : how many ids there are at least
-    names : (n,) class of each point, None where it has none
+    names : (n,) class of each point, or None
+    n_ids : minimum number of ids
     """
     counts: list[dict[str, int]] = [{} for _ in range(max(n_ids, int(labels.max()) + 1))]
     for community, name in zip(labels.tolist(), names, strict=True):

@@ -1,6 +1,6 @@
 """Surface pieces: connected parts of one side's objects where the other side has nothing, and which of them moved.
 
-A lost car is one missing piece even where Louvain put it into one community with the hedge behind it.
+A lost car is one missing piece even if Louvain puts it into one community with the hedge behind it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class CutScan:
 
     points : (n, 3) float64, metres, in the real sensor's frame
     is_ground : (n,) bool
-    height_m : (n,) float64, above the side's own road
+    height_m : (n,) float64, height above the road of the side
     """
 
     points: FloatArray
@@ -41,13 +41,13 @@ class CutScan:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The pieces of one side, by id: the largest first, of equally large ones the first by x, y, z.
+    """Pieces of one side, by id: by decreasing size, for equal sizes by x, y, z.
 
     labels : (n,) int32, piece of each clean point, -1 for none
-    share : of the side's object points, those in a piece
-    objects : number of points, centroid, extent and range of each
-    height_m : (c,) float64, of the lowest point above the road
-    partner : (c,) int32, piece of the other side that it moved to (or from); -1 for none
+    share : share of the side's object points that are in a piece
+    objects : number of points, centroid, extent and range of each piece
+    height_m : (c,) float64, height of the lowest point above the road
+    partner : (c,) int32, piece of the other side to (or from) which it moved; -1 for none
     moved_m : (c, 3) float64, vector from the real to the simulated piece; NaN for none
     """
 
@@ -65,15 +65,15 @@ class Pieces:
 
 
 def find_pieces(real: CutScan, sim: CutScan, settings: PieceSettings) -> tuple[Pieces, Pieces]:
-    """Missing pieces, of the real side, and invented pieces, of the simulated side.
+    """Find missing pieces of the real side and invented pieces of the simulated side.
 
-    A piece is a connected component, points at most link_m apart being linked, of the object points p of a side with
-    min_q |p - q| > reach_m over all points q of the other side, ground included; of at least min_points points. So a
-    strip of road that only one side's cut removed is not a piece.
+    A piece is a connected component (points at most link_m apart are linked) of at least min_points of those object
+    points p of a side with min_q |p - q| > reach_m over all points q of the other side, ground included. So a strip of
+    road that only one side's cut removed is not a piece.
 
     A missing and an invented piece are one object that *moved* if their centroids are at most 3 m apart, their extents
-    differ along each axis by at most max(0.5 m, a third of the larger), and each is the other's nearest such piece (of
-    equally near ones that of smaller id). The definitions are fidpipe's.
+    differ along each axis by at most max(0.5 m, a third of the larger), and each is the other's nearest such piece (for
+    equal distances the smaller id). These are definitions of fidpipe.
 
     Parameters
     ----------
@@ -110,16 +110,16 @@ def _label_pieces(own: CutScan, other: CutScan, settings: PieceSettings) -> IntA
     labels = np.full(len(own.points), -1, dtype=np.int32)
     objects = np.flatnonzero(~own.is_ground)
     distance_m, _ = cKDTree(other.points).query(own.points[objects])
-    alone = objects[distance_m > settings.reach_m]
-    alone = alone[np.lexsort(own.points[alone].T[::-1])]
-    ids = canonical_ids(connected_points(own.points[alone], settings.link_m))
+    uncovered = objects[distance_m > settings.reach_m]
+    uncovered = uncovered[np.lexsort(own.points[uncovered].T[::-1])]
+    ids = canonical_ids(connected_points(own.points[uncovered], settings.link_m))
     is_large = np.bincount(ids)[ids] >= settings.min_points  # the largest have the first ids
-    labels[alone[is_large]] = ids[is_large]
+    labels[uncovered[is_large]] = ids[is_large]
     return labels
 
 
 def _describe(own: CutScan, labels: IntArray) -> Objects:
-    """Size and place of the pieces of a side; to the last bit the same for every order of its rows."""
+    """Size and place of the pieces of a side; independent of row order to the last bit."""
     inside = np.flatnonzero(labels >= 0)
     if not len(inside):
         return Objects(np.empty(0, dtype=np.int32), *(np.empty((0, 3)) for _ in range(3)))
@@ -133,9 +133,9 @@ def _match_moved(missing: Objects, invented: Objects) -> tuple[IndexArray, Index
     near = next(trees).sparse_distance_matrix(next(trees), MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray")
     i, j, apart_m = near["i"], near["j"], np.round(near["v"], _ROUNDED_DIGITS)
     a, b = missing.extent[i], invented.extent[j]
-    is_alike = (np.abs(a - b) <= np.maximum(SIZE_SLACK_M, SIZE_SLACK * np.maximum(a, b))).all(axis=1)
+    is_similar = (np.abs(a - b) <= np.maximum(SIZE_SLACK_M, SIZE_SLACK * np.maximum(a, b))).all(axis=1)
     chosen = np.lexsort((j, i, apart_m))
-    chosen = chosen[(is_alike & (apart_m <= MOVED_WITHIN_M))[chosen]]
+    chosen = chosen[(is_similar & (apart_m <= MOVED_WITHIN_M))[chosen]]
     first_of_i, first_of_j = (np.unique(ids[chosen], return_index=True)[1] for ids in (i, j))
     both = chosen[np.intersect1d(first_of_i, first_of_j)]
     return i[both], j[both]

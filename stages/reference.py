@@ -1,7 +1,7 @@
-"""Decides what one object is on both sides, where the real side fixes the objects: `communities.objects = "reference"`.
+"""Reference objects: the real side defines the objects of both sides (`communities.objects = "reference"`).
 
-The real side is divided as if there were no simulation, and each simulated point belongs to the real object at which it
-lies. So two simulators are judged by the same objects, and what a simulation lacks cannot divide a real object anew.
+The real side is partitioned independently of the simulation, and each simulated point is assigned to the nearest real
+object. So two simulators are compared by the same objects, and missing simulated points cannot split a real object.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from .arrays import FloatArray, IndexArray, IntArray
 from .communities import canonical_ids, find_communities
 from .linalg.subgraph import Edges, connected_pieces, connected_points
 
-#: Where a scan has what the settings may ask for.
-_WHERE = {
-    "labels": "a column label, or a .label file beside the scan",
-    "instances": "a column instance, or the upper 16 bits of a .label file beside the scan",
+#: Sources of the annotations that the settings may request.
+_SOURCES = {
+    "labels": "a column label, or a .label file next to the scan",
+    "instances": "a column instance, or the upper 16 bits of a .label file next to the scan",
 }
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 
 
 @dataclass(frozen=True)
 class Annotation:
-    """What the input says of the object points of a side.
+    """Annotation of the object points of a side in the input.
 
-    labels : (n,) class of each point, None where it has none; or None
-    instances : (n,) int32, thing of each point, 0 for none; or None
+    labels : (n,) class of each point, None for points without a class; or None
+    instances : (n,) int32, instance of each point, 0 for none; or None
     """
 
     labels: NDArray[np.object_] | None = None
@@ -40,10 +40,10 @@ class Annotation:
 
 @dataclass(frozen=True)
 class ReferenceObjects:
-    """What the real side says about which objects there are.
+    """Objects of the real side.
 
-    points : (m, 3) float64, metres, its object points, at least one
-    labels : (m,) int32, object of each, ids from 0 without gaps; -1 for none
+    points : (m, 3) float64, metres, object points, at least one
+    labels : (m,) int32, object of each point, ids from 0 without gaps; -1 for none
     """
 
     points: FloatArray
@@ -51,58 +51,58 @@ class ReferenceObjects:
 
     @property
     def n_objects(self) -> int:
-        """How many there are."""
+        """Number of objects."""
         return int(self.labels.max()) + 1
 
 
 def find_reference_objects(
     points: FloatArray, edges: Edges, settings: CommunitySettings, annotation: Annotation | None = None
 ) -> IntArray:
-    """The object of each point of the real side, (n,) int32, -1 for none; it does not depend on the order of rows.
+    """Object of each point of the real side, (n,) int32, -1 for none; independent of row order.
 
-    louvain : communities, nodes visited in the order of `visiting_order` (python-louvain draws an order of its own)
-    labels : connected pieces of one label; points are connected by edges of the graph that are at most reach_m long.
-        One of fewer than min_points points goes to the nearest larger piece of its label, if there is one
-    instances : points of one label and one instance; those without an instance fall into pieces as above
+    louvain : communities, nodes visited in the order of `visiting_order` (python-louvain uses another random order)
+    labels : connected components of one label; points are connected by edges of the graph of at most reach_m. A
+        component of fewer than min_points points is merged into the nearest larger component of its label, if any
+    instances : points of one label and one instance; points without an instance form components as above
 
-    Of labels and instances, points of the classes in `leave_out` belong to no object, -1. Ids are by size descending,
-    of equal sizes by first point in visiting order.
+    With labels and instances, points of the classes in `leave_out` belong to no object, -1. Ids are by size descending,
+    for equal sizes by the first point in visiting order.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, at least one
-    edges : of their graph
+    edges : edges of their graph
     settings : reference, leave_out, seed, backend, reach_m, min_points
-    annotation : of the same points; needed for labels and instances
+    annotation : annotation of the same points; required for labels and instances
 
     Raises
     ------
     StageError
-        The real side has no labels or instances, and the settings ask for them; or all its classes are left out.
+        The settings request labels or instances that the real side does not have, or all its classes are left out.
     """
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
         return find_communities(len(points), edges, settings, order=order).labels
     annotation = annotation or Annotation()
-    wanted = getattr(annotation, settings.reference)
-    if wanted is None:
+    if getattr(annotation, settings.reference) is None:
         raise StageError(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
-            f"{_WHERE[settings.reference]}; or set communities.reference=louvain"
+            f"{_SOURCES[settings.reference]}; or set communities.reference=louvain"
         )
     own = () if annotation.labels is None else annotation.labels
     names = ["unlabelled" if label is None else str(label) for label in own]
     classes = np.unique(names, return_inverse=True)[1].ravel() if names else np.zeros(len(points), dtype=np.intp)
-    things = annotation.instances if settings.reference == "instances" else None
-    things = np.zeros(len(points), dtype=np.int32) if things is None else things
-    codes = np.unique(np.column_stack([classes, things]), axis=0, return_inverse=True)[1].ravel()
-    pieces = _without_crumbs(points, _pieces(len(points), edges, codes, settings.reach_m), codes, settings.min_points)
-    objects = canonical_ids(np.where(things > 0, len(points) + codes, pieces), order)
+    instances = annotation.instances if settings.reference == "instances" else None
+    instances = np.zeros(len(points), dtype=np.int32) if instances is None else instances
+    codes = np.unique(np.column_stack([classes, instances]), axis=0, return_inverse=True)[1].ravel()
+    components = _components(len(points), edges, codes, settings.reach_m)
+    components = _merge_small(points, components, codes, settings.min_points)
+    objects = canonical_ids(np.where(instances > 0, len(points) + codes, components), order)
     kept = np.array([name.lower() not in settings.leave_out for name in names] or [True] * len(points))
     if not kept.any():
         raise StageError(
-            "all object points of the real side are of classes that communities.leave_out names "
-            f"({', '.join(sorted(set(names)))}); name fewer"
+            "communities.leave_out excludes the classes of all object points of the real side "
+            f"({', '.join(sorted(set(names)))}); exclude fewer classes"
         )
     objects[~kept] = -1
     objects[kept] = np.unique(objects[kept], return_inverse=True)[1].ravel()
@@ -112,19 +112,19 @@ def find_reference_objects(
 def assign_to_reference(
     points: FloatArray, reference: ReferenceObjects, settings: CommunitySettings, link_m: float
 ) -> IntArray:
-    """The object of each point of the simulated side: real ones by their ids, then those far from any.
+    """Object of each point of the simulated side: the ids of real objects, then those of hallucinated ones.
 
-    A point belongs to the object of its nearest real point (of equally near ones the first by x, y, z), or to none (-1)
-    like that point, if that is at most reach_m away. Those out of reach form connected components, as surface pieces
-    do: points at most link_m apart are linked. Components of at least min_points become objects of their own, points of
-    smaller ones go to the object of their nearest real point.
+    A point with its nearest real point (for equal distances the first by x, y, z) at most reach_m away belongs to the
+    object of that point, or like it to none (-1). Points out of reach form connected components, as surface pieces do:
+    points at most link_m apart are linked. Components of at least min_points become separate objects; points of smaller
+    ones go to the object of their nearest real point.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, simulated, at least one
     reference : points and objects of the real side
     settings : reach_m, min_points, seed
-    link_m : of the settings `pieces`
+    link_m : setting pieces.link_m
     """
     nearest, distance_m = nearest_points(reference.points, points)
     labels = reference.labels[nearest].astype(np.int32)
@@ -138,20 +138,20 @@ def assign_to_reference(
 
 
 def visiting_order(points: FloatArray, seed: int) -> IntArray:
-    """The points in the order of a hash of their coordinates and the seed, (n,) int32.
+    """Indices of the points ordered by a hash of their coordinates and the seed, (n,) int32.
 
-    Moving, adding or losing points leaves the order of the others as it is, and so does the order of rows.
+    Moving, adding or removing points does not change the order of the others; neither does the order of rows.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, all different
-    seed : another one gives another order
+    seed : seed of the hash
     """
     from sklearn.utils import murmurhash3_32
 
-    words = np.ascontiguousarray(points + 0.0).view(np.int32)  # -0.0 becomes 0.0
+    bits = np.ascontiguousarray(points + 0.0).view(np.int32)  # -0.0 becomes 0.0
     hashed = np.zeros(len(points), dtype=np.int32)
-    for column in words.T:
+    for column in bits.T:
         hashed = murmurhash3_32(column ^ hashed, seed=seed)
     order: IntArray = np.argsort(hashed).astype(np.int32)
     if np.any(hashed[order[1:]] == hashed[order[:-1]]):
@@ -159,29 +159,29 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
     return order
 
 
-def _pieces(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -> IndexArray:
-    """The connected pieces of points of one code, (n,), joined by edges that are no longer than the reach."""
-    joins = (codes[edges.src] == codes[edges.dst]) & (edges.length_m <= np.float32(reach_m))
-    return connected_pieces(n_nodes, Edges(edges.src[joins], edges.dst[joins], edges.length_m[joins]))
+def _components(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -> IndexArray:
+    """Connected components of points with the same code, (n,), connected by edges of at most the reach."""
+    kept = (codes[edges.src] == codes[edges.dst]) & (edges.length_m <= np.float32(reach_m))
+    return connected_pieces(n_nodes, Edges(edges.src[kept], edges.dst[kept], edges.length_m[kept]))
 
 
-def _without_crumbs(points: FloatArray, pieces: IndexArray, codes: IndexArray, min_points: int) -> IndexArray:
-    """The pieces, (n,), those of fewer points joined to the nearest larger one of the same code, if there is one."""
-    joined = pieces.copy()
-    is_large = np.bincount(pieces)[pieces] >= min_points
+def _merge_small(points: FloatArray, components: IndexArray, codes: IndexArray, min_points: int) -> IndexArray:
+    """Merge small components, (n,), into the nearest larger component of the same code, if any."""
+    merged = components.copy()
+    is_large = np.bincount(components)[components] >= min_points
     for code in np.unique(codes[~is_large]):
         large, small = (np.flatnonzero((codes == code) & chosen) for chosen in (is_large, ~is_large))
         if len(large):
-            ids, of_small = np.unique(pieces[small], return_inverse=True)
+            ids, of_small = np.unique(components[small], return_inverse=True)
             nearest, distance_m = nearest_points(points[large], points[small])
             closest = np.lexsort((*points[small].T[::-1], distance_m, of_small))
             place = np.searchsorted(of_small[closest], np.arange(len(ids)))
-            joined[small] = pieces[large[nearest[closest[place]]]][of_small]
-    return joined
+            merged[small] = components[large[nearest[closest[place]]]][of_small]
+    return merged
 
 
 def nearest_points(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Index and distance of each point's nearest reference point, (n,), of equally near ones the first by x, y, z."""
+    """Index and distance of each point's nearest reference point, (n,); for equal distances the first by x, y, z."""
     tree = cKDTree(reference)
     distance_m, nearest = tree.query(points, k=min(2, len(reference)))
     if len(reference) == 1:

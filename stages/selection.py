@@ -1,4 +1,4 @@
-"""Decides which nodes stand for a matched object on both sides, and how they are aligned (paper, Algorithm 2)."""
+"""Selection of the most influential nodes of a matched object, and their alignment (paper, Algorithm 2)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Selection:
 
 
 def select_nodes(real: Subgraph, sim: Subgraph, settings: SelectionSettings, *, watch: Watch = unwatched) -> Selection:
-    """The n_keep = min(n_real, n_sim) nodes of largest influence on each side, aligned one to one.
+    """Select the n_keep = min(n_real, n_sim) nodes of largest influence on each side, and align them one to one.
 
     Influence is the row sum of the heat kernel, s = exp(-tL) 1 (paper, equations "heat" and "influence"), rounded to
     1e-9 and then ranked, ties by point id. Alignment: see `align_nodes`.

@@ -1,4 +1,4 @@
-"""What the objects of a pair, and the pairs of a dataset, say together."""
+"""Summaries over the objects of a pair and over the pairs of a dataset."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ def summarise_pair(
 ) -> dict[str, Number]:
     """Counts, match rate, median ranges, and mean and standard deviation of each object score.
 
-    Nulls (NaN) are left out of means and deviations; identical objects count with their scores, which are 0.
+    Nulls (NaN) are left out of means and deviations. Identical objects count with their scores: r_lambda and r_gap are
+    0, the others as computed.
 
     Parameters
     ----------
-    scores : by metric, (m,) float64, NaN where a score is null
+    scores : by metric, (m,) float64, NaN for null
     statuses : (m,) scored, identical or too_small
     matched_range_m : (m,) distance of the matched real objects from the sensor
-    missing_range_m, hallucinated_range_m : the same of the unmatched objects, each of its own side
+    missing_range_m, hallucinated_range_m : distance of the unmatched real and simulated objects from the sensor
     """
     n_matched, n_missing, n_hallucinated = len(matched_range_m), len(missing_range_m), len(hallucinated_range_m)
     summary: dict[str, Number] = {
@@ -57,15 +58,15 @@ def summarise_dataset(pair_means: Mapping[str, Sequence[Number]]) -> dict[str, S
 
 
 def with_unmatched_as_worst(mean: Number, n: int, n_unmatched: int, worst: float) -> float | None:
-    """A pair's mean over n objects, with its unmatched objects counted as the worst; None where there is no object.
+    """Mean of a pair over n objects, with its unmatched objects counted as worst; None without objects.
 
-    A mean over matched objects alone gets better where the hardest objects are lost; this one does not.
+    A mean over matched objects only improves if the hardest objects are lost; this one does not.
 
     Parameters
     ----------
-    mean : over the n matched objects that have the score; None where n is 0
+    mean : mean over the n matched objects that have the score; None if n is 0
     n_unmatched : missing and hallucinated objects
-    worst : the upper bound of the score
+    worst : upper bound of the score
 
     Examples
     --------
@@ -78,7 +79,7 @@ def with_unmatched_as_worst(mean: Number, n: int, n_unmatched: int, worst: float
 
 
 def mean_and_std(values: FloatArray) -> tuple[float | None, float | None]:
-    """Mean and standard deviation (n - 1) of the values that are not NaN; None where there are too few."""
+    """Mean and standard deviation (n - 1) of the values that are not NaN; None if there are too few."""
     known = values[~np.isnan(values)]
     mean = float(known.mean()) if len(known) else None
     std = float(known.std(ddof=1)) if len(known) > 1 else None

@@ -1,6 +1,6 @@
-"""Whether the simulated surface is displaced against the real one, and how rough each of them is.
+"""Displacement of the simulated surface against the real one, and roughness of both.
 
-CDC and the spectral scores hardly see a simulation that lies 20 cm beside the real scan, or one with 10 cm of noise.
+CDC and the spectral scores hardly change if the simulation is displaced by 20 cm, or has 10 cm of noise.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from .statistics.validation import double_validation_metric
 
 SAMPLE_POINTS = 2000
 NEIGHBOURS = 20
-#: A neighbourhood is a plane, and no line or cloud, if (l2 - l3) / l1 is at least this.
-LEAST_PLANARITY = 0.1
-#: A real point is covered if the simulated side has a point within this distance of where it is displaced to.
+#: A neighbourhood is a plane, not a line or a cloud, if (l2 - l3) / l1 is at least this.
+MIN_PLANARITY = 0.1
+#: A real point is covered if the simulated side has a point within this distance of its displaced position.
 REACH_M = 1.0
-#: Fewer covered points tell no offset.
-FEWEST_POINTS = 10
-#: A direction is told by normals whose mean squared share along it is at least this; 1/3 where they point everywhere.
-LEAST_SHARE = 0.05
-_MOST_LEANING = 0.01  # squared cosine between an axis and a direction that is not told: 6 degrees
-_LEAST_STEP_M = 1e-3
-_MOST_STEPS = 20
+#: Fewer covered points make no displacement observable.
+MIN_POINTS = 10
+#: A direction is observable if the mean squared share of the normals along it is at least this; isotropic normals: 1/3.
+MIN_SHARE = 0.05
+_MAX_LEANING = 0.01  # squared cosine between an axis and a direction that is not observable: 6 degrees
+_MIN_STEP_M = 1e-3
+_MAX_STEPS = 20
 _PLANE_PARAMETERS = 3
 
 
 @dataclass(frozen=True)
 class Surface:
-    """The points of a side in an order that does not depend on that of the rows, and the plane about the first of them.
+    """Points of a side in an order independent of row order, with planes around the first points.
 
     points : (n, 3) float64, metres
-    rows : (n,) int32, the row of each point in the input
-    tree : of the points
-    normal : (m, 3) float64, unit vectors, of either sign
+    rows : (n,) int32, row of each point in the input
+    tree : search tree of the points
+    normal : (m, 3) float64, unit normals of the planes, of either sign
     roughness_m : (m,) float64, standard deviation of the neighbours from their plane
-    is_plane : (m,) bool, whether the neighbours tell a plane
+    is_plane : (m,) bool, the neighbours form a plane
     """
 
     points: FloatArray
@@ -53,13 +53,13 @@ class Surface:
 
 @dataclass(frozen=True)
 class Offsets:
-    """How far some pieces of surface are displaced, one row for each.
+    """Displacements of pieces of surface, one row for each.
 
     n_points : (c,) int32, sampled real points on planes that are covered
-    n_directions : (c,) int32, 0 to 3, in how many directions their normals tell a displacement
-    shift_m : (c, 3) float64, of the simulated surface against the real one along x, y, z of the real sensor's frame;
-        NaN along an axis that the normals do not tell, such as along a wall
-    distance_m : (c,) float64, length of the displacement in the directions that are told, NaN where there is none
+    n_directions : (c,) int32, 0 to 3, number of observable directions
+    shift_m : (c, 3) float64, displacement of the simulated surface against the real one along x, y, z of the real
+        sensor's frame; NaN along an axis that is not observable, such as along a wall
+    distance_m : (c,) float64, length of the displacement along the observable directions; NaN if there are none
     """
 
     n_points: IntArray
@@ -69,19 +69,19 @@ class Offsets:
 
 
 def describe_surface(points: FloatArray, seed: int = 0) -> Surface:
-    """The plane through the 20 nearest neighbours of up to 2000 points, and how far these lie off it.
+    """Fit planes to the 20 nearest neighbours of up to 2000 points, and compute the roughness of each.
 
-    With l1 >= l2 >= l3 the eigenvalues of the covariance of the k = 20 points nearest to a point, itself among them,
-    the plane through them that fits best leaves the residuals l3 k = sum of squares, and the roughness is their
-    standard deviation sqrt(l3 k / (k - 3)): a plane has three parameters. On a plane with Gaussian noise it is the
-    noise; on a line it is 0, in foliage it is large, and it grows as points get sparser. (l2 - l3) / l1 is planarity
-    (Demantke et al., ISPRS 2011). The points are drawn by a seeded hash of their coordinates: which they are does not
-    depend on the order of rows, and of a scan that has lost points the others stay.
+    With l1 >= l2 >= l3 the eigenvalues of the covariance of the k = 20 points nearest to a point (the point itself
+    included), the best plane through them has the sum of squared residuals l3 k, and the roughness is their standard
+    deviation sqrt(l3 k / (k - 3)): a plane has three parameters. On a plane with Gaussian noise it equals the noise; it
+    is 0 on a line, large in foliage, and grows as points get sparser. (l2 - l3) / l1 is planarity (Demantke et al.,
+    ISPRS 2011). The points are sampled by a seeded hash of their coordinates: the sample is independent of row order,
+    and removing points from a scan keeps the others.
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, finite; of fewer than 20 points no plane is told, so that m is 0
-    seed : another one draws other points
+    points : (n, 3) float64, metres, finite; fewer than 20 points have no planes (m is 0)
+    seed : seed of the sample
 
     Examples
     --------
@@ -100,35 +100,35 @@ def describe_surface(points: FloatArray, seed: int = 0) -> Surface:
     off -= off.mean(axis=1, keepdims=True)
     scatter, axes = np.linalg.eigh(off.transpose(0, 2, 1) @ off)
     l3, l2, l1 = np.maximum(scatter, 0.0).T
-    is_plane = (l1 > 0) & (l2 - l3 >= LEAST_PLANARITY * l1)
+    is_plane = (l1 > 0) & (l2 - l3 >= MIN_PLANARITY * l1)
     return Surface(ordered, rows, tree, axes[:, :, 0], np.sqrt(l3 / (NEIGHBOURS - _PLANE_PARAMETERS)), is_plane)
 
 
 def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None) -> Offsets:
-    """How far the simulated surface is displaced against the real one, as a whole or object by object; 0 if not at all.
+    """Measure the displacement of the simulated surface against the real one, as a whole or object by object.
 
-    Means over nearest points are near 0 whatever the displacement, because a surface slides along itself. So, as in
-    point-to-plane registration (Chen and Medioni, Image Vision Comput. 1992) but for a translation t alone, with real
+    Means over nearest points are near 0 for any displacement, because a surface slides along itself. So, as in
+    point-to-plane registration (Chen and Medioni, Image Vision Comput. 1992) but for a translation t only, with real
     points p of normal n and q(p) the simulated point nearest to p + t,
 
         t = argmin sum (n . (q(p) - p - t))^2     over p with |q(p) - p - t| <= 1 m
 
-    from t = 0 on until no t changes by more than 1 mm, at most 20 times. Each object has a t of its own. A direction
-    along which the mean of (n . u)^2 is below 0.05 is not told and left at 0 (solution remapping of Zhang and others,
-    On degeneracy of optimization-based state estimation problems, ICRA 2016).
+    iterated from t = 0 until no t changes by more than 1 mm, at most 20 times. Each object has a separate t. A
+    direction u is observable if the mean of (n . u)^2 is at least 0.05; along other directions t is 0 (solution
+    remapping of Zhang and others, On degeneracy of optimization-based state estimation problems, ICRA 2016).
 
-    Tried: two halves of five KITTI scans, one of them moved by 20 cm, are found 20 cm apart to 6 mm (root mean square
-    of an axis), to 3 cm in height where three rows of four are left out. Weights that spare large residuals see less:
-    with Huber's at 10 cm, 20 cm along the road are found as 13 cm on imperfect twins, t 3.9 over five pairs; without
-    weights as 19.5 cm, t 78. There is no standard error: what is wrong with one piece of surface is wrong with all its
-    points, and where each object of a real scan was displaced by itself, that of least squares came out four to nine
-    times too small. Take it over pairs.
+    Accuracy: for two halves of five KITTI scans, one of them moved by 20 cm, the error is 6 mm (root mean square per
+    axis), and 3 cm in height if three rows of four are left out. Robust weights are worse: with Huber's at 10 cm, 20 cm
+    along the road are measured as 13 cm on imperfect twins (t = 3.9 over five pairs), without weights as 19.5 cm
+    (t = 78). There is no standard error, because errors of one piece of surface are common to all its points: for
+    objects displaced independently in a real scan, that of least squares was four to nine times too small. Compute it
+    over pairs.
 
     Parameters
     ----------
     real, sim : both sides, in the real sensor's frame
-    labels : (n,) int32, object of each real point by row of the input, ids from 0, -1 for none; None for the side as a
-        whole, which gives one row
+    labels : (n,) int32, object of each real point by row of the input, ids from 0, -1 for none; None for one row about
+        the whole side
 
     Examples
     --------
@@ -145,31 +145,31 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     ids, normal = of_sample[chosen], real.normal[chosen]
     points = real.points[: len(real.normal)][chosen]
     shift, gap, covered = np.zeros((n_ids, 3)), np.zeros_like(points), np.zeros(len(points), dtype=np.bool_)
-    moves = np.ones(n_ids, dtype=np.bool_)
-    for _ in range(_MOST_STEPS):
-        asked = np.flatnonzero(moves[ids])
+    is_moving = np.ones(n_ids, dtype=np.bool_)
+    for _ in range(_MAX_STEPS):
+        active = np.flatnonzero(is_moving[ids])
         apart, nearest = sim.tree.query(
-            points[asked] + shift[ids[asked]], distance_upper_bound=np.nextafter(REACH_M, np.inf)
+            points[active] + shift[ids[active]], distance_upper_bound=np.nextafter(REACH_M, np.inf)
         )
-        is_near = covered[asked] = np.isfinite(apart)
-        gap[asked[is_near]] = sim.points[nearest[is_near]] - points[asked[is_near]]
+        is_near = covered[active] = np.isfinite(apart)
+        gap[active[is_near]] = sim.points[nearest[is_near]] - points[active[is_near]]
         before = shift
-        shift, is_told, axes, n_points = _shifts(normal[covered], gap[covered], ids[covered], n_ids)
-        moves = np.abs(shift - before).max(axis=1, initial=0.0) > _LEAST_STEP_M
-        if not moves.any():
+        shift, is_observable, axes, n_points = _shifts(normal[covered], gap[covered], ids[covered], n_ids)
+        is_moving = np.abs(shift - before).max(axis=1, initial=0.0) > _MIN_STEP_M
+        if not is_moving.any():
             break
-    n_directions = np.count_nonzero(is_told, axis=1).astype(np.int32)
-    leaning = np.where(is_told[:, None, :], 0.0, axes**2).sum(axis=2)
+    n_directions = np.count_nonzero(is_observable, axis=1).astype(np.int32)
+    leaning = np.where(is_observable[:, None, :], 0.0, axes**2).sum(axis=2)
     distance_m = np.where(n_directions > 0, np.linalg.norm(shift, axis=1), np.nan)
-    return Offsets(n_points, n_directions, np.where(leaning <= _MOST_LEANING, shift, np.nan), distance_m)
+    return Offsets(n_points, n_directions, np.where(leaning <= _MAX_LEANING, shift, np.nan), distance_m)
 
 
 def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
-    """The median roughness of both sides, and the double validation metric of their distributions, in metres.
+    """Median roughness of both sides, and double validation metric of their distributions, in metres.
 
     Parameters
     ----------
-    real, sim : both sides; None for all where a side has too few points
+    real, sim : both sides; all values are None if a side has too few points
     """
     if not len(real.roughness_m) or not len(sim.roughness_m):
         return dict.fromkeys(("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"))
@@ -185,16 +185,16 @@ def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
 def _shifts(
     normal: FloatArray, gap: FloatArray, ids: IntArray, n_ids: int
 ) -> tuple[FloatArray, BoolArray, FloatArray, IntArray]:
-    """The least squares shift of each object, (c, 3), which axes of its normals are told, these, and its points."""
+    """Least squares shift of each object, (c, 3), observable axes of its normals, (c, 3), all axes, and its points."""
     n_points = np.bincount(ids, minlength=n_ids).astype(np.int32)
     squares = _sums((normal[:, :, None] * normal[:, None, :]).reshape(-1, 9), ids, n_ids).reshape(-1, 3, 3)
-    wanted = _sums(normal * (normal * gap).sum(axis=1, keepdims=True), ids, n_ids)
+    gaps = _sums(normal * (normal * gap).sum(axis=1, keepdims=True), ids, n_ids)
     values, axes = np.linalg.eigh(squares)
-    is_told = (values >= LEAST_SHARE * n_points[:, None]) & (n_points >= FEWEST_POINTS)[:, None]
-    along = np.einsum("cij,ci->cj", axes, wanted) / np.where(is_told, values, np.inf)
-    return np.einsum("cij,cj->ci", axes, along) + 0.0, is_told, axes, n_points
+    is_observable = (values >= MIN_SHARE * n_points[:, None]) & (n_points >= MIN_POINTS)[:, None]
+    along = np.einsum("cij,ci->cj", axes, gaps) / np.where(is_observable, values, np.inf)
+    return np.einsum("cij,cj->ci", axes, along) + 0.0, is_observable, axes, n_points
 
 
 def _sums(values: FloatArray, ids: IntArray, n_ids: int) -> FloatArray:
-    """The sum of each column over the rows of each id, (n_ids, columns)."""
+    """Sum of each column over the rows of each id, (n_ids, columns)."""
     return np.column_stack([np.bincount(ids, column, n_ids) for column in values.T])

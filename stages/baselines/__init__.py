@@ -1,6 +1,6 @@
-"""The distances that others use for point clouds, beside which the scores of an object are to be judged.
+"""Baseline metrics: published distances of point clouds, to put the scores of an object into context.
 
-One file per distance: its mathematics, and a function `compare` that gives names, units and reasons. To add one: its
+One file per distance: its mathematics, and a function `compare` that returns names, units and reasons. To add one: its
 file, a row in `BASELINES`, its name among the settings, a line in the documentation.
 """
 
@@ -15,7 +15,7 @@ from .interface import Baseline, Baselines, MatchedObject, OfObjects, OfPoints
 
 __all__ = ["BASELINES", "Baseline", "compare_objects", "compare_points"]
 
-#: The baselines by the names that the settings have for them.
+#: Baseline metrics by their names in the settings.
 BASELINES: dict[BaselineName, OfPoints | OfObjects] = {
     "chamfer": OfPoints(chamfer.compare),
     "hausdorff": OfPoints(hausdorff.compare),
@@ -33,12 +33,12 @@ BASELINES: dict[BaselineName, OfPoints | OfObjects] = {
 def compare_points(
     real: FloatArray, sim: FloatArray, settings: MetricsSettings, *, watch: Watch = unwatched
 ) -> Baselines:
-    """Those wanted baselines that need nothing but two point sets, in the order of the settings.
+    """Compute the requested baseline metrics of two point sets, in the order of the settings.
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, in one frame, at least one point each
-    settings : which, and their parameters
+    settings : names and parameters; those that need a graph are left out
     watch : entered around each baseline
 
     Examples
@@ -67,14 +67,14 @@ def compare_objects(
     *,
     watch: Watch = unwatched,
 ) -> Baselines:
-    """All wanted baselines of one matched object, in the order of the settings.
+    """Compute all requested baseline metrics of one matched object, in the order of the settings.
 
     Parameters
     ----------
     real, sim : one object on both sides, at least one point each
     selection : its aligned nodes
     t : diffusion time of r_H
-    settings : which, and their parameters
+    settings : names and parameters
     watch : entered around each baseline
     """
     matched = MatchedObject(real, sim, selection, t)

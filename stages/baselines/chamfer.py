@@ -14,9 +14,9 @@ from .interface import Baseline, Baselines
 class Chamfer:
     """The Chamfer distance in three conventions.
 
-    mean_m : mean over real of the distance to the nearest simulated point, plus the same from simulated to real
-    squared_m2 : the same of squared distances
-    one_way_sum_m : sum over real points of the distance, not squared, one way
+    mean_m : mean distance of real points to the nearest simulated point, plus that of simulated to real points
+    squared_m2 : as mean_m, of squared distances
+    one_way_sum_m : sum over real points of the distance to the nearest simulated point
     """
 
     mean_m: float
@@ -25,7 +25,7 @@ class Chamfer:
 
 
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """The three conventions of `chamfer`."""
+    """Baselines of the three conventions of `chamfer`."""
     distance = chamfer(real, sim)
     return (
         Baseline("chamfer_mean_m", "m", distance.mean_m),
@@ -35,7 +35,7 @@ def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
 
 
 def chamfer(real: FloatArray, sim: FloatArray) -> Chamfer:
-    """Chamfer distances, 0 where every point of each side lies upon one of the other; nothing is centred.
+    """Chamfer distances without centring, 0 if each point of a side coincides with one of the other.
 
     mean_m = mean_x min_y |x - y| + mean_y min_x |y - x|, x real, y simulated.
     squared_m2: the same with |.|^2, the form of Fan, Su and Guibas (A point set generation network for 3D object

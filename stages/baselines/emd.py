@@ -1,4 +1,4 @@
-"""The earth mover's distance: the least mean way of moving one side onto the other, all points or aligned nodes."""
+"""Earth mover's distance: the smallest mean path of moving one side onto the other, for all points or aligned nodes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..arrays import FloatArray
 from ..linalg.assignment import assign_nodes
 from .interface import Baseline, Baselines, MatchedObject
 
-_MOST_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that it ends by itself
+_MAX_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that it always converges
 
 
 def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
-    """The distance of all points, that of the aligned nodes as they lie, and that with both sides centred."""
+    """Baselines of all points, of the aligned nodes as given, and of the aligned nodes with both sides centred."""
     n_most = max(len(matched.real.points), len(matched.sim.points))
     exact_m = reason = None
     if n_most > settings.emd_max_points:
@@ -24,7 +24,7 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
     elif (exact_m := earth_movers(matched.real.points, matched.sim.points)) is None:
         reason = "the network simplex ended without the optimum"
     real, sim = matched.aligned_points()
-    # The alignment is the optimal assignment of the centred nodes, so that nothing need be solved again for these.
+    # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
     centred_m = aligned_distance(real - real.mean(axis=0), sim - sim.mean(axis=0))
     return (
         Baseline("emd_mean_m", "m", exact_m, reason),
@@ -34,18 +34,18 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
 
 
 def earth_movers(a: FloatArray, b: FloatArray) -> float | None:
-    """min_F sum_ij F_ij |a_i - b_j|, in metres; exact, of sets of any sizes; None where the solver finds no optimum.
+    """min_F sum_ij F_ij |a_i - b_j|, in metres; exact, for sets of any sizes; None if the solver finds no optimum.
 
-    F_ij >= 0 is what moves from a_i to b_j: 1 / n leaves each point of a, 1 / m reaches each of b (Rubner, Tomasi and
-    Guibas, The earth mover's distance as a metric for image retrieval, IJCV 2000, with equal weights). Of equal sizes
-    it is the mean distance under the best one-to-one assignment; the paper's equation "d_EMD" is the sum. Network
+    F_ij >= 0 is the mass moved from a_i to b_j: 1 / n leaves each point of a, 1 / m reaches each of b (Rubner, Tomasi
+    and Guibas, The earth mover's distance as a metric for image retrieval, IJCV 2000, with equal weights). For equal
+    sizes it is the mean distance under the best one-to-one assignment; the paper's equation "d_EMD" is the sum. Network
     simplex of POT (Bonneel, van de Panne, Paris and Heidrich, Displacement interpolation using Lagrangian mass
-    transport, SIGGRAPH Asia 2011), which computes distances when it needs them: no matrix of n m distances is held.
-    Weights are whole numbers to the solver, so that the marginals hold without rounding.
+    transport, SIGGRAPH Asia 2011), which computes distances on demand instead of storing n m of them. The solver gets
+    integer weights, so that the marginals hold without rounding.
 
     Parameters
     ----------
-    a, b : (n, 3), (m, 3) float64, metres, as they lie; at least one point each
+    a, b : (n, 3), (m, 3) float64, metres, not centred; at least one point each
 
     Examples
     --------
@@ -59,14 +59,14 @@ def earth_movers(a: FloatArray, b: FloatArray) -> float | None:
     n, m = len(a), len(b)
     shares = math.lcm(n, m)  # a point of a has shares / n of them, one of b shares / m
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # what it warns of is in the log
+        warnings.simplefilter("ignore", UserWarning)  # the warning is also in the log
         total_m, log = ot.emd2_lazy(
             a,
             b,
             np.full(n, shares / n),
             np.full(m, shares / m),
             metric="euclidean",
-            numItermax=_MOST_PIVOTS,
+            numItermax=_MAX_PIVOTS,
             log=True,
             return_matrix=False,
             center_dual=False,
@@ -75,7 +75,7 @@ def earth_movers(a: FloatArray, b: FloatArray) -> float | None:
 
 
 def aligned_distance(a: FloatArray, b: FloatArray) -> float:
-    """mean_i |a_i - b_i| in metres, of rows that are assigned already.
+    """mean_i |a_i - b_i| in metres, for rows that are already assigned.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The F-score of a reconstruction: which share of the points has a partner nearby."""
+"""F-score of a reconstruction: share of the points with a partner nearby."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from .interface import Baseline, Baselines
 
 
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """The value of `f_score` at `f_score_distance_m`."""
+    """Baseline of `f_score` at `f_score_distance_m`."""
     return (Baseline("f_score", None, f_score(real, sim, settings.f_score_distance_m)),)
 
 
 def f_score(real: FloatArray, sim: FloatArray, distance_m: float) -> float:
-    """2 P R / (P + R), 1 best, 0 where nothing is near (Knapitsch et al., Tanks and Temples, ACM TOG 2017, section 4).
+    """2 P R / (P + R), 1 best, 0 without near points (Knapitsch et al., Tanks and Temples, ACM TOG 2017, section 4).
 
     Precision P is the share of simulated points nearer than `distance_m` to a real one, recall R the share of real
     points nearer than that to a simulated one.
 
     Parameters
     ----------
-    real, sim : (n, 3), (m, 3) float64, metres, at least one point each; nothing is centred
+    real, sim : (n, 3), (m, 3) float64, metres, not centred, at least one point each
     distance_m : points at this distance or farther have no partner
 
     Examples

@@ -1,4 +1,4 @@
-"""The Hausdorff distance: how far the one worst point is from the other side."""
+"""Hausdorff distance: distance of the worst point from the other side."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from .interface import Baseline, Baselines
 
 
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """The value of `hausdorff`."""
+    """Baseline of `hausdorff`."""
     return (Baseline("hausdorff_m", "m", hausdorff(real, sim)),)
 
 
 def hausdorff(real: FloatArray, sim: FloatArray) -> float:
-    """max(max_x min_y |x - y|, max_y min_x |y - x|) in metres: the one worst point (Hausdorff, Mengenlehre, 1914).
+    """max(max_x min_y |x - y|, max_y min_x |y - x|) in metres: the worst point (Hausdorff, Mengenlehre, 1914).
 
     See Huttenlocher, Klanderman and Rucklidge, Comparing images using the Hausdorff distance, IEEE PAMI 1993, eq. 1.
 
     Parameters
     ----------
-    real, sim : (n, 3), (m, 3) float64, metres, at least one point each; nothing is centred
+    real, sim : (n, 3), (m, 3) float64, metres, not centred, at least one point each
 
     Examples
     --------

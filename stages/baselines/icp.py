@@ -1,4 +1,4 @@
-"""How well a rigid motion brings one point set onto the other: iterative closest points."""
+"""Registration error of two point sets after iterative closest points (ICP)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Registration:
     """The result of ICP.
 
     fitness : share of the simulated points that have a correspondence after the motion, 0 to 1
-    rmse_m : root mean square distance of the correspondences, metres; None where there is none
+    rmse_m : root mean square distance of the correspondences, metres; None without correspondences
     has_converged : the motion no longer changed
     """
 
@@ -31,7 +31,7 @@ class Registration:
 
 
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """Fitness and RMSE of `register`; null without the library (an extra) or with too few points, and with a reason."""
+    """Baselines of fitness and RMSE of `register`; None without the library (an extra) or with too few points."""
     n_fewest = min(len(real), len(sim))
     reason = None
     if not can_register():
@@ -51,23 +51,23 @@ def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
 
 
 def can_register() -> bool:
-    """Whether small_gicp (an extra) is installed."""
+    """True if small_gicp (an extra) is installed."""
     return find_spec("small_gicp") is not None
 
 
 def register(real: FloatArray, sim: FloatArray, distance_m: float) -> Registration:
-    """Fitness and RMSE of point-to-point ICP that moves the simulated points onto the real ones.
+    """Register the simulated points to the real ones by point-to-point ICP, and return fitness and RMSE.
 
     Besl and McKay, A method for registration of 3-D shapes, IEEE PAMI 1992, with correspondences up to `distance_m`
     only; small_gicp's implementation (Koide, small_gicp: efficient and parallel algorithms for point cloud
-    registration, JOSS 2024), started from where the points lie, one thread. With T the resulting motion and
+    registration, JOSS 2024), started from the identity, one thread. With T the resulting motion and
     d_y = min_x |x - T y|: fitness = share of y with d_y <= distance_m, rmse = root mean d_y^2 over these, which are
     the definitions of Open3D's `evaluate_registration` (Zhou, Park and Koltun 2018).
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, at least 11 points each
-    distance_m : farthest correspondence
+    distance_m : maximum distance of a correspondence
     """
     import small_gicp
 

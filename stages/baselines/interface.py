@@ -1,7 +1,7 @@
-"""What each baseline is given and what it gives back.
+"""Inputs and outputs of a baseline metric.
 
 A baseline is a file with one function `compare`. It takes either two point sets or a matched object, and the settings;
-it returns its numbers, each with name and unit, and with a reason where one cannot be computed.
+it returns its values, each with name and unit, and with a reason if it cannot be computed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ..selection import Selection
 
 @dataclass(frozen=True)
 class Baseline:
-    """One number of a baseline.
+    """One value of a baseline.
 
     name : as in the table's rows
     unit : "m", "m2", or None for a plain number
-    value : None where it cannot be computed
-    reason : why not, or what is to be known of the value
+    value : None if it cannot be computed
+    reason : reason for None, or a note about the value
     """
 
     name: str
@@ -38,9 +38,9 @@ Baselines = tuple[Baseline, ...]
 class MatchedObject:
     """One object that both sides have.
 
-    real, sim : its points and graph on each side
-    selection : its aligned nodes
-    t : diffusion time with which they were selected
+    real, sim : points and graph on each side
+    selection : aligned nodes
+    t : diffusion time of the selection
     """
 
     real: Subgraph
@@ -49,27 +49,27 @@ class MatchedObject:
     t: float
 
     def aligned_points(self) -> tuple[FloatArray, FloatArray]:
-        """The aligned nodes of both sides, (n_keep, 3) each, metres; row i of one belongs to row i of the other."""
+        """Aligned nodes of both sides, (n_keep, 3) each, metres; row i of one belongs to row i of the other."""
         return self.real.points[self.selection.real_nodes], self.sim.points[self.selection.sim_nodes]
 
 
 @dataclass(frozen=True)
 class OfPoints:
-    """A baseline that needs nothing but two point sets, (n, 3) and (m, 3) float64, metres, at least one point each."""
+    """Baseline of two point sets, (n, 3) and (m, 3) float64, metres, at least one point each."""
 
     compare: Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]
 
     def compare_object(self, matched: MatchedObject, settings: MetricsSettings) -> Baselines:
-        """Its numbers for one object: those of all points of the object on either side."""
+        """Values for one object, from all its points on each side."""
         return self.compare(matched.real.points, matched.sim.points, settings)
 
 
 @dataclass(frozen=True)
 class OfObjects:
-    """A baseline that needs the graphs or the aligned nodes of a matched object."""
+    """Baseline that needs the graphs or the aligned nodes of a matched object."""
 
     compare: Callable[[MatchedObject, MetricsSettings], Baselines]
 
     def compare_object(self, matched: MatchedObject, settings: MetricsSettings) -> Baselines:
-        """Its numbers for one object."""
+        """Values for one object."""
         return self.compare(matched, settings)

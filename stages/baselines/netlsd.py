@@ -1,4 +1,4 @@
-"""NetLSD: how differently heat spreads on two graphs over time, from the traces of their heat kernels."""
+"""NetLSD: difference of the heat diffusion on two graphs over time, from the traces of their heat kernels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .interface import Baseline, Baselines, MatchedObject
 
 
 def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
-    """The value of `heat_trace_distance` of the whole object; null where a side has more than `heat_max_nodes`."""
+    """Baseline of `heat_trace_distance` of the whole object; None if a side has more than `heat_max_nodes`."""
     real, sim = matched.real, matched.sim
     n_most = max(len(real.points), len(sim.points))
     if n_most > settings.heat_max_nodes:
@@ -25,11 +25,11 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
 
 
 def heat_trace_distance(real: sparse.csr_matrix, sim: sparse.csr_matrix, times: FloatArray) -> float:
-    """|h(real) - h(sim)|_2, h(t) = tr exp(-tL) / n over the given times; 0 for isospectral graphs.
+    """|h(real) - h(sim)|_2, h(t) = tr exp(-tL) / n at the given times; 0 for isospectral graphs.
 
     Tsitsulin, Mottin, Karras, Bronstein and Mueller, NetLSD: hearing the shape of a graph, KDD 2018, section 4, heat
-    kernel, normalised by the empty graph of n nodes as in their code; from all eigenvalues, nothing is interpolated.
-    Needs no alignment and no equal sizes.
+    kernel, normalised by the empty graph of n nodes as in their code; from all eigenvalues, without interpolation. The
+    graphs need no alignment and may differ in size.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The bounded diffusion change r_H: how much the heat kernel of an object changes, over the change of its Laplacian."""
+"""The bounded diffusion change r_H: change of the heat kernel of an object, over the change of its Laplacian."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .interface import Baseline, Baselines, MatchedObject
 
 
 def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
-    """The value of `diffusion_change` of the aligned nodes; null where they are fewer than 3."""
+    """Baseline of `diffusion_change` of the aligned nodes; None for fewer than 3 nodes."""
     nodes_real, nodes_sim = matched.selection.real_nodes, matched.selection.sim_nodes
     if len(nodes_real) < MIN_NODES:
         return (Baseline("r_h", None, None, f"{len(nodes_real)} aligned nodes, at least {MIN_NODES} are needed"),)
@@ -27,7 +27,7 @@ def diffusion_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float, 
     "Bounded diffusion change" in the source of the paper (equation "rH", commented out there). The bound holds because
     exp(-t .) changes by no more than t |dL| between matrices without negative eigenvalues (Duhamel's formula). The
     norms are largest absolute eigenvalues by Lanczos iteration; that of dH_t is applied to vectors as a power series.
-    Where |dL| is at most `identical_change` the result is 0, as for r_lambda.
+    If |dL| is at most `identical_change` the result is 0, as for r_lambda.
 
     Parameters
     ----------

@@ -132,7 +132,7 @@ def test_every_fault_is_found_in_one_go(tmp_path):
     assert len(found.faults) == 4
     for name, fault in zip("abcd", found.faults, strict=True):
         assert fault.startswith(f"pair {name}: ")
-    assert "no point is left after cleaning (20 zero)" in found.faults[2]
+    assert "expected at least 8 points after cleaning, got 0 (20 zero)" in found.faults[2]
 
 
 def warnings_of(tmp_path, scan):
@@ -160,7 +160,7 @@ def test_five_points_are_a_fault(tmp_path):
     folders(tmp_path)
     write_bin(tmp_path / "real" / "a.bin", street()[:5])
     (fault,) = check_dataset(tmp_path, Settings()).faults
-    assert "5 points are left after cleaning (no more in the file), at least 8 are needed" in fault
+    assert "expected at least 8 points after cleaning, got 5 (no more in the file)" in fault
 
 
 def test_the_faults_of_real_scans_are_seen(real_data, tmp_path):

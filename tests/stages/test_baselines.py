@@ -156,7 +156,7 @@ def test_objects_too_large_to_move_all_earth_are_null_with_their_size(car):
 
 
 def test_a_transport_that_the_solver_could_not_finish_is_null_with_its_reason(car, monkeypatch):
-    monkeypatch.setattr(emd, "_MOST_PIVOTS", 5)
+    monkeypatch.setattr(emd, "_MAX_PIVOTS", 5)
     exact, kept, _ = earth_moved(car, car[:90] + [1, 0, 0], 50)
     assert (exact.value, exact.reason) == (None, "the network simplex ended without the optimum")
     assert kept.value == pytest.approx(1)

@@ -36,7 +36,7 @@ def test_a_flat_plane_leaves_too_few_points():
 
 
 def test_fewer_than_eight_points_are_refused():
-    with pytest.raises(StageError, match="7 points after cleaning, at least 8 are needed"):
+    with pytest.raises(StageError, match="expected at least 8 points after cleaning, got 7"):
         remove_ground(road(7), GroundSettings())
 
 
@@ -126,7 +126,7 @@ def test_the_simulated_cut_is_its_own_where_the_sides_share_no_road():
     alone = remove_ground(sim, GroundSettings())
     cut = remove_ground(sim, GroundSettings(peak="real"), remove_ground(real, GroundSettings()), real)
     assert (cut.peak_m, cut.threshold_m) == (alone.peak_m, alone.threshold_m)
-    assert "fewer than 20 cells within 30 m hold points of both sides" in cut.notes[-1]
+    assert "fewer than 20 cells within 30 m have points of both sides" in cut.notes[-1]
 
 
 @pytest.mark.parametrize("seed", range(3))

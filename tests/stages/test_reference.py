@@ -154,7 +154,7 @@ def test_labels_and_instances_of_the_input_are_the_objects():
     assert by_label.tolist() == [0] * 100 + [1] * 50 + [2] * 30  # the two cars that touch are one piece
     assert by_instance.tolist() == [0] * 60 + [2] * 40 + [1] * 50 + [3] * 30
     assert of_cars.tolist() == [0] * 100 + [1] * 50 + [-1] * 30
-    with pytest.raises(StageError, match=r"classes that communities.leave_out names \(car, unlabelled\)"):
+    with pytest.raises(StageError, match=r"all object points of the real side \(car, unlabelled\)"):
         everything = CommunitySettings(objects="reference", reference="labels", leave_out=("unlabelled", "Car"))
         find_reference_objects(points, edges, everything, Annotation(labels))
 
