@@ -1,7 +1,7 @@
-"""Known flaws of a simulated scan: what a simulator may get wrong, each in an amount, to see which score answers.
+"""Known flaws of simulators, applied to a scan in a given amount, to see which scores respond.
 
-Each acts on the points of a scan alone, so that it means the same on every scan; a beam that passes through a hole
-meets nothing behind it.
+Each needs only the points of a scan, so that it has the same meaning for every scan; a beam through a hole does not hit
+anything behind it.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ _NEIGHBOURS = 40
 _BLUR_VOXELS = 4  # per radius
 _BLUR_NEIGHBOURS = 96
 _BEAM_DEG = 0.2
-_MOST_SLIDE = 0.1
+_MAX_SLIDE = 0.1
 _THIN = 1e-3
 
 
 @dataclass(frozen=True)
 class Flaw:
-    """One kind of flaw; called with points, an amount and a source of random numbers it gives the altered points.
+    """One kind of flaw. Call it with points, an amount and a random generator to alter the points.
 
-    name : as the command has it
-    amount : what the amount is, in words
-    low, high : least and largest amount
-    alter : gives the altered points; takes points, amount, source of random numbers and, where there is one, `at_m`
-    is_systematic : whether a simulator has it alike in all its scans, so that one seed serves them all
-    at_m : the usual second number, metres; None where there is none
-    at : what that is, in words
-    is_whole : whether the amount is a whole number
+    name : name in the command
+    amount : description of the amount
+    low, high : bounds of the amount
+    alter : function of points, amount, random generator and, if it has one, `at_m`, that returns the altered points
+    is_systematic : all scans of a simulator have the same flaw, so that they share one seed
+    at_m : default second parameter in metres, or None
+    at : description of the second parameter
+    is_whole : the amount is an integer
     """
 
     name: str
@@ -52,19 +52,19 @@ class Flaw:
     is_whole: bool = False
 
     def __call__(self, points: FloatArray, amount: float, rng: Generator, at_m: float | None = None) -> FloatArray:
-        """The altered points, (m, 3); those that stay keep their order, new ones follow them. No points stay none.
+        """Return the altered points, (m, 3): the kept points in their order, then new ones. No points remain no points.
 
         Parameters
         ----------
         points : (n, 3) float64, metres, sensor at the origin, z up; not changed
-        amount : how much; 0 changes nothing, but for `density` 1 does
-        rng : decides all that is random
-        at_m : the second number; by default the usual one
+        amount : amount of the flaw; 0 changes nothing, for `density` 1
+        rng : source of all random numbers
+        at_m : second parameter
 
         Raises
         ------
         FidpipeError
-            The amount is out of bounds, or a second number is given where there is none.
+            The amount is out of bounds, or a second parameter is given for a flaw that has none.
         """
         self.check(amount, at_m)
         if not len(points):
@@ -73,25 +73,26 @@ class Flaw:
         return self.alter(points, amount, rng, *second)
 
     def check(self, amount: float, at_m: float | None = None) -> None:
-        """Raises `FidpipeError` where an amount or a second number is out of bounds."""
+        """Raise `FidpipeError` if an amount or a second parameter is out of bounds."""
         if not self.low <= amount <= self.high:
             raise FidpipeError(
-                f"flaw {self.name}: amount {amount:g}; {self.low:g} to {self.high:g} is wanted ({self.amount})"
+                f"flaw {self.name}: expected an amount from {self.low:g} to {self.high:g} ({self.amount}), "
+                f"got {amount:g}"
             )
         if self.is_whole and amount != round(amount):
-            raise FidpipeError(f"flaw {self.name}: amount {amount:g}; a whole number is wanted ({self.amount})")
+            raise FidpipeError(f"flaw {self.name}: expected an integer amount ({self.amount}), got {amount:g}")
         if at_m is not None and self.at_m is None:
-            raise FidpipeError(f"flaw {self.name}: a second number, {at_m:g}, is given; it has none")
+            raise FidpipeError(f"flaw {self.name}: expected no second number, got {at_m:g}")
         if at_m is not None and not 0 < at_m < np.inf:
-            raise FidpipeError(f"flaw {self.name}: second number {at_m:g}; more than 0 is wanted ({self.at})")
+            raise FidpipeError(f"flaw {self.name}: expected a second number above 0 ({self.at}), got {at_m:g}")
 
 
 @dataclass(frozen=True)
 class ChosenFlaw:
-    """A flaw in an amount.
+    """A flaw with its amount.
 
-    name : in `FLAWS`
-    at_m : its second number; None for the usual one, or where there is none
+    name : name in `FLAWS`
+    at_m : second parameter; None for the default, or if the flaw has none
     """
 
     name: str
@@ -100,7 +101,7 @@ class ChosenFlaw:
 
 
 def is_foliage(points: FloatArray) -> BoolArray:
-    """Whether a point lies in something scattered, (n,) bool: l3 / l1 of its 40 nearest points is 0.1 or more.
+    """True for points in scattered surroundings, (n,) bool: l3 / l1 of the 40 nearest points is at least 0.1.
 
     Parameters
     ----------
@@ -111,13 +112,13 @@ def is_foliage(points: FloatArray) -> BoolArray:
 
 
 def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolArray | None = None) -> FloatArray:
-    """The points without a share of the foliage, which is lost in clumps of 2 m and not leaf by leaf.
+    """Remove a share of the foliage, in clumps of 2 m instead of single leaves.
 
     Parameters
     ----------
     points : (n, 3) float64, metres
-    share : of the foliage points, lost; rounded to whole points
-    where : (n,) bool, which points are foliage, as labels have it; by default `is_foliage`
+    share : share of the foliage points to remove; rounded to whole points
+    where : (n,) bool, points labelled as foliage; by default `is_foliage`
     """
     rows = np.flatnonzero(is_foliage(points) if where is None else where)
     is_lost = np.zeros(len(points), dtype=np.bool_)
@@ -127,14 +128,14 @@ def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolAr
 
 
 def _lose_far(points: FloatArray, share: float, rng: Generator, beyond_m: float) -> FloatArray:
-    """The points without a share of those whose range is more than `beyond_m`, each lost independently."""
+    """Remove a share of the points with a range above `beyond_m`, each independently."""
     is_far = np.sqrt((points**2).sum(axis=1)) > beyond_m
     left: FloatArray = points[~(is_far & (rng.random(len(points)) < share))]
     return left
 
 
 def _cut_holes(points: FloatArray, n_holes: float, rng: Generator, radius_m: float) -> FloatArray:
-    """The points without those within `radius_m` of one of so many random points."""
+    """Remove the points within `radius_m` of `n_holes` random points."""
     centres = points[rng.integers(len(points), size=round(n_holes))]
     if not len(centres):
         return points.copy()
@@ -144,11 +145,11 @@ def _cut_holes(points: FloatArray, n_holes: float, rng: Generator, radius_m: flo
 
 
 def _blur(points: FloatArray, radius_m: float, rng: Generator) -> FloatArray:
-    """The points moved onto the plane of what lies within `radius_m`, along its normal.
+    """Move each point along the normal onto the plane of its surroundings within `radius_m`.
 
     One step of a moving least squares projection (Alexa et al., IEEE Visualization 2001) onto the scan's voxel means,
-    four voxels per radius, so that the density of rings has no part in it: planes stay, roughness goes, corners are
-    cut, and what is thinner than the radius becomes a sheet.
+    four voxels per radius, independent of the density of rings: planes remain, roughness disappears, corners are cut,
+    and objects thinner than the radius become a sheet.
     """
     if radius_m == 0:
         return points.copy()
@@ -158,26 +159,25 @@ def _blur(points: FloatArray, radius_m: float, rng: Generator) -> FloatArray:
 
 
 def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> FloatArray:
-    """The points as beams of a wrong elevation table would have met the same surfaces.
+    """Points that beams of a wrong elevation table would have measured on the same surfaces.
 
-    Beams are bands of 0.2 degrees of elevation; each is off by one error drawn from N(0, std_deg). A point slides
-    along its local plane n . x = n . p into the direction u' of its beam: x = u' (n . p) / (n . u'). Where that
-    changes its range by more than a tenth (grazing rays, edges), or where a line of points tells no plane, the range
-    stays.
+    Beams are bands of 0.2 degrees of elevation, each with one error drawn from N(0, std_deg). A point slides along its
+    local plane n . x = n . p into the direction u' of its beam: x = u' (n . p) / (n . u'). If that changes its range by
+    more than a tenth (grazing rays, edges), or if the neighbours are on a line, the range does not change.
     """
     range_m = np.maximum(np.sqrt((points**2).sum(axis=1)), 1e-9)
     level_m = np.hypot(points[:, 0], points[:, 1])
     elevation = np.arctan2(points[:, 2], level_m)
     bands = np.floor((np.degrees(elevation) + 90.0) / _BEAM_DEG).astype(np.intp)
     errors = np.radians(rng.normal(0.0, std_deg, round(180.0 / _BEAM_DEG) + 1))
-    turned = elevation + errors[bands]
+    altered_elevation = elevation + errors[bands]
     heading = points[:, :2] / np.maximum(level_m, 1e-9)[:, None]
-    directions = np.column_stack([np.cos(turned)[:, None] * heading, np.sin(turned)])
+    directions = np.column_stack([np.cos(altered_elevation)[:, None] * heading, np.sin(altered_elevation)])
     planes = fit_planes(points, points, _NEIGHBOURS)
     with np.errstate(divide="ignore", invalid="ignore"):
         slid_m = (planes.normal * points).sum(axis=1) / (planes.normal * directions).sum(axis=1)
     is_plane = (planes.variance[:, 1] > _THIN * planes.variance[:, 2]) & (planes.scattering < SCATTERED)
-    slides = is_plane & (np.abs(slid_m - range_m) <= _MOST_SLIDE * range_m)
+    slides = is_plane & (np.abs(slid_m - range_m) <= _MAX_SLIDE * range_m)
     altered: FloatArray = directions * np.where(slides, slid_m, range_m)[:, None]
     return altered
 
@@ -198,7 +198,15 @@ def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArra
 _KINDS = (
     Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 0, 1, lose_foliage),
     Flaw("holes", "number of holes", 0, 10_000, _cut_holes, at_m=1.5, at="radius of a hole, metres", is_whole=True),
-    Flaw("far-dropout", "share lost beyond a range", 0, 1, _lose_far, at_m=25.0, at="that range, metres"),
+    Flaw(
+        "far-dropout",
+        "share lost beyond a range",
+        0,
+        1,
+        _lose_far,
+        at_m=25.0,
+        at="range beyond which points are lost, metres",
+    ),
     Flaw("dropout", "share of the points lost", 0, 1, drop_points),
     Flaw("density", "factor of the density in regions that hold 30 % of the points", 0, 8, change_density),
     Flaw("beams", "std of each beam's elevation error, degrees", 0, 10, _misalign_beams, is_systematic=True),
@@ -209,18 +217,17 @@ _KINDS = (
     Flaw("offset", "shift in a random horizontal direction, metres", 0, 100, _shift, is_systematic=True),
     Flaw("mirrored", "1: y is negated; 0: it is not", 0, 1, _mirror, is_systematic=True, is_whole=True),
 )
-#: Flaws by name, in the order in which several of them are applied to a scan: what is lost, what is distorted, what is
-#: invented, then what moves the whole.
+#: Flaws by name, in the order in which they are applied to a scan: losses, distortions, additions, then rigid motions.
 FLAWS: dict[str, Flaw] = {flaw.name: flaw for flaw in _KINDS}
 
 
 def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
-    """The flaws of words such as `dropout=0.3`, `holes=12:1.5` and `mirrored`, in the order of `FLAWS`.
+    """Parse flaws such as `dropout=0.3`, `holes=12:1.5` and `mirrored`; the result is in the order of `FLAWS`.
 
     Raises
     ------
     FidpipeError
-        A word is not of that form, a flaw is unknown or named twice, or an amount is out of bounds.
+        Text of another form, an unknown flaw, a flaw given twice, or an amount out of bounds.
 
     Examples
     --------
@@ -231,9 +238,9 @@ def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
     for word in words:
         name, _, text = word.partition("=")
         if name not in FLAWS:
-            raise FidpipeError(f"flaw {name!r}: no such flaw; {suggestion(name, FLAWS)}")
+            raise FidpipeError(f"flaw {name!r}: unknown; {suggestion(name, FLAWS)}")
         if name in chosen:
-            raise FidpipeError(f"flaw {name}: named twice; once is wanted")
+            raise FidpipeError(f"flaw {name}: given twice; give it once")
         amount, colon, at_m = text.partition(":")
         if not text and FLAWS[name].is_whole and FLAWS[name].high == 1:
             amount = "1"
@@ -242,7 +249,7 @@ def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
         except ValueError:
             second = f", and {FLAWS[name].at} after a colon" if FLAWS[name].at_m is not None else ""
             raise FidpipeError(
-                f"flaw {word!r}: {name}=AMOUNT is wanted, a number ({FLAWS[name].amount}{second})"
+                f"flaw {word!r}: expected {name}=AMOUNT with a number ({FLAWS[name].amount}{second})"
             ) from None
         FLAWS[name].check(flaw.amount, flaw.at_m)
         chosen[name] = flaw

@@ -1,7 +1,7 @@
-"""Alters a scan in a known way and by a known amount (paper, section "Controlled Perturbation Analysis").
+"""Controlled perturbations of a scan of known kind and amount (paper, section "Controlled Perturbation Analysis").
 
-Noise, dropout and rigid motion are the paper's; it names hallucination and local density change and does not sweep
-them, so that their definitions here are ours.
+Noise, dropout and rigid motion are defined by the paper; it names hallucination and local density change without
+sweeping them, so their definitions here are by fidpipe.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ SURFACE_NEIGHBOURS = 5
 
 @dataclass(frozen=True)
 class Perturbation:
-    """One way and amount of altering points.
+    """Kind and amount of a perturbation.
 
     kind : one of `KINDS`
-    amount : null: points lost, the others in another order; noise: standard deviation in metres; dropout: share of
-        points lost; rigid: angle in degrees; hallucination: spurious points over true ones; density: factor of the
+    amount : null: number of points lost, the others are reordered; noise: standard deviation in metres; dropout: share
+        of points lost; rigid: angle in degrees; hallucination: spurious points over true ones; density: factor of the
         local density
     shift_m : rigid only, length of the translation
     """
@@ -41,13 +41,13 @@ class Perturbation:
 
 
 def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> FloatArray:
-    """The altered points, (m, 3); points that stay keep their order (but for `null`), new ones follow them.
+    """Apply a perturbation, (m, 3): the kept points in their order (except for `null`), then new ones.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, sensor at the origin
     perturbation : kind and amount
-    rng : decides all that is random
+    rng : source of all random numbers
 
     Raises
     ------
@@ -74,44 +74,44 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
         return add_clusters(points, amount, rng)
     if perturbation.kind == "density":
         return change_density(points, amount, rng)
-    raise ValueError(f"perturbation {perturbation.kind!r}: no such kind; known are {', '.join(KINDS)}")
+    raise ValueError(f"perturbation {perturbation.kind!r}: unknown kind; known are {', '.join(KINDS)}")
 
 
 def reorder(points: FloatArray, n_lost: int, rng: Generator) -> FloatArray:
-    """All points but a few, in a random order: nothing has changed, but Louvain visits nodes in their order."""
+    """Reorder all points at random except a few that are lost; Louvain visits nodes in the order of the points."""
     return points[rng.permutation(len(points))[n_lost:]]
 
 
 def add_noise(points: FloatArray, std_m: float, rng: Generator) -> FloatArray:
-    """Points with independent Gaussian noise on each coordinate."""
+    """Add independent Gaussian noise to each coordinate."""
     return points + rng.normal(0.0, std_m, points.shape)
 
 
 def drop_points(points: FloatArray, share: float, rng: Generator) -> FloatArray:
-    """The points that are left when each is lost with the same probability, independently."""
+    """Remove each point independently with the same probability."""
     return points[rng.random(len(points)) >= share]
 
 
 def measure_again(
     points: FloatArray, noise_m: float, lost_share: float, rng: Generator
 ) -> tuple[FloatArray, IndexArray]:
-    """The points as a second measurement by the same beams would have them, and which of the points these are.
+    """Simulate a second measurement by the same beams.
 
-    p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray alone; then each is lost independently with the
-    probability `lost_share`. Under one seed the noise of a point is in proportion to `noise_m`, and what is lost at a
-    share is lost at each larger one. Without noise the coordinates stay to the last bit.
+    p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray only; then each point is lost independently with
+    the probability `lost_share`. For a given seed the noise of a point is proportional to `noise_m`, and points lost at
+    one share are also lost at each larger one. Without noise the coordinates do not change.
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, sensor at the origin, finite, none of them there
+    points : (n, 3) float64, metres, sensor at the origin, finite, not at the origin
     noise_m : standard deviation of the difference of two measured ranges, 0 or more
     lost_share : 0 to 1
-    rng : decides all that is random
+    rng : source of all random numbers
 
     Returns
     -------
     points : (m, 3) float64
-    rows : (m,) intp, of the input, ascending
+    rows : (m,) intp, rows of the input, ascending
 
     Examples
     --------
@@ -127,7 +127,7 @@ def measure_again(
 
 
 def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Generator) -> FloatArray:
-    """Points turned about +Z through the sensor, then moved in a random horizontal direction."""
+    """Rotate the points about +Z through the sensor, then move them in a random horizontal direction."""
     angle, heading = np.radians(angle_deg), rng.uniform(0.0, 2 * np.pi)
     cos, sin = np.cos(angle), np.sin(angle)
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -136,10 +136,10 @@ def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Gene
 
 
 def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray:
-    """The points and round(share n) spurious ones, in clusters of 20 (the last one smaller).
+    """Add round(share n) spurious points in clusters of 20 (the last one smaller).
 
-    A cluster lies about a centre 0.5 m from a random point in a random direction, its points Gaussian about the
-    centre with 0.15 m on each coordinate: a blob of foliage or mesh where there is nothing.
+    The centre of a cluster is 0.5 m from a random point in a random direction; its points are Gaussian around the
+    centre with 0.15 m on each coordinate: a blob of foliage or mesh in empty space.
     """
     n_new = round(share * len(points))
     if not n_new:
@@ -153,12 +153,12 @@ def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray
 
 
 def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatArray:
-    """The points with another density in some regions that together hold 30 % of them.
+    """Change the density in regions that together contain 30 % of the points.
 
-    Regions grow about random points: each takes the nearest points within 2 m that are not taken yet, until the
-    share is reached. Below 1, a point of a region stays with probability `factor`. Above 1, a region of m points
-    gets round((factor - 1) m) more, each on the line from a random point of the region to a random one of its 5
-    nearest neighbours in the scan, so that they lie on the surface.
+    Regions grow around random points: each adds the nearest points within 2 m that are still free, until the share is
+    reached. Below 1, a point of a region is kept with probability `factor`. Above 1, a region of m points gets
+    round((factor - 1) m) more, each on the line from a random point of the region to a random one of its 5 nearest
+    neighbours in the scan, so that they are on the surface.
     """
     chosen = grow_regions(points, round(REGION_SHARE * len(points)), rng)
     if factor <= 1:
@@ -173,11 +173,11 @@ def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatAr
     return np.vstack([points, points[start] + rng.random((n_new, 1)) * (points[end] - points[start])])
 
 
-def grow_regions(points: FloatArray, n_wanted: int, rng: Generator) -> BoolArray:
-    """Which points lie in regions of 2 m about random points, (n,) bool with exactly `n_wanted` True."""
+def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray:
+    """Choose points in regions of 2 m around random points, (n,) bool with exactly `n_chosen` True."""
     chosen = np.zeros(len(points), dtype=np.bool_)
     tree = cKDTree(points)
-    n_left = n_wanted
+    n_left = n_chosen
     while n_left:
         centre = points[rng.choice(np.flatnonzero(~chosen))]
         inside = np.array(tree.query_ball_point(centre, REGION_RADIUS_M), dtype=np.intp)

@@ -1,6 +1,6 @@
-"""Ray casting: where a sensor's beams go, what they meet first, and what is measured of it.
+"""Ray casting: directions of a sensor's beams, the surfaces they hit first, and the measured ranges.
 
-A static scene, a sensor that does not move during its revolution, one return per pulse.
+The scene is static, the sensor does not move during a revolution, and a pulse has one return.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..inspect.sensor_models import SensorModel
 
 @dataclass(frozen=True)
 class Beams:
-    """The rays of one revolution, firing by firing, in each firing laser by laser.
+    """Rays of one revolution, by firing, then by laser.
 
     azimuth_rad : (n,) float64, from x (forward) towards y (left)
     elevation_rad : (n,) float64
@@ -26,7 +26,7 @@ class Beams:
     elevation_rad: FloatArray
 
     def directions(self) -> FloatArray:
-        """(n, 3) float64, unit vectors."""
+        """Unit vectors, (n, 3) float64."""
         level = np.cos(self.elevation_rad)
         return np.column_stack(
             [level * np.cos(self.azimuth_rad), level * np.sin(self.azimuth_rad), np.sin(self.elevation_rad)]
@@ -35,11 +35,11 @@ class Beams:
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays meet first; rays that meet nothing have no row.
+    """First hits of rays; rays without a hit have no row.
 
-    ray_ids, face_ids : (m,) intp, the ray and the triangle; ray_ids ascend
-    range_m : (m,) float64, from the sensor
-    cos_incidence : (m,) float64, 1 where the surface faces the sensor, 0 where the ray grazes it
+    ray_ids, face_ids : (m,) intp, ray and triangle; ray_ids ascend
+    range_m : (m,) float64, distance from the sensor
+    cos_incidence : (m,) float64, 1 if the surface faces the sensor, 0 for a grazing ray
     """
 
     ray_ids: IndexArray
@@ -49,16 +49,16 @@ class Hits:
 
 
 def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> Beams:
-    """The beams of one revolution, which turns clockwise seen from above.
+    """Beams of one revolution, clockwise seen from above.
 
-    Firing c has the azimuth start - c step; laser i looks at that plus its azimuth offset, at its elevation. There
-    are as many firings as fit into 360 degrees.
+    Firing c has the azimuth start - c step; the azimuth of laser i is that plus its azimuth offset. The number of
+    firings is the largest that fits into 360 degrees.
 
     Parameters
     ----------
-    sensor : elevations and offsets, by laser
+    sensor : elevations and offsets by laser
     start_deg : azimuth of the first firing
-    step_deg : by default the sensor's own
+    step_deg : angle between firings; by default that of the sensor
 
     Examples
     --------
@@ -75,12 +75,12 @@ def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = N
 
 
 def need_ray_caster() -> None:
-    """Nothing, if rays can be cast here.
+    """Raise an error if the library that casts rays is not installed.
 
     Raises
     ------
     FidpipeError
-        The library that casts them (embree) is not installed.
+        embreex is not installed.
     """
     try:
         import embreex  # noqa: F401
@@ -91,7 +91,7 @@ def need_ray_caster() -> None:
 
 
 class RayTarget:
-    """A surface that rays from the origin can be cast at, as often as is wanted.
+    """Surface as a target for rays from the origin.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class RayTarget:
         self._mesh = Trimesh(vertices, faces, process=False)
 
     def first_hits(self, directions: FloatArray) -> Hits:
-        """What each ray meets first, front or back of a triangle alike.
+        """First hit of each ray, on the front or the back of a triangle.
 
         Parameters
         ----------
@@ -136,11 +136,11 @@ class RayTarget:
 def return_probability(
     sensor: SensorModel, range_m: FloatArray, cos_incidence: FloatArray, reflectivity: FloatArray
 ) -> FloatArray:
-    """The probability that a pulse that meets a surface is answered: it falls with the range, never rises.
+    """Probability of a return from a surface; it decreases with the range.
 
     P = (1 - lost_share) (1 - exp(-s)), s = reflectivity sqrt(cos_incidence) (signal_range_m / range_m)^2: the signal of
-    a surface that fills the beam (LiDAR equation) against a threshold that fluctuates exponentially. The root stands
-    for roughness: a road answers a grazing beam more than Lambert's law has it.
+    a surface that fills the beam (LiDAR equation) against a threshold that fluctuates exponentially. The root models
+    roughness: a road returns more of a grazing beam than Lambert's law predicts.
 
     Parameters
     ----------
@@ -154,11 +154,11 @@ def return_probability(
 
 
 def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Ranges as the sensor reports them: with Gaussian noise along the ray, then rounded to the quantum, if it has one.
+    """Ranges reported by the sensor: with Gaussian noise along the ray, then rounded to the quantum, if it has one.
 
     Parameters
     ----------
-    range_m : (n,) float64, true
+    range_m : (n,) float64, true ranges
     rng : source of the noise
     """
     noisy: FloatArray = range_m + rng.normal(0.0, sensor.range_noise_m, len(range_m))

@@ -1,6 +1,6 @@
-"""A recording scanned again: posed scans become a map of surfels, small discs, and rays are cast at it.
+"""Re-scanning of a recording: posed scans become a map of surfels (small discs), at which rays are cast.
 
-What moved while it was recorded leaves a trail in the map: nothing is taken away because later rays passed through it.
+Objects that moved during the recording leave a trail in the map: later rays through a surface do not remove it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LEAF = 0.5
 _AZIMUTH_CELL_DEG, _ELEVATION_CELL_DEG = 0.2, 0.4
 _DIRECTION_CELLS = (1800, 451)  # the last row is straight up
 
-#: A sensor of which no more is known than its recording; see `recorded_directions`.
+#: A sensor of unknown model; its beams come from the recording, see `recorded_directions`.
 RECORDED = SensorModel(
     name="recorded",
     elevation_deg=(),
@@ -44,11 +44,11 @@ RECORDED = SensorModel(
 
 @dataclass(frozen=True)
 class VoxelMap:
-    """Scans of one frame of reference, thinned: one point per voxel.
+    """Scans in one frame of reference, downsampled to one point per voxel.
 
-    points : (n, 3) float64, metres, the mean of what lies in each voxel
-    n_points : (n,) float64, how many points that is
-    foliage : (n,) float64, share of them that is labelled as foliage
+    points : (n, 3) float64, metres, mean of the points in each voxel
+    n_points : (n,) float64, number of these points
+    foliage : (n,) float64, share of these points that is labelled as foliage
     """
 
     points: FloatArray
@@ -61,10 +61,10 @@ EMPTY_MAP = VoxelMap(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 @dataclass(frozen=True)
 class Rescan:
-    """What the sensor reports.
+    """Scan of a surfel map.
 
     points : (n, 3) float64, metres, sensor frame, in the order of the rays
-    is_foliage : (n,) bool, as the labels of the map have it
+    is_foliage : (n,) bool, from the labels of the map
     """
 
     points: FloatArray
@@ -72,15 +72,15 @@ class Rescan:
 
 
 def extend_map(voxels: VoxelMap, points: FloatArray, is_foliage: BoolArray | None = None) -> VoxelMap:
-    """The map with the points of a further scan; its size is bounded by the surface, not by the number of scans.
+    """Add the points of a further scan to the map; the surface limits its size, not the number of scans.
 
-    Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the distance of
-    neighbouring beams, so that rings far away become as even as those near by.
+    Voxels have an edge of 0.1 m within 15 m of the sensor, twice that up to 30 m, and so on: about the distance of
+    neighbouring beams, so that distant rings become as even as near ones.
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, in the frame of the sensor that is to scan again
-    is_foliage : (n,) bool, as labels have it; by default nothing is
+    points : (n, 3) float64, metres, in the frame of the sensor of the new scan
+    is_foliage : (n,) bool, from labels; by default all False
     """
     everything = np.concatenate([voxels.points, points])
     weight = np.concatenate([voxels.n_points, np.ones(len(points))])
@@ -99,14 +99,14 @@ def extend_map(voxels: VoxelMap, points: FloatArray, is_foliage: BoolArray | Non
 
 
 class SurfelModel:
-    """A map as a surface that rays from the origin can be cast at.
+    """Map as a surface of discs, a target for rays from the origin.
 
     Each point of the map becomes a square disc in the plane of its 20 nearest points, out to its fourth nearest one,
-    but not beyond two voxels; in foliage (l3 / l1 of 0.1 or more) half as wide, since leaves leave gaps.
+    but not beyond two voxels; in foliage (l3 / l1 of 0.1 or more) half as wide, because of the gaps between leaves.
 
     Parameters
     ----------
-    voxels : in the frame of the sensor that is to scan again
+    voxels : map in the frame of the sensor of the new scan
     """
 
     def __init__(self, voxels: VoxelMap) -> None:
@@ -123,17 +123,17 @@ class SurfelModel:
             self._target = RayTarget(vertices, faces)
 
     def scan(self, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator) -> Rescan:
-        """What a sensor at the origin reports of the surface.
+        """Scan the surface by a sensor at the origin.
 
-        The first disc that a ray meets says which surface it meets; where on it, the plane through the 20 nearest
-        points of the map about that place says, unless that is farther off than two voxels: discs overlap, and the
-        first of them is too near. A pulse is then lost with the probability `lost_share`, ranges get noise and quantum,
-        and what is outside the sensor's range is not reported.
+        The first disc that a ray hits selects the surface; the range is that of the plane through the 20 nearest points
+        of the map, unless it differs by more than two voxels (discs overlap, and the first of them is too near). A
+        pulse is then lost with the probability `lost_share`, ranges get noise and quantum, and returns outside the
+        sensor's range are dropped.
 
         Parameters
         ----------
         directions : (n, 3) float64, unit vectors
-        rng : noise and losses
+        rng : source of noise and losses
         """
         if not len(self._voxels.points):
             return Rescan(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
@@ -157,16 +157,16 @@ class SurfelModel:
 
 
 def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
-    """The beams of a sensor as its recording shows them, (n, 3) unit vectors.
+    """Beams of a sensor estimated from its recording, (n, 3) unit vectors.
 
-    Those of all returns of the scan, and of other scans of the same sensor those in directions about which this scan
-    has none: its beams that met nothing. Directions are cells of 0.2 degrees of azimuth and 0.4 degrees of elevation; a
-    cell is added if neither it nor one of its eight neighbours holds a return of the scan, with the first return that
-    the other scans have in it.
+    These are the directions of all returns of the scan, and those returns of other scans of the same sensor that are in
+    directions without a return in this scan: its beams without a hit. Directions are cells of 0.2 degrees of azimuth
+    and 0.4 degrees of elevation; a cell is added if neither it nor one of its eight neighbours contains a return of the
+    scan, with the first return of the other scans in it.
 
     Parameters
     ----------
-    own, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
+    own, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; not at the origin
 
     Examples
     --------
@@ -194,7 +194,7 @@ def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
 
 
 def _bands(points: FloatArray) -> IndexArray:
-    """The band of range of each point, (n,) intp: 0 within 15 m, 1 to 30 m, 2 to 60 m, 3 beyond."""
+    """Range band of each point, (n,) intp: 0 up to 15 m, 1 up to 30 m, 2 up to 60 m, 3 beyond."""
     range_m = np.sqrt((points**2).sum(axis=1))
     limits = _FULL_DETAIL_M * 2.0 ** np.arange(_BANDS - 1)
     bands: IndexArray = np.searchsorted(limits, range_m, side="left")
@@ -202,7 +202,7 @@ def _bands(points: FloatArray) -> IndexArray:
 
 
 def _discs(centre: FloatArray, normal: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Vertices and faces of squares, two triangles each, of the area of a disc."""
+    """Vertices and faces of squares with the area of a disc, two triangles each."""
     upright = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(normal, upright)
     u /= np.sqrt((u**2).sum(axis=1))[:, None]

@@ -1,6 +1,6 @@
-"""The two scans of a pair: of one street by the real sensor, and of its flawed twin by a simulator.
+"""Synthetic pairs: scans of one street by a real sensor, and of its flawed twin by a simulator.
 
-What each of the two does with a beam that meets something: answered or not, range noise, density, intensity.
+Returns, range noise, density and intensity differ between the two.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from ..arrays import Float32Array, FloatArray, IndexArray
 from ..inspect.sensor_models import SensorModel
 from .ray_casting import Beams, RayTarget, fire, measure_ranges, return_probability
 from .scene import build_scene
-from .street_twin import Copy, build_twin
+from .street_twin import TwinObject, build_twin
 from .things import Mesh, join_meshes
 
-_PILOT = 8  # a pilot scan has one firing where the sensor has so many
+_PILOT = 8  # firings of the sensor per firing of a pilot scan
 _SIM_NOISE_M = 0.01
 _SIM_RANGE_M = 120.0
 _SIM_ATTENUATION_PER_M = 0.004
@@ -25,10 +25,10 @@ _SIM_ATTENUATION_PER_M = 0.004
 
 @dataclass(frozen=True)
 class SynthScan:
-    """One scan with what each point lies on.
+    """One scan with the object of each point.
 
     rows : (n, 4) float32, x, y, z in metres, sensor frame, and intensity
-    thing_ids : (n,) intp, index in the scene; of invented surface, that of the thing it hangs on
+    thing_ids : (n,) intp, index in the scene; for invented surface, that of the object to which it is attached
     """
 
     rows: Float32Array
@@ -37,9 +37,9 @@ class SynthScan:
 
 @dataclass(frozen=True)
 class SynthPair:
-    """The scans of one street.
+    """Scans of one street.
 
-    kinds : what each thing of the scene is, by thing id
+    kinds : class of each object of the scene, by thing id
     """
 
     real: SynthScan
@@ -48,13 +48,13 @@ class SynthPair:
 
 
 def make_pair(seed: int, index: int, sensor: SensorModel, n_points: int | None = None) -> SynthPair:
-    """Scans of one street by the real sensor and by the simulator; they depend on the arguments alone.
+    """Scans of one street by the real sensor and by the simulator; they depend only on the arguments.
 
     Parameters
     ----------
-    seed, index : of the dataset, and of the pair in it
-    sensor : which both sides have
-    n_points : about how many points the real scan has; by default what the sensor's own azimuth step gives
+    seed, index : seed of the dataset, and index of the pair in it
+    sensor : sensor of both sides
+    n_points : approximate number of points of the real scan; by default from the sensor's azimuth step
     """
     from threadpoolctl import threadpool_limits
 
@@ -69,12 +69,12 @@ def make_pair(seed: int, index: int, sensor: SensorModel, n_points: int | None =
 
 
 def _leaf_scale(n_points: int | None) -> float:
-    """Leaves a sparse scan cannot tell apart need not be there one by one."""
+    """Factor for larger, fewer leaves in a sparse scan, which cannot resolve single ones."""
     return 1.0 if n_points is None else float(np.clip(np.sqrt(20_000 / n_points), 1.0, 3.0))
 
 
 class _Surface:
-    """Meshes as one target for rays; which of them a triangle belongs to, and how it reflects."""
+    """Meshes as one target for rays, with mesh and reflectivity of each triangle."""
 
     def __init__(self, meshes: Sequence[Mesh], owners: Sequence[int]) -> None:
         whole = join_meshes(meshes)
@@ -84,7 +84,7 @@ class _Surface:
 
 
 def _step_for(n_points: int, street: _Surface, sensor: SensorModel) -> float:
-    """The azimuth step in degrees with which this scene gives about so many returns."""
+    """Azimuth step in degrees for about `n_points` returns from this scene."""
     beams = fire(sensor, step_deg=_PILOT * sensor.azimuth_step_deg)
     hits = street.target.first_hits(beams.directions())
     probability = return_probability(sensor, hits.range_m, hits.cos_incidence, street.reflectivity[hits.face_ids])
@@ -93,7 +93,7 @@ def _step_for(n_points: int, street: _Surface, sensor: SensorModel) -> float:
 
 
 def _real_scan(street: _Surface, sensor: SensorModel, step_deg: float, rng: np.random.Generator) -> SynthScan:
-    """What the sensor reports: beams answered or not, range noise, quantum; intensity is reflectivity, 0-255."""
+    """Scan of the sensor, with lost returns, range noise and quantum; intensity is reflectivity, 0-255."""
     directions = fire(sensor, rng.uniform(0.0, 360.0), step_deg).directions()
     hits = street.target.first_hits(directions)
     reflectivity = street.reflectivity[hits.face_ids]
@@ -107,11 +107,13 @@ def _real_scan(street: _Surface, sensor: SensorModel, step_deg: float, rng: np.r
     return _scan(points[seen], intensity[seen], street.owner_of_face[hits.face_ids[answered]][seen])
 
 
-def _simulated_scan(twin: Sequence[Copy], sensor: SensorModel, step_deg: float, rng: np.random.Generator) -> SynthScan:
-    """What the simulator reports: any beam that meets something is answered, then each thing gets its own density.
+def _simulated_scan(
+    twin: Sequence[TwinObject], sensor: SensorModel, step_deg: float, rng: np.random.Generator
+) -> SynthScan:
+    """Scan of the simulator: each beam with a hit has a return, then the density of each object is adjusted.
 
-    Of the points on a thing of density below 1 that share is kept. On a thing of higher density further beams are
-    cast between the sensor's own; those that pass it by are not reported. Intensity is exp(-a range), as in CARLA.
+    Of the points on an object of density below 1 that share is kept. For an object of higher density further beams are
+    cast between those of the sensor; beams that miss it are not reported. Intensity is exp(-a range), as in CARLA.
     """
     surface = _Surface([copy.mesh for copy in twin], list(range(len(twin))))
     density = np.array([copy.density for copy in twin])
@@ -138,7 +140,7 @@ def _simulated_scan(twin: Sequence[Copy], sensor: SensorModel, step_deg: float, 
 def _between(
     beams: Beams, ray_ids: IndexArray, sensor: SensorModel, step_deg: float, rng: np.random.Generator
 ) -> FloatArray:
-    """(n, 3) float64, unit vectors: beams somewhere in the field of the given ones, half way to their neighbours."""
+    """Unit vectors, (n, 3) float64, of random beams half way between the given beams and their neighbours."""
     elevation = np.sort(np.radians(sensor.elevation_deg))
     gap = np.gradient(elevation)[np.searchsorted(elevation, beams.elevation_rad[ray_ids] - 1e-9)]
     shift = rng.uniform(-0.5, 0.5, (2, len(ray_ids)))

@@ -1,7 +1,7 @@
-"""A street around a sensor: its course, and which things stand where along it.
+"""A street around a sensor: its course, and the objects along it.
 
-A road that may bend and be crossed, kerbs and pavements, plots with houses, gardens and what grows there, parked cars,
-street trees, lamps and signs. Everything is drawn from one random generator.
+A road that may bend and be crossed, kerbs and pavements, plots with houses, gardens with plants, parked cars, street
+trees, lamps and signs. All random numbers are from one generator.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from .things import (
     build_wall,
 )
 
-_REACH_M = 95.0  # how far the street is built up to both sides
+_REACH_M = 95.0  # extent of the street in both directions
 _GROUND_REACH_M = 130.0
 _KERB_M = 0.1
 
 
 @dataclass(frozen=True)
 class Street:
-    """What one street has in common along its length.
+    """Parameters of one street along its length.
 
-    Places on it have an s along its middle line, 0 beside the sensor, growing forward, and an n to the left of that.
+    Coordinates are s along the middle line, 0 at the sensor, positive forward, and n to the left of the line.
 
     bend_per_m : curvature, positive to the left
     lane_m : n of the sensor
-    half_road_m, pavement_m, setback_m : from the middle to the kerb, to the garden boundary, to the house fronts
-    sensor_height_m : of the sensor above the road
+    half_road_m, pavement_m, setback_m : distance from the middle to the kerb, garden boundary and house fronts
+    sensor_height_m : height of the sensor above the road
     plot_m : mean width of a plot
     grade : rise of the road, metres per metre
     crossing_m : s of a side street, None without one
-    parking, planting, building : how likely kerbs, gardens and plots are used
-    leaf_scale : how much larger leaves are than usual, and the fewer
+    parking, planting, building : probability that kerbs, gardens and plots are used
+    leaf_scale : factor of the size of leaves; larger leaves are fewer
     """
 
     bend_per_m: float
@@ -64,7 +64,7 @@ class Street:
     leaf_scale: float
 
     def place(self, s: ArrayLike, n: ArrayLike, above: ArrayLike = 0.0) -> FloatArray:
-        """(..., 3) float64, metres, sensor frame: `above` metres over the ground at (s, n)."""
+        """Position `above` metres over the ground at (s, n), (..., 3) float64, metres, sensor frame."""
         s, n, above = (np.asarray(values, dtype=np.float64) for values in (s, n, above))
         k = self.bend_per_m
         x = np.sin(k * s) / k - n * np.sin(k * s)
@@ -72,7 +72,7 @@ class Street:
         return np.stack(np.broadcast_arrays(x, y, self.height(s, n) + above), axis=-1)
 
     def along(self, s: float) -> FloatArray:
-        """(3,) float64, unit vector of growing s."""
+        """Unit vector of growing s, (3,) float64."""
         turn = self.bend_per_m * s
         return np.array([np.cos(turn), np.sin(turn), 0.0])
 
@@ -86,7 +86,7 @@ class Street:
         return height
 
     def is_crossed(self, s: ArrayLike, margin_m: float = 0.0) -> BoolArray:
-        """Whether the side street opens at s, or within the margin beside it."""
+        """True if the side street opens within the margin around s."""
         if self.crossing_m is None:
             return np.zeros(np.shape(s), dtype=np.bool_)
         is_crossed: BoolArray = np.abs(np.asarray(s) - self.crossing_m) < self.half_road_m + margin_m
@@ -94,7 +94,7 @@ class Street:
 
 
 def draw_street(rng: np.random.Generator, leaf_scale: float = 1.0) -> Street:
-    """A random street; draws the same numbers whatever the scale of its leaves."""
+    """Random street; the scale of the leaves does not change the other random numbers."""
     bend = rng.choice([-1.0, 1.0]) / rng.choice([75.0, 120.0, 200.0, 1e4])
     half_road = rng.uniform(3.4, 5.2)
     return Street(
@@ -115,12 +115,12 @@ def draw_street(rng: np.random.Generator, leaf_scale: float = 1.0) -> Street:
 
 
 def build_scene(rng: np.random.Generator, leaf_scale: float = 1.0) -> tuple[Thing, ...]:
-    """The things of one street, the ground first, in the frame of a sensor that stands in its right lane.
+    """Build the objects of one street, the ground first, in the frame of a sensor in the right lane.
 
     Parameters
     ----------
-    rng : all that the scene depends on
-    leaf_scale : larger and fewer leaves, where the scan will be too coarse to tell; all else stays as it is
+    rng : source of all random numbers of the scene
+    leaf_scale : factor for larger, fewer leaves if the scan is too coarse to resolve them; it changes nothing else
     """
     street = draw_street(rng, leaf_scale)
     things = [Thing("ground", _build_ground(street))]
@@ -217,7 +217,7 @@ def _plot(street: Street, side: int, start: float, width: float, rng: np.random.
 
 
 def _side_street(street: Street, rng: np.random.Generator) -> Iterator[Thing]:
-    """What is seen down a side street: hedges or walls at its sides, cars, something at its ends."""
+    """Objects of a side street: hedges or walls at its sides, cars, and objects at its ends."""
     if street.crossing_m is None:
         return
     first = street.half_road_m + street.pavement_m + 1.0
@@ -260,6 +260,6 @@ def _place_bush(street: Street, s: float, n: float, rng: np.random.Generator) ->
 
 
 def _leaf_m(street: Street, place: FloatArray) -> float:
-    """Radius of a leaf: small where it is near, larger where none can be told from the next."""
+    """Radius of a leaf: small near the sensor, larger at distances where single leaves are not resolved."""
     range_m = float(np.linalg.norm(place.reshape(-1, 3).mean(axis=0)))
     return street.leaf_scale * min(max(0.006 * range_m, 0.12), 0.35)

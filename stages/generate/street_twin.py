@@ -1,9 +1,9 @@
-"""A flawed digital twin of a street: the geometry that a simulator casts its rays at, and how densely it does.
+"""A flawed digital twin of a street: geometry and point density for the ray casting of a simulator.
 
-A twin as the paper has it (sections "Data Collection" and "Real experiments"): a mesh of the street made from
-registered scans. Its flaws: surfaces displaced and rounded, thin things thickened, foliage merged into lumps or missing
-where it is far, far things missing, surface invented near foliage and between far things, and things that are seen more
-or less densely than by the real sensor.
+A twin as in the paper (sections "Data Collection" and "Real experiments"): a mesh of the street from registered scans.
+Its flaws: displaced and rounded surfaces, thickened thin objects, foliage merged into lumps or missing at a distance,
+missing distant objects, invented surface near foliage and between distant objects, and objects with more or fewer
+points than the real sensor measures.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _SQUARES = np.array(
 
 
 @dataclass(frozen=True)
-class Copy:
-    """What a twin has of a thing, or surface that it invents beside it.
+class TwinObject:
+    """Copy of an object in a twin, or surface invented near it.
 
-    thing_id : index of the thing in the scene
-    mesh : its surface
-    density : points on it per beam of the sensor that meets it
+    thing_id : index of the object in the scene
+    mesh : surface
+    density : points per beam of the sensor that hits it
     """
 
     thing_id: int
@@ -47,25 +47,25 @@ class Copy:
     density: float
 
 
-def build_twin(things: Sequence[Thing], rng: np.random.Generator) -> tuple[Copy, ...]:
-    """The flawed copies of a scene's things; those that the twin misses have none.
+def build_twin(things: Sequence[Thing], rng: np.random.Generator) -> tuple[TwinObject, ...]:
+    """Build flawed copies of the objects of a scene; objects missing in the twin have none.
 
     Parameters
     ----------
-    things : the scene, sensor frame
-    rng : all that the flaws depend on
+    things : objects of the scene, sensor frame
+    rng : source of all random numbers of the flaws
     """
     copies = []
     for thing_id, thing in enumerate(things):
         mesh = _remesh(thing, rng)
         if len(mesh.faces):
-            copies.append(Copy(thing_id, mesh, _draw_density(thing, rng)))
+            copies.append(TwinObject(thing_id, mesh, _draw_density(thing, rng)))
     copies += _invent_sheets(things, copies, rng)
     return _displace(things, copies, rng)
 
 
 def _draw_density(thing: Thing, rng: np.random.Generator) -> float:
-    """Points per beam: rather too few on what is near, and the farther a thing is the less can be said about it."""
+    """Random number of points per beam: mostly too few near the sensor, and more variable at a distance."""
     if thing.kind == "ground":
         return 0.8
     far = min(thing.range_m() / 40.0, 1.0)
@@ -73,7 +73,7 @@ def _draw_density(thing: Thing, rng: np.random.Generator) -> float:
 
 
 def _remesh(thing: Thing, rng: np.random.Generator) -> Mesh:
-    """The thing as it comes out of meshing; empty where nothing does."""
+    """Mesh of an object after reconstruction from scans; empty if it is lost."""
     if thing.kind == "ground":
         return crop(thing.solid, GROUND_REACH_M)
     range_m = thing.range_m()
@@ -92,8 +92,10 @@ def _remesh(thing: Thing, rng: np.random.Generator) -> Mesh:
     return join_meshes(parts)
 
 
-def _invent_sheets(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Generator) -> Iterator[Copy]:
-    """Sheets that hang from foliage, and sheets between neighbours that are far from the sensor."""
+def _invent_sheets(
+    things: Sequence[Thing], copies: Sequence[TwinObject], rng: np.random.Generator
+) -> Iterator[TwinObject]:
+    """Sheets that hang from foliage, and sheets between neighbours far from the sensor."""
     objects = [copy for copy in copies if things[copy.thing_id].kind != "ground"]
     middles = np.array([copy.mesh.vertices.mean(axis=0) for copy in objects]).reshape(-1, 3)
     for copy, middle in zip(objects, middles, strict=True):
@@ -101,12 +103,12 @@ def _invent_sheets(things: Sequence[Thing], copies: Sequence[Copy], rng: np.rand
         if things[copy.thing_id].kind in _FOLIAGE and rng.uniform() < 0.5:
             upper = _draw_edge(copy.mesh, rng)
             lower = upper + rng.normal(0.0, 0.5, 3) - [0.0, 0.0, rng.uniform(0.6, 2.0)]
-            yield Copy(copy.thing_id, _span_sheet(upper, lower), rng.uniform(0.5, 2.0))
+            yield TwinObject(copy.thing_id, _span_sheet(upper, lower), rng.uniform(0.5, 2.0))
         apart = np.linalg.norm(middles - middle, axis=1)
         near = np.flatnonzero((apart > 0) & (apart < 8.0))
         if len(near) and rng.uniform() < np.clip((range_m - 12.0) / 60.0, 0.0, 0.5):
             other = objects[int(rng.choice(near))]
-            yield Copy(
+            yield TwinObject(
                 copy.thing_id,
                 _span_sheet(_draw_edge(copy.mesh, rng), _draw_edge(other.mesh, rng)),
                 rng.uniform(0.5, 2.0),
@@ -114,21 +116,23 @@ def _invent_sheets(things: Sequence[Thing], copies: Sequence[Copy], rng: np.rand
 
 
 def _draw_edge(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
-    """(2, 3) float64, two places on a mesh."""
+    """Two random vertices of a mesh, (2, 3) float64."""
     return mesh.vertices[rng.integers(len(mesh.vertices), size=2)]
 
 
 def _span_sheet(start: FloatArray, end: FloatArray) -> Mesh:
-    """The surface spanned by two edges, in pieces that can be bent."""
+    """Surface between two edges, subdivided so that it can be bent."""
     share = np.linspace(0.0, 1.0, 6)
     rails = [edge[0] + share[:, None] * (edge[1] - edge[0]) for edge in (start, end)]
     return build_grid(rails[0] + share[:, None, None] * (rails[1] - rails[0]), 0.3)
 
 
-def _displace(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Generator) -> tuple[Copy, ...]:
-    """All surfaces shifted by one smooth random field of some centimetres near the sensor and some decimetres afar.
+def _displace(
+    things: Sequence[Thing], copies: Sequence[TwinObject], rng: np.random.Generator
+) -> tuple[TwinObject, ...]:
+    """Displace all surfaces by one smooth random field: centimetres near the sensor, decimetres at a distance.
 
-    The ground, which the scanner has passed over, is off by the same few centimetres everywhere.
+    The ground, over which the scanner has passed, is displaced by the same few centimetres everywhere.
     """
     vertices = np.concatenate([copy.mesh.vertices for copy in copies])
     is_passed = np.concatenate([np.full(len(c.mesh.vertices), things[c.thing_id].kind == "ground") for c in copies])
@@ -136,7 +140,7 @@ def _displace(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Ge
     shifted = vertices + error_m * smooth_field(vertices, rng) * np.array([1.0, 1.0, 0.25])
     ends = np.cumsum([len(copy.mesh.vertices) for copy in copies])
     return tuple(
-        Copy(
+        TwinObject(
             copy.thing_id,
             Mesh(shifted[end - len(copy.mesh.vertices) : end], copy.mesh.faces, copy.mesh.reflectivity),
             copy.density,
@@ -146,7 +150,7 @@ def _displace(things: Sequence[Thing], copies: Sequence[Copy], rng: np.random.Ge
 
 
 def smooth_field(places: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """A random vector at each place, of unit variance on each axis, that varies over 2 to 30 metres.
+    """Random vector at each place, of unit variance on each axis, that varies over 2 to 30 metres.
 
     F(x) = sqrt(2 / m) sum_k a_k cos(q_k . x + phi_k), m = 24 waves in random directions.
 
@@ -165,7 +169,7 @@ def smooth_field(places: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def smooth_mesh(mesh: Mesh, times: int = 1) -> Mesh:
-    """The mesh with each vertex moved half the way to the mean of its neighbours, `times` times."""
+    """Move each vertex half way to the mean of its neighbours, `times` times."""
     a, b = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]).T
     ends, others = np.concatenate([a, b]), np.concatenate([b, a])
     degree = np.maximum(np.bincount(ends, minlength=len(mesh.vertices)), 1)[:, None]
@@ -176,7 +180,7 @@ def smooth_mesh(mesh: Mesh, times: int = 1) -> Mesh:
 
 
 def thicken(mesh: Mesh, by_m: float) -> Mesh:
-    """The mesh with each vertex pushed out along its normal; a vertex without a face stays."""
+    """Move each vertex outwards along its normal; a vertex without a face does not move."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     face_normals = np.cross(b - a, c - a)
     normals = _sums(mesh.faces.ravel(), np.repeat(face_normals, 3, axis=0), len(mesh.vertices))
@@ -185,9 +189,9 @@ def thicken(mesh: Mesh, by_m: float) -> Mesh:
 
 
 def tear_holes(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
-    """The mesh with holes, a few metres wide, that take about this share of its faces.
+    """Cut holes, a few metres wide, of about this share of the faces.
 
-    The faces are left out where a wave field is highest.
+    The removed faces are those at the highest values of a wave field.
     """
     if not len(mesh.faces):
         return mesh
@@ -197,21 +201,21 @@ def tear_holes(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
 
 
 def crop(mesh: Mesh, range_m: float) -> Mesh:
-    """The mesh with only those faces whose middle is within `range_m` of the sensor."""
+    """Keep only the faces whose centre is within `range_m` of the sensor."""
     near = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1) <= range_m
     return Mesh(mesh.vertices, mesh.faces[near], mesh.reflectivity[near])
 
 
 def merge_leaves(leaves: Mesh, cell_m: float, swollen: float, rng: np.random.Generator) -> Mesh:
-    """A closed, lumpy surface around loose triangles: the border of the cells that they occupy, smoothed.
+    """Closed, lumpy surface around loose triangles: the smoothed border of the cells that they occupy.
 
-    It is empty where there are no triangles.
+    It is empty without triangles.
 
     Parameters
     ----------
     leaves : loose triangles
     cell_m : edge of a cell
-    swollen : share of the occupied cells from which a random neighbour is taken in as well
+    swollen : share of the occupied cells to which a random neighbour is added
     """
     if not len(leaves.faces):
         return EMPTY_MESH
@@ -238,5 +242,5 @@ def merge_leaves(leaves: Mesh, cell_m: float, swollen: float, rng: np.random.Gen
 
 
 def _sums(ids: IndexArray, rows: FloatArray, n: int) -> FloatArray:
-    """(n, 3) float64, sum of the rows of each id."""
+    """Sum of the rows of each id, (n, 3) float64."""
     return np.column_stack([np.bincount(ids, rows[:, axis], n) for axis in range(3)])

@@ -1,4 +1,4 @@
-"""The surface that points lie on: its plane about each point, and a scan thinned to one point per voxel."""
+"""Local planes of the surface around points, and downsampling to one point per voxel."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 
-_ROWS_AT_ONCE = 8192  # bounds the memory of neighbourhoods
+_ROWS_AT_ONCE = 8192  # limits the memory of neighbourhoods
 
 
 @dataclass(frozen=True)
 class LocalPlanes:
-    """What the neighbours of each place say of the surface there.
+    """Planes through the neighbours of each place.
 
     mean : (n, 3) float64, metres, weighted mean of the neighbours
     normal : (n, 3) float64, unit vectors: the axis along which the neighbours vary least, of either sign
     variance : (n, 3) float64, m^2, along the three principal axes, ascending; l3, l2, l1 of the literature
-    n_neighbours : (n,) intp, how many there are; a plane wants three
+    n_neighbours : (n,) intp, number of neighbours; a plane needs three
     """
 
     mean: FloatArray
@@ -29,17 +29,17 @@ class LocalPlanes:
 
     @property
     def scattering(self) -> FloatArray:
-        """l3 / l1 (Demantke et al., ISPRS 2011): 0 on a plane and a line, 1 where points vary alike on all axes."""
+        """l3 / l1 (Demantke et al., ISPRS 2011): 0 on a plane or a line, 1 for equal variance on all axes."""
         scattering: FloatArray = self.variance[:, 0] / np.maximum(self.variance[:, 2], 1e-300)
         return scattering
 
 
 def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: float = np.inf) -> LocalPlanes:
-    """The plane through the neighbours of each place, by weighted principal component analysis.
+    """Fit a plane to the neighbours of each place, by weighted principal component analysis.
 
     The neighbours are the `n_most` nearest points within `reach_m`. With a finite reach h their weights are
-    exp(-(2 d / h)^2), as in moving least squares (Alexa et al., IEEE Visualization 2001); without one all weigh alike.
-    A place without neighbours has itself as mean, and no variance.
+    exp(-(2 d / h)^2), as in moving least squares (Alexa et al., IEEE Visualization 2001); otherwise all weights are 1.
+    A place without neighbours has itself as mean, and variance 0.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: flo
 
 
 def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:
-    """The mean of the points of each occupied voxel, (v, 3) float64, in the order of the voxels.
+    """Mean of the points of each occupied voxel, (v, 3) float64, in the order of the voxels.
 
     Parameters
     ----------
     points : (n, 3) float64, metres
-    edge_m : of a voxel; one of them has a corner at the origin
+    edge_m : edge of a voxel; one voxel has a corner at the origin
 
     Examples
     --------
@@ -92,7 +92,7 @@ def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:
 
 
 def voxel_ids(points: FloatArray, edge_m: float) -> IndexArray:
-    """A number for the voxel that each point lies in, (n,) int64; unique within a million voxels of the origin.
+    """Number of the voxel of each point, (n,) int64; unique within a million voxels of the origin.
 
     Parameters
     ----------

@@ -160,7 +160,8 @@ def test_no_imaginary_part_is_dropped():
 
 def test_what_cleaning_dropped_is_told_with_what_may_be_done():
     with pytest.raises(
-        FidpipeError, match=r"real: no point is left .*\(60 too far\); raise input.max_range_m \(now 100\)"
+        FidpipeError,
+        match=r"real: expected at least 8 points .* got 0 \(60 too far\); raise input.max_range_m \(now 100\)",
     ):
         evaluate_pair(cloud() + 1e6, cloud())
 

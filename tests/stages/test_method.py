@@ -104,7 +104,7 @@ def test_a_real_pair_has_the_tables_of_the_command(real_data, tmp_path):
 
 
 def test_a_side_without_objects_is_refused(scans):
-    with pytest.raises(StageError, match="0 object points after ground removal"):
+    with pytest.raises(StageError, match="object points after ground removal, got 0"):
         evaluate(scans[0], road() * [1, 1, 0] + [0, 0, -1.7], Settings())
 
 

@@ -107,7 +107,7 @@ def test_no_points_stay_no_points(kind):
 
 
 def test_an_unknown_kind_is_refused(cloud):
-    with pytest.raises(ValueError, match="'fog': no such kind; known are noise, dropout"):
+    with pytest.raises(ValueError, match="'fog': unknown kind; known are noise, dropout"):
         perturb(cloud, Perturbation("fog", 1.0), seeded())
 
 
