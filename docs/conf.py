@@ -1,4 +1,4 @@
-"""How Sphinx builds this folder: `make docs`, pages in build/docs. Nothing comes from a network."""
+"""Sphinx configuration: `make docs` writes build/docs, without network."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ myst_heading_anchors = 4
 nitpicky = True
 highlight_language = "none"
 
-# The tutorial runs at each build, in a folder of its own, with the fidpipe of the interpreter that runs Sphinx.
+# The tutorial runs at each build, in a temporary folder, with the fidpipe of the interpreter that runs Sphinx.
 nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_timeout = 300
@@ -53,7 +53,7 @@ def inline_math(writer: HTML5Translator, node: nodes.math) -> None:
 
 
 def block_math(writer: HTML5Translator, node: nodes.math_block) -> None:
-    """Writes a formula on lines of its own as MathML."""
+    """Writes a formula as a block of MathML."""
     writer.body.append(f'<div class="math-block">{mathml(node, as_block=True)}</div>')
     raise nodes.SkipNode
 

@@ -1,4 +1,4 @@
-"""What docs/development.md promises of the way through the house, and where the links of the pages lead."""
+"""The calls that docs/development.md lists, and the targets of all links in the pages."""
 
 import re
 import traceback

@@ -58,12 +58,12 @@ _MATCHES = ("n_matched", "n_communities_real", "n_communities_sim")
 
 
 def outcome(real, sim, settings):
-    """What becomes of a pair, in the words of the page; a result must keep what `faults_of` looks at."""
+    """Outcome of a pair as text; a result must have none of the problems that `faults_of` finds."""
     try:
         result = evaluated(real, sim, settings)
     except FidpipeError as error:
         assert str(error).isprintable(), error  # one line
-        return f"refused: {str(error).partition(';')[0]}"
+        return f"error: {str(error).partition(';')[0]}"
     assert not (faults := faults_of(result)), faults
     summary = result.summary
     n_matched, *n_objects = (summary[name] for name in _MATCHES)
@@ -81,7 +81,7 @@ def evaluated(real, sim, settings):
 
 
 def faults_of(result):
-    """What is wrong with a result: a number that is none, or out of its bounds, or a null without a reason."""
+    """Problems of a result: a value that is not a number, is out of its bounds, or is null without a reason."""
     tables = {"pairs": {name: [value] for name, value in result.summary.items()}}
     for name in ("metrics", "matching", "coverage", "surface", "selection", "baselines", "seeds"):
         if (frame := getattr(result, name)) is not None:
@@ -107,7 +107,7 @@ def faults_of(result):
 
 
 def fault_of(table, name, values):
-    """What is wrong with the values of a column, "" if nothing; null is None or, in a frame, NaN."""
+    """Problem of the values of a column, "" if they are valid; null is None or, in a frame, NaN."""
     numbers = np.array([value for value in values if isinstance(value, int | float)], dtype=np.float64)
     known = numbers[~np.isnan(numbers)]
     metric = METRIC.get(name) or METRIC.get(name.removesuffix("_mean"))
@@ -115,7 +115,7 @@ def fault_of(table, name, values):
     if np.isinf(known).any():
         return "infinite"
     if len(known) and ((low is not None and known.min() < low) or (high is not None and known.max() > high)):
-        return f"{known.min()} to {known.max()} found, {low} to {high} wanted"
+        return f"expected {low} to {high}, got {known.min()} to {known.max()}"
     if table in TABLES and name in TABLES[table].schema.names and len(known) < len(numbers):
         return "" if TABLES[table].schema.field(name).nullable else "NaN"
     return ""
@@ -144,7 +144,7 @@ def with_tables(text):
         marks = re.compile(rf"(<!-- {name}: .*? -->\n).*?(<!-- end of {name} -->)", re.DOTALL)
         text, n = marks.subn(lambda found, lines=lines: found[1] + "\n".join(lines) + "\n" + found[2], text)
         if n != 1:
-            raise ValueError(f"{PAGE}: {n} tables marked {name!r} found, one is wanted")
+            raise ValueError(f"{PAGE}: expected one table marked {name!r}, got {n}")
     return text
 
 

@@ -20,7 +20,7 @@ from fidpipe.stages.linalg.laplacian import induced_laplacian
 from fidpipe.stages.linalg.spectrum import eigenvalues
 from fidpipe.stages.linalg.subgraph import Edges, split_by_community
 
-#: Nodes that an object needs to be looked at, and those that can still be told apart in a picture.
+#: Nodes that an object needs to be looked at, and the most that a picture can show.
 FEWEST_NODES, MOST_NODES = 150, 2000
 GOOD_ALIGNMENT_M, BAD_ALIGNMENT_M = 0.5, 2.0
 DPI, N_COLOURS = 150, 256
@@ -29,8 +29,8 @@ WORDS = {"real": "real", "sim": "simulated"}
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """An object to be shown: the score that it is chosen by, the value that is wanted, and how well it is aligned."""
+class Example:
+    """Criteria for an example object: its score, the value of the score, and the quality of its alignment."""
 
     name: str
     score: str
@@ -40,15 +40,15 @@ class Wanted:
 
     @property
     def heading(self):
-        """What stands over its column: `r_lambda near 0.1`."""
+        """Heading of its column: `r_lambda near 0.1`."""
         note = ", misaligned" if self.least_rms_m else ""
         return f"{METRIC[self.score].heading} near {self.value:g}{note}"
 
 
-WANTED = (
-    *(Wanted(f"r_lambda_{value}", "r_lambda", value, most_rms_m=GOOD_ALIGNMENT_M) for value in (0.1, 0.4, 0.7)),
-    *(Wanted(f"cdc_{value}", "cdc", value) for value in (0.1, 0.5, 1.0)),
-    Wanted("r_lambda_misaligned", "r_lambda", 0.1, least_rms_m=BAD_ALIGNMENT_M),
+EXAMPLES = (
+    *(Example(f"r_lambda_{value}", "r_lambda", value, most_rms_m=GOOD_ALIGNMENT_M) for value in (0.1, 0.4, 0.7)),
+    *(Example(f"cdc_{value}", "cdc", value) for value in (0.1, 0.5, 1.0)),
+    Example("r_lambda_misaligned", "r_lambda", 0.1, least_rms_m=BAD_ALIGNMENT_M),
 )
 #: What the table under a picture has of its object, by column of `metrics`.
 NUMBERS = (
@@ -57,11 +57,11 @@ NUMBERS = (
 )
 
 
-def choose(matched, wanted):
+def choose(matched, example):
     """The row of the object nearest to the value, of equally near ones the first, among those that can be drawn."""
     drawable = matched[matched.n_keep.between(FEWEST_NODES, MOST_NODES)]
-    drawable = drawable[drawable.alignment_rms_m.between(wanted.least_rms_m, wanted.most_rms_m)]
-    drawable = drawable.assign(off=(drawable[wanted.score] - wanted.value).abs())
+    drawable = drawable[drawable.alignment_rms_m.between(example.least_rms_m, example.most_rms_m)]
+    drawable = drawable.assign(off=(drawable[example.score] - example.value).abs())
     return drawable.sort_values(["off", "pair_id", "real_id"]).iloc[0]
 
 
@@ -117,10 +117,10 @@ class MatchedObject:
         return induced_laplacian(self.graphs[side], self.nodes[side])
 
 
-def draw(wanted, chosen, results, folder):
+def draw(example, chosen, results, folder):
     """Writes the picture of an object that was chosen by its CDC or by its r_lambda."""
-    draw_one = draw_geometry if wanted.score == "cdc" else draw_structure
-    draw_one(MatchedObject(results, chosen), folder / f"{wanted.name}.png")
+    draw_one = draw_geometry if example.score == "cdc" else draw_structure
+    draw_one(MatchedObject(results, chosen), folder / f"{example.name}.png")
 
 
 def draw_structure(own, path):
@@ -191,7 +191,7 @@ def draw_geometry(own, path):
             title = f"{WORDS[side]}:", f"{len(points[side]):,} points,", f"mean cost {costs[side].mean():.3f}"
             axis.set_title(between.join(title))
             style.dots(axes[2], own.seen(points[side]), 2.5, SIDE_COLOURS[side])
-        axes[2].set_title(between.join(["both as they lie,", "centroids", f"{row.centroid_distance_m:.2f} m apart"]))
+        axes[2].set_title(between.join(["both as given,", "centroids", f"{row.centroid_distance_m:.2f} m apart"]))
         left.colorbar(
             coloured, ax=axes, label="cost of a point, 1 - exp(-d²)", location="bottom", shrink=0.7, aspect=40
         )
@@ -249,5 +249,5 @@ def _title(row):
 
 
 def chosen_objects(results):
-    """By wanted object, the row of `results.matched` that was chosen."""
-    return {wanted: choose(results.matched, wanted) for wanted in WANTED}
+    """The chosen row of `results.matched` for each example."""
+    return {example: choose(results.matched, example) for example in EXAMPLES}

@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/stages and docs/scores.md anew, and the numbers beside them: python tools/pictures.py.
+"""Redraws the pictures of docs/stages and docs/scores.md, and the numbers in the latter: python tools/pictures.py.
 
 All is drawn from pairs of `fidpipe synth`, evaluated by `fidpipe run` under the default settings in .cache/pictures.
 """
@@ -242,7 +242,7 @@ def draw_coverage(view, path):
 
 
 def surface(axis, view):
-    """The sampled real points whose neighbours tell a plane, with their normals from above."""
+    """The sampled real points whose neighbours form a plane, with their normals from above."""
     real = describe_surface(view.points["real"])
     style.dots(axis, view.points["real"], 0.6, "#dddddd")
     places, normal = real.points[: len(real.normal)][real.is_plane][:, :2], real.normal[real.is_plane][:, :2]
@@ -393,7 +393,7 @@ STAGE_PICTURES = {
 
 
 def fill_panel(axis):
-    """Widens what is shown to the shape of a panel, true to scale, so that all panels are alike."""
+    """Widens what is shown to the shape of a panel, true to scale, so that all panels have the same size."""
     low, high = np.array([axis.get_xlim(), axis.get_ylim()]).T
     width = max(high[0] - low[0], (high[1] - low[1]) / PANEL_SHAPE)
     half, middle = np.array([width, width * PANEL_SHAPE]) / 2, (low + high) / 2
@@ -402,7 +402,7 @@ def fill_panel(axis):
 
 
 def draw_pipeline(view, path):
-    """What each stage makes of the same pair, in order."""
+    """One panel per stage for the same pair, in order."""
     with style.new_figure(9.6, 3.4) as figure:
         axes = figure.subplots(2, -(-len(STAGE_PANELS) // 2)).ravel()
         for spare in axes[len(STAGE_PANELS) :]:
@@ -419,15 +419,15 @@ def draw_pipeline(view, path):
 
 
 def draw_all(run, folder):
-    """Writes all pictures of a run; what was chosen for those of single objects, by what was wanted."""
+    """Writes all pictures of a run; returns the chosen row of each example object."""
     results = read_results(run)
     view = PairView(results, sorted(results.pairs.pair_id)[0])
     draw_pipeline(view, folder / "pipeline.png")
     for name, draw_stage in STAGE_PICTURES.items():
         draw_stage(view, folder / f"{name}.png")
     chosen = chosen_objects(results)
-    for wanted, row in chosen.items():
-        draw(wanted, row, results, folder)
+    for example, row in chosen.items():
+        draw(example, row, results, folder)
     return chosen
 
 
@@ -436,7 +436,7 @@ def with_numbers(text, chosen):
     marks = re.compile(r"(<!-- objects: .*? -->\n).*?(<!-- end of objects -->)", re.DOTALL)
     text, n = marks.subn(lambda found: found[1] + numbers_table(chosen) + found[2], text)
     if n != 1:
-        raise ValueError(f"docs/scores.md: {n} tables marked 'objects' found, one is wanted")
+        raise ValueError(f"docs/scores.md: expected one table marked 'objects', got {n}")
     return text
 
 

@@ -1,4 +1,4 @@
-"""The tables of the documentation that come from the code. `python tools/readme.py` writes them anew."""
+"""Tables of the documentation that come from the code: `python tools/readme.py` rewrites them."""
 
 import re
 from pathlib import Path
@@ -14,13 +14,13 @@ TABLES = {
 
 
 def with_tables(page):
-    """The text of a page with each of its tables between its two marks; the marks must be there."""
+    """The text of a page with each of its tables rewritten between its two marks, which must exist."""
     text = page.read_text(encoding="utf-8")
     for name, table in TABLES[page].items():
         marks = re.compile(rf"(<!-- {name}: .*? -->\n).*?(<!-- end of {name} -->)", re.DOTALL)
         text, n = marks.subn(lambda found, table=table: found[1] + table() + found[2], text)
         if n != 1:
-            raise ValueError(f"{page}: {n} tables marked {name!r} found, one is wanted")
+            raise ValueError(f"{page}: expected one table marked {name!r}, got {n}")
     return text
 
 

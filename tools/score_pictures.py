@@ -15,7 +15,7 @@ from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.pieces import CutScan, find_pieces
-from object_pictures import MOST_EDGES, MatchedObject, Wanted, choose, save
+from object_pictures import MOST_EDGES, Example, MatchedObject, choose, save
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 SIZE_IN = (4.2, 2.9)
@@ -65,15 +65,15 @@ def draw_piece(results, pair_id, path):
         save(figure, path)
 
 
-def draw_objects(results, wanted, path, *, is_graph):
+def draw_objects(results, examples, path, *, is_graph):
     """Matched trees side by side: both sides overlaid, or the graph of each with its edges."""
     trees = results.matched.query("group == 'tree' and diagonal_m < 12")
-    objects = [MatchedObject(results, choose(trees, one)) for one in wanted]
+    objects = [MatchedObject(results, choose(trees, one)) for one in examples]
     with style.new_figure(*SIZE_IN) as figure:
         axes = figure.subplots(2 if is_graph else 1, len(objects), squeeze=False)
         for column, own in enumerate(objects):
-            value = own.row[wanted[column].score]
-            axes[0][column].set_title(f"{wanted[column].score.replace('cdc', 'CDC')} {value:.2f}")
+            value = own.row[examples[column].score]
+            axes[0][column].set_title(f"{examples[column].score.replace('cdc', 'CDC')} {value:.2f}")
             for row, side in enumerate(SIDES):
                 axis = axes[row if is_graph else 0][column]
                 if is_graph:
@@ -96,9 +96,9 @@ def main(run):
     pair_id = results.pairs.pair_id.iloc[0]
     draw_surface(results, pair_id, FOLDER / "read_surface.png")
     draw_piece(results, pair_id, FOLDER / "read_pieces.png")
-    geometry = [Wanted("", "cdc", value) for value in (0.03, 0.15, 0.35)]
+    geometry = [Example("", "cdc", value) for value in (0.03, 0.15, 0.35)]
     draw_objects(results, geometry, FOLDER / "read_cdc.png", is_graph=False)
-    structure = [Wanted("", "r_lambda", value, most_rms_m=0.5) for value in (0.1, 0.4, 0.7)]
+    structure = [Example("", "r_lambda", value, most_rms_m=0.5) for value in (0.1, 0.4, 0.7)]
     draw_objects(results, structure, FOLDER / "read_r_lambda.png", is_graph=True)
 
 

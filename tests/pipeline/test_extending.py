@@ -30,7 +30,7 @@ N_POINTS = 100
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 PYTHON_FILE = re.compile(r"`([\w/]+\.py)`")
-MOST_FILES = {"A reader": 2, "A setting": 2, "A baseline": 4, "A score": 4, "A stage": 5, "An experiment": 4}
+MOST_FILES = {"A reader": 2, "A setting": 2, "A baseline metric": 4, "A score": 4, "A stage": 5, "An experiment": 4}
 
 
 class Block(NamedTuple):
@@ -159,7 +159,7 @@ def insert(text, line, code, indent=0):
 PLACES = {
     "A reader": [None, last_in("FORMATS")],
     "A setting": [field_in("GraphSettings"), before_return_of("build_graph")],
-    "A baseline": [last_in("BASELINES"), None, after_imports, last_in("BASELINES")],
+    "A baseline metric": [last_in("BASELINES"), None, after_imports, last_in("BASELINES")],
     "A score": [
         last_in("OBJECT_SCORES"),
         field_in("Scores"),
@@ -296,7 +296,7 @@ def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, datas
 
 @pytest.mark.exhaustive
 def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
-    package, _ = extended("A baseline", tmp_path)
+    package, _ = extended("A baseline metric", tmp_path)
     assert package.breaks_no_layer() is True
     assert package.run_examples("fidpipe.stages.baselines.box_overlap") == 2
     package.fidpipe("run", dataset, "--out", again, "--workers", 1, "--set", "metrics.baselines=box_overlap")
