@@ -1,6 +1,5 @@
 """Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
 
-import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
@@ -98,8 +97,3 @@ def test_a_failed_part_does_not_stop_another(dataset, tmp_path):
     engine, jobs = make_parts(dataset, tmp_path, parts, WatchedPool())
     assert engine.failures == {f"{pair_id}, part-0": "no such thing" for pair_id in jobs}
     assert all((stage.name, "part-1") in own for own in jobs.values())
-
-
-def test_two_parts_of_one_name_are_refused(dataset, tmp_path):
-    with pytest.raises(ValueError, match="is there twice; each needs its own name"):
-        make_parts(dataset, tmp_path, [Part(SEES_GROUND, "a"), Part(SEES_GROUND, "a")], InProcess())

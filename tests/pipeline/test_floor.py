@@ -127,16 +127,6 @@ def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
     assert (again.labels == "pole").sum() < 100
 
 
-def test_a_scan_that_cannot_be_read_fails_alone(tmp_path):
-    data = write_dataset(tmp_path / "streets", 2)
-    (data / "real" / "001.bin").write_bytes(b"123")
-    text = Console(record=True, width=500, file=StringIO())
-    made = floor(data, tmp_path / "floor", Reporter(text))
-    assert text.export_text().count("pair 001") == 1
-    assert [row["status"] for row in made.rows] == ["scored", "failed"]
-    assert "real/001.bin" in made.failures["001"]
-
-
 def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
     data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "floor"
     n_made = floor(data, out).n_made

@@ -3,21 +3,10 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-import textbook
 from fidpipe.schemas.errors import StageError
 from fidpipe.stages.linalg import assignment
 from fidpipe.stages.linalg.assignment import align_nodes, assign_nodes
 from fidpipe.stages.literal import method
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_the_alignment_is_the_best_of_all(seed):
-    rng = np.random.default_rng(seed)
-    real, sim = rng.normal(0, 1, (7, 3)), rng.normal(5, 1, (7, 3))
-    total, best = textbook.align(real, sim)
-    sim_of_real = align_nodes(real, sim)
-    assert total_distance(real, sim, sim_of_real) == pytest.approx(total)
-    assert sim_of_real.tolist() == list(best)
 
 
 def total_distance(real, sim, sim_of_real):
@@ -44,8 +33,8 @@ LARGE = {
 
 
 @pytest.mark.parametrize("shape", LARGE)
-@pytest.mark.parametrize("n", [401, 900])
-def test_a_large_alignment_is_the_hungarian_one(rng, shape, n):
+@pytest.mark.parametrize("n", [7, 401, 900])
+def test_an_alignment_is_the_hungarian_one(rng, shape, n):
     real, sim = LARGE[shape](rng, n)
     np.testing.assert_array_equal(align_nodes(real, sim), hungarian(real, sim))
 

@@ -3,23 +3,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
-import textbook
 from fidpipe.schemas.settings import MatchingSettings
 from fidpipe.stages.matching import match_communities
 
 
 def pairs(matching):
     return list(zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_optimal_agrees_with_trying_all(seed):
-    rng = np.random.default_rng(seed)
-    real, sim = rng.uniform(0, 9, (4, 3)), rng.uniform(0, 9, (4, 3))
-    matching = match_communities(real, sim, MatchingSettings(delta_m=4, method="optimal"))
-    best = textbook.match_optimal(real, sim, 4)
-    assert len(matching.real_ids) == len(best)
-    assert matching.distance_m.sum() == pytest.approx(sum(d for _, _, d in best))
 
 
 def test_greedy_takes_what_comes_first_and_optimal_what_is_best():

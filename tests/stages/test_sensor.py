@@ -250,9 +250,3 @@ def test_rings_that_lie_upon_each_other_are_no_beams(rng):
     angle = np.linspace(0, 2 * np.pi, 2000)
     flat = 10 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(2000)])
     assert describe_sensor(flat, rng.integers(0, 32, 2000).astype(np.int32)).model is None
-
-
-@pytest.mark.parametrize("scale", [1e-310, 1e-200, 1e20, 1e300])
-def test_at_the_ends_of_float64_no_sensor_is_told(scale):
-    facts = describe_sensor(room(SENSORS["vlp16"]) * scale)
-    assert facts.model is None and facts.untold["elevation_deg"]
