@@ -44,26 +44,24 @@ class WatchedPool(InProcess):
 class DyingPool(WatchedPool):
     """A worker dies, at most `n_deaths` times, of a task that `is_fatal` says so of: after the work, before the report.
 
-    is_fatal : asked with the jobs of a task and the name of its function
-    n_deaths_each : workers that die of such a task before the pool gives it up
+    is_fatal : called with the jobs of a task and the name of its function
     """
 
-    def __init__(self, is_fatal, n_deaths=10**6, n_deaths_each=1, **options):
+    def __init__(self, is_fatal, n_deaths=10**6, **options):
         super().__init__(**options)
-        self._each = n_deaths_each
         self._is_fatal, self._left = is_fatal, n_deaths
         self.n_deaths = 0
 
     def submit(self, function, *args, **options):
         handle = super().submit(function, *args, **options)
         if self.n_deaths < self._left and self._is_fatal(jobs_in(function, args), function.__name__):
-            self.n_deaths += self._each
+            self.n_deaths += 1
             handle.is_doomed = True
         return handle
 
     def next_done(self):
         handle, outcome = super().next_done()
-        return handle, WorkerDied("killed by a test", self._each) if hasattr(handle, "is_doomed") else outcome
+        return handle, WorkerDied("killed by a test") if hasattr(handle, "is_doomed") else outcome
 
 
 def jobs_in(function, args):

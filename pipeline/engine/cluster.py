@@ -48,10 +48,10 @@ _GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
 
-#: Of a cluster on this machine: one death of a worker ends its tasks (`schedule` tries them again); one that is silent
-#: is busy in a library; a busy event loop is no news; and what was sent is not kept, for it grows with the pairs.
+#: For a cluster on this machine. A task at which two workers die is given up (`schedule` decides what is tried again). A
+#: silent worker is busy in a library, a busy event loop is not reported, logs of messages would grow with the pairs.
 _DASK_SETTINGS = {
-    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.worker-ttl": None,
     "distributed.admin.tick.limit": "1h",
     "distributed.admin.low-level-log-length": 0,
@@ -180,8 +180,7 @@ class DaskPool:
             result = None if keep and future.status == "finished" else future.result()
         except self._killed_worker as error:
             n_deaths = error.allowed_failures + 1
-            each = f"{n_deaths} workers each time" if n_deaths > 1 else "a worker each time"
-            return handle, WorkerDied(f"{each}, the last one {error.last_worker.address}", n_deaths)
+            return handle, WorkerDied(f"{n_deaths} workers each time, the last one {error.last_worker.address}")
         except CancelledError as error:
             raise RunError(self._lost("the connection is lost, or it gave up a task")) from error
         except FidpipeError:

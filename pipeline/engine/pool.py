@@ -24,10 +24,9 @@ class Handle:
 
 @dataclass(frozen=True)
 class WorkerDied:
-    """The outcome of a task whose worker process went away while it ran, so often that the pool gave it up."""
+    """Outcome of a task that the pool has given up, because worker processes died each time it ran."""
 
     detail: str
-    n_deaths: int = 1
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,16 @@
 
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
 only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. Parts
-of an experiment, which do not wait for each other, are always batches of their own. The pairs that a dying worker
-leaves behind are tried again, each in a batch of its own; one that loses its worker again, job by job with nothing
-beside it, so that only the guilty one fails.
+of an experiment, which do not wait for each other, are always batches of their own. If the workers of a batch die, its
+pairs are tried again, each in a separate batch. A pair whose workers die again is tried once more, job by job with
+nothing else running, so that only the job that causes it fails.
 """
 
 from __future__ import annotations
 
 import heapq
 import itertools
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -37,8 +37,6 @@ class Policy:
     batch_s : objects of together so many seconds go together
     bundle_s : small pairs of together so many seconds go together
     least_weight : and no more of them than one by this
-    losses_beside_others : a pair that lost its worker more often is tried with nothing beside it, job by job
-    deaths_alone : a job fails at which so many workers die with nothing beside it; one may be anybody's fault
     """
 
     costs: CostModel = field(default_factory=CostModel)
@@ -48,8 +46,6 @@ class Policy:
     batch_s: float = 0.5
     bundle_s: float = 0.5
     least_weight: float = 1 / 16
-    losses_beside_others: int = 1
-    deaths_alone: int = 2
 
 
 class Watcher(Protocol):
@@ -66,16 +62,14 @@ class Watcher(Protocol):
 class _Pair:
     """A pair that is being worked on.
 
-    is_lost : whether the pool gave up a batch of it, since it last went on
-    n_losses : how often that was so
-    deaths : of workers, by the job that they died at with nothing beside it
+    is_lost : whether the pool has given up a batch of it, since the last submission
+    n_losses : how often that has happened
     """
 
     plan: PairPlan
     failures: list[JobFailure] = field(default_factory=list)
     is_lost: bool = False
     n_losses: int = 0
-    deaths: Counter[JobId] = field(default_factory=Counter)
     n_waiting: int = 0
     scored: list[Handle] = field(default_factory=list)
     scoring: tuple[JobId, ...] = ()
@@ -186,11 +180,8 @@ class Schedule:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
-                job = pair.ready[0]
-                pair.deaths[job.name] += result.n_deaths
-                if pair.deaths[job.name] >= self._policy.deaths_alone:
-                    again = "the worker process died, and again when the pair ran alone (out of memory?)"
-                    pair.failures.append(JobFailure(*job.name, f"{again}: {result.detail}"))
+                again = "the worker process died, and again when the pair ran alone (out of memory?)"
+                pair.failures.append(JobFailure(*pair.ready[0].name, f"{again}: {result.detail}"))
         elif isinstance(result, BatchResult):
             self._watcher.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
@@ -208,7 +199,7 @@ class Schedule:
             self._end(pair)
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
-        elif pair.n_losses > self._policy.losses_beside_others:
+        elif pair.n_losses > 1:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
         elif not pair.plan.is_counted and self._budget.why_too_large(pair.plan):  # perhaps: the size is an estimate

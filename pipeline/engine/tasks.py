@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import traceback
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from ...schemas.errors import DiskFullError, FidpipeError
 from .cluster import start_pool
 from .pool import WorkerDied
 from .progress import Reporter
 
-_TRIES = 3
+_DIED = "the worker process died, and again when the pair ran alone (a crash of a reader, or out of memory?)"
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -50,27 +49,28 @@ def map_tasks(
     failures: dict[str, str] = {}
     if not tasks:
         return results, failures
-    deaths: Counter[str] = Counter()
     pool = start_pool(n_workers, None, None, Path(), {}, [function.__module__], may_end_workers=may_end_workers)
     reporter.start(len(tasks), len(tasks))
+    lost, alone = list[str](), ""
     try:
         running = {pool.submit(_call, function, task): name for name, task in tasks.items()}
         while running:
             handle, outcome = pool.next_done()
             name = running.pop(handle)
-            if isinstance(outcome, WorkerDied):
-                deaths[name] += 1
-                if deaths[name] < _TRIES:
-                    running[pool.submit(_call, function, tasks[name])] = name
-                    continue
-                outcome = None, f"its worker process died {_TRIES} times ({outcome.detail})"
-            result, reason = outcome
-            if reason:
-                failures[name] = reason
-                reporter.fail(f"pair {name}", reason)
+            if isinstance(outcome, WorkerDied) and name != alone:
+                lost.append(name)
             else:
-                results[name] = result
-            reporter.advance(1, 1)
+                died = isinstance(outcome, WorkerDied)
+                result, reason = (None, f"{_DIED}: {outcome.detail}") if died else outcome
+                if reason:
+                    failures[name] = reason
+                    reporter.fail(f"pair {name}", reason)
+                else:
+                    results[name] = cast(Result, result)
+                reporter.advance(1, 1)
+            if lost and not running:
+                alone = lost.pop()
+                running[pool.submit(_call, function, tasks[alone])] = alone
     finally:
         reporter.stop()
         pool.close(now=True)
