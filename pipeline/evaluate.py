@@ -1,4 +1,4 @@
-"""One pair in memory, for Python: the whole method on arrays, its results as the tables of a run."""
+"""One pair in memory, for Python: the whole method on arrays, with results as the tables of a run."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from .jobs.pieces import pieces_result
 from .jobs.selection import selection_result
 from .jobs.sensor import sensor_result
 from .jobs.surface import surface_result
-from .stage import OF_PAIR, Facts, Inputs, JobResult
-from .storage.tables import plain_facts
+from .stage import OF_PAIR, Inputs, JobResult, Metadata
+from .storage.tables import plain_metadata
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,7 +70,7 @@ class PairResult:
 
 
 def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[str, Any] | None = None) -> PairResult:
-    """How far a simulated scan is from a real one, object by object; the same numbers as `fidpipe run`.
+    """Compare a simulated scan with a real one, object by object; the same numbers as `fidpipe run`.
 
     Parameters
     ----------
@@ -82,15 +82,15 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     Warns
     -----
     UserWarning
-        The simulated scan seems to lie in another frame: mirrored, turned, shifted (`stages.inspect.frames`). Where 12
-        numbers of `T_real_sim` = [R | t] are named, pass `sim @ R.T + t`.
+        The simulated scan seems to be in another frame: mirrored, rotated, shifted (`stages.inspect.frames`). If the
+        warning names 12 numbers of `T_real_sim` = [R | t], pass `sim @ R.T + t`.
 
     Raises
     ------
     ScanError
-        An array is not of shape (n, 3) or holds no real numbers: complex ones, truth values, text and objects are none.
+        An array is not of shape (n, 3), or its values are not real numbers (complex, boolean, text, objects).
     StageError
-        A stage cannot go on, such as with fewer than 8 object points.
+        A stage fails, for example because fewer than 8 object points are left.
 
     Examples
     --------
@@ -112,14 +112,14 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
         warnings.warn(frame_warning(check), stacklevel=2)
     with one_blas_thread():
         found = evaluate(scans["real"].points, scans["sim"].points, settings)
-        tables, facts = _results(found, scans)
+        tables, metadata = _results(found, scans)
         for stage in stages_under(settings):
             if stage.is_extra:
-                result = stage.make(Inputs(pair_id=_PAIR, part="", settings=settings, tables=tables, outputs=facts))
+                result = stage.make(Inputs(pair_id=_PAIR, part="", settings=settings, tables=tables, outputs=metadata))
                 tables |= {(name, ""): partial(_whole, rows) for name, rows in result.tables.items()}
     summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
-    for own in facts.values():
-        summary |= plain_facts(own.get(OF_PAIR, {}))
+    for own in metadata.values():
+        summary |= plain_metadata(own.get(OF_PAIR, {}))
     frames = {name: TABLES[name[0]].plain(table()).to_pandas() for name, table in tables.items()}
 
     def by_side(table: str) -> dict[str, pd.DataFrame]:
@@ -145,8 +145,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
 
 def _results(
     found: Evaluation, scans: Mapping[str, Scan]
-) -> tuple[dict[tuple[str, str], Callable[[], pa.Table]], dict[tuple[str, str], Facts]]:
-    """Tables and facts of an evaluation, as the jobs of a run give them, by table and side."""
+) -> tuple[dict[tuple[str, str], Callable[[], pa.Table]], dict[tuple[str, str], Metadata]]:
+    """Tables and metadata of an evaluation, by table and side, as the jobs of a run return them."""
     results: list[tuple[str, JobResult]] = []
     ids: list[IntArray] = []
     sides = found.real, found.sim
@@ -179,12 +179,12 @@ def _results(
         ("", metrics_result(_PAIR, zip(rows, sizes, [own.scores for own in scored], strict=True))),
     ]
     tables: dict[tuple[str, str], Callable[[], pa.Table]] = {}
-    facts: dict[tuple[str, str], Facts] = {}
+    metadata: dict[tuple[str, str], Metadata] = {}
     for side, result in results:
         tables |= {(name, side): partial(_whole, rows) for name, rows in result.tables.items()}
-        facts |= {(name, side): result.facts for name in result.tables}
-    facts["metrics", ""] = {OF_PAIR: found.scores.summary | n_communities(found.scores.summary)}
-    return tables, facts
+        metadata |= {(name, side): result.metadata for name in result.tables}
+    metadata["metrics", ""] = {OF_PAIR: found.scores.summary | n_communities(found.scores.summary)}
+    return tables, metadata
 
 
 def _whole(table: pa.Table) -> pa.Table:
@@ -195,12 +195,12 @@ def _points(name: str, points: ArrayLike) -> FloatArray:
     try:
         array = np.asanyarray(points)
     except ValueError as error:
-        raise ScanError(f"{name}: rows of unequal lengths found, numbers of shape (n, 3) wanted") from error
+        raise ScanError(f"{name}: expected numbers of shape (n, 3), got rows of unequal lengths") from error
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ScanError(f"{name}: an array of shape {array.shape} found, (n, 3) wanted")
+        raise ScanError(f"{name}: expected an array of shape (n, 3), got {array.shape}")
     if array.dtype.kind not in "fiu":
         convert = ".real" if array.dtype.kind == "c" else ".astype(float)"
-        raise ScanError(f"{name}: {array.dtype} values found, real numbers wanted; convert them with {name}{convert}")
+        raise ScanError(f"{name}: expected real numbers, got {array.dtype} values; convert them with {name}{convert}")
     with np.errstate(over="ignore"):  # what float64 does not hold is infinite, and dropped
         metres = array.astype(np.float64, copy=False)
     return np.asarray(np.ma.filled(metres, np.nan))

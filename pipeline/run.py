@@ -1,6 +1,6 @@
-"""A run over a dataset, verb by verb: read, inspect, survey, replace, make, write. The page to read first.
+"""A run over a dataset, verb by verb: read, hash, survey, replace, make, write. The page to read first.
 
-Which stages there are stands in `jobs`, what one of them is in `stage`, what each computes in the package `stages`.
+The list of stages is in `jobs`, the definition of a stage in `stage`, their computations in the package `stages`.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ _PEAKS = ("ground_real_peak_m", "ground_sim_peak_m")
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What has become of a run.
+    """Outcome of a run.
 
     pairs : the table `pairs`
-    record : what `run.json` holds
+    record : content of `run.json`
     n_made, n_reused : jobs
-    failed_extras : why a baseline or the like failed of a pair that is scored
+    failed_extras : by scored pair, the reason why a baseline or another extra failed
     reported_failures : pairs whose failure was reported, not only known from an earlier run
     """
 
@@ -87,12 +87,12 @@ class RunOutcome:
 
     @property
     def failures(self) -> dict[str, str]:
-        """Why each failed pair failed, or what was asked for besides its scores."""
+        """Reason of each failed pair, and of each scored pair with a failed extra."""
         failed = self.pairs.filter(pc.equal(self.pairs.column("status"), "failed")).select(["pair_id", "reason"])
         return {row["pair_id"]: row["reason"] for row in failed.to_pylist()} | self.failed_extras
 
     def as_dict(self) -> JsonObject:
-        """Plain values, for JSON: as `fidpipe show --json` gives them, with the jobs and what failed."""
+        """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""
         return {
             "folder": str(self.folder),
             "record": self.record.as_dict(),
@@ -215,8 +215,8 @@ class _Run:
     def hash_files(self, selected: Iterable[ScanPair]) -> None:
         """Hash the files of the selected pairs and of those with results."""
         ledger = self._folder.ledger
-        wanted = {pair.pair_id for pair in selected} | set(ledger.pair_ids()) | set(ledger.failed_pairs())
-        pairs = [pair for pair in self._dataset.pairs if pair.pair_id in wanted]
+        names = {pair.pair_id for pair in selected} | set(ledger.pair_ids()) | set(ledger.failed_pairs())
+        pairs = [pair for pair in self._dataset.pairs if pair.pair_id in names]
         self._reporter.warn(*self._dataset.warnings)
         self._engine.hash_files(pairs)
         hashes = {
@@ -232,24 +232,24 @@ class _Run:
         self._end_phase("inspect")
 
     def survey(self, selected: Iterable[ScanPair]) -> Survey:
-        """Finds which pairs have jobs to be made, and which results are not those that are wanted."""
+        """Find pairs with jobs to do, and results that are stale."""
         names, first = list(self._versions), self._from_stage
         redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
         chosen = {pair.pair_id for pair in selected}
         return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo)
 
     def refuse_other_settings(self, survey: Survey) -> None:
-        """Refuses to replace results of a finished run because settings differ, unless that was asked for.
+        """Raise an error if results of a finished run would be replaced because settings differ, without `--replace`.
 
         Raises
         ------
         RunError
-            They would be replaced; says which, and by which setting.
+            They would be replaced; names them and the settings.
         """
         if self._may_replace or self._from_stage:
             return
         touched = {stage.name for stage in self._stages if self._other_settings.keys() & set(stage.settings)}
-        outdated = [name for name, reason in survey.unwanted.items() if reason == OUT_OF_DATE]
+        outdated = [name for name, reason in survey.stale.items() if reason == OUT_OF_DATE]
         if not any(stage in touched for stage, _, _ in outdated):
             return
         names = {stage for stage, _, _ in outdated}
@@ -260,13 +260,13 @@ class _Run:
         refuse_overwrite(f"run {self._out}", lost, why)
 
     def replace(self, survey: Survey) -> None:
-        """Removes what is out of date; a finished record gives way to its head only if there is something to do."""
-        if survey.todo or survey.unwanted:
+        """Remove stale results; a finished record is replaced by its header only if there is something to do."""
+        if survey.todo or survey.stale:
             self._write_record(self._header())
         self._engine.replace(survey, self._changes, list(self._versions))
 
     def write(self, survey: Survey) -> RunOutcome:
-        """Writes the tables of the whole run and its record."""
+        """Write the tables of the whole run and its record."""
         self._end_phase("stages")
         jobs, pair_ids = self._summarise_jobs(survey.usable), [pair.pair_id for pair in survey.usable]
         times_s = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
@@ -329,27 +329,27 @@ class _Run:
                 found.suspects[pair.pair_id] = suspect
             for job in records:
                 found.seconds.add(job)
-                found.notes[pair.pair_id] += [f"{job.part} side: {note}" for note in job.facts.get("notes", ())]
+                found.notes[pair.pair_id] += [f"{job.part} side: {note}" for note in job.metadata.get("notes", ())]
             found.n_jobs += len(records)
-            found.keys += [pair.pair_id, key_of(sorted(job.key for job in records if OF_PAIR in job.facts))]
+            found.keys += [pair.pair_id, key_of(sorted(job.key for job in records if OF_PAIR in job.metadata))]
         self._reporter.warn(*warnings)
         found.notes = defaultdict(list, {pair_id: notes for pair_id, notes in found.notes.items() if notes})
         return found
 
     def _write_record(self, record: RunHeader) -> None:
-        """Writes the settings and the record, or the head of one."""
+        """Write the settings and the record, or its header."""
         settings = to_toml(self._settings).encode()
         write_whole(self._out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
         write_record(self._out, record.as_dict(), self._folder.check_token)
 
     def plan(self, pair: ScanPair) -> PairPlan:
-        """The jobs of a pair that are wanted."""
+        """The jobs of a pair under the current settings."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
     def _describe_objects(
         self, scored: list[Row], times_s: dict[str, float | None], *, is_same: bool
     ) -> tuple[Findings | None, ObjectOverview | None, MetricsSummary]:
-        """What is said of all objects: findings, overview, unmatched; the last record's if its tables are the same."""
+        """Findings, overview and unmatched objects; those of the last record if its tables are the same."""
         if not scored:
             return None, None, Tally().unmatched()
         last = self._last
@@ -359,7 +359,7 @@ class _Run:
         return describe_objects(self._folder, scored, times_s, self._hashes, by_reference=by_reference)
 
     def _header(self, *, is_same: bool = False) -> RunHeader:
-        """What `run.json` holds from the start; results that are the same replace none."""
+        """Content of `run.json` from the start; identical results do not count as a replacement."""
         previous = replaced_results(self._before, self._last, is_same=is_same)
         return run_header(self._dataset.folder, self._settings, self._versions, previous)
 
@@ -367,7 +367,7 @@ class _Run:
         return current_records(self._folder, pair_ids, stages or self._versions)
 
     def _write_table(self, table: Table, key: str, parts: Iterator[pa.Table]) -> pa.Table:
-        """Writes a table of the whole run, unless it is there under its key; gives it."""
+        """Write a table of the whole run, unless it exists under its key. Returns `pairs`."""
         path = self._out / f"{table.name}.parquet"
         before = self._folder.ledger.jobs("").get((table.name, ""))
         if before is None or before.key != key or not self._folder.is_whole(before, by_content=True):
@@ -390,18 +390,18 @@ class _Run:
             yield PAIRS.from_rows(rows)
 
     def _row(self, pair_id: str) -> Row | None:
-        """The row of a scored pair; None where a stage that every run has is not done."""
+        """The row of a scored pair; None if a stage that every run has is not done."""
         records = self._folder.ledger.jobs(pair_id)
         required = [(stage.name, part) for stage in self._stages if not stage.is_extra for part in stage.parts]
         if not all(name in records for name in required):
             return None
         row: Row = {"pair_id": pair_id, "status": "scored"}
         for name in required:
-            row |= records[name].facts.get(OF_PAIR, {})
+            row |= records[name].metadata.get(OF_PAIR, {})
         return row
 
     def _past_failure(self, pair: ScanPair | None) -> str | None:
-        """Why a pair failed in an earlier run, if the same job would fail again."""
+        """Reason of a failure in an earlier run, if the same job is still to do; else None."""
         past = self._folder.ledger.failure(pair.pair_id) if pair else None
         if pair is None or past is None:
             return None

@@ -1,9 +1,8 @@
-"""What a stage is: what it takes, what it gives, and what its job receives.
+"""Definition of a stage: its inputs, its outputs, and the argument of its job.
 
 A stage declares tables with their columns, groups of settings, and its grain. Its job is a function of these: they
 arrive as its argument, and nothing else does, so that a result never depends on something that its key does not cover.
-Whether a job runs alone, with others of its pair, or object by object follows from the grain and never appears in the
-job.
+The grain determines whether a job runs alone, with others of its pair, or object by object; the job does not know.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ from ..schemas.settings import Settings
 from .datasets.readers.scan import Scan
 from .storage.tables import JobRecord
 
-SCAN = "scan"  #: among what a stage takes: the side's input file
-OBJECTS = "objects"  #: the fact in which a stage lists the objects that later stages go over one by one
-OF_PAIR = "pairs"  #: the fact in which a stage gives columns of the pair's row of `pairs`
-N_RAW = "n_raw"  #: the fact with the number of points in a side's input file
-INSPECTION = "inspection"  #: the fact with the plausibility of a side's scan, see `stages.inspect.plausibility`
-FRAMES = "frames"  #: the fact with the comparison of both scans' frames, see `stages.inspect.frames`
+SCAN = "scan"  #: among the inputs of a stage: the side's input file
+OBJECTS = "objects"  #: metadata: the objects that later stages process one by one
+OF_PAIR = "pairs"  #: metadata: columns of the pair's row in `pairs`
+N_RAW = "n_raw"  #: metadata: number of points in a side's input file
+INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stages.inspect.plausibility`
+FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.inspect.frames`
 
-Facts = dict[str, Any]
+Metadata = dict[str, Any]
 Tables = dict[str, pa.Table]
-Columns = Mapping[str, tuple[str, ...]]  #: by table; none for its facts alone
+Columns = Mapping[str, tuple[str, ...]]  #: by table; none if only the metadata of its job is read
 Value = TypeVar("Value")
 
 
 class Grain(Enum):
-    """What one job of a stage is about."""
+    """The scope of one job of a stage."""
 
     SIDE = "side"  #: one side of a pair; both sides may run at the same time
     PAIR = "pair"  #: both sides of a pair
@@ -45,14 +44,14 @@ class Grain(Enum):
 
 @dataclass(frozen=True)
 class JobResult:
-    """The tables and facts that a job gives.
+    """The output of a job.
 
-    tables : by name, those that its stage gives; of grain OBJECT the rows of its objects
-    facts : small results that are not a table; later stages and the run's tables read them
+    tables : by name, as its stage declares them; for grain OBJECT the rows of its objects
+    metadata : small results that are not a table; later stages and the run's tables read them
     """
 
     tables: Tables
-    facts: Facts = field(default_factory=dict)
+    metadata: Metadata = field(default_factory=dict)
 
 
 def _no_libraries(settings: Settings) -> tuple[str, ...]:
@@ -65,20 +64,21 @@ def _nothing(settings: Settings) -> Columns:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stage:
-    """One row of the pipeline.
+    """One step of the pipeline.
 
-    name : as the command and `timings` have it
-    takes : the columns that it reads, by table; `SCAN` for the input file. A table comes with the facts of its job
+    name : in commands and in `timings`
+    takes : the columns that it reads, by table; `SCAN` for the input file. A table comes with the metadata of its job
     gives : names of tables
     settings : the groups of settings that it reads
-    grain : what one job is about
+    grain : scope of one job
     version : of its code, raised by hand whenever its results change
     make : the job
-    libraries : what it calls besides numpy and scipy, under given settings; their versions belong to its key
-    takes_real : columns of the real side, by table, that the job of the simulated side reads under given settings; also
-        of what the stage itself gives
-    gather : of grain OBJECT, the facts of the pair once the rows of all objects are there
-    is_wanted : for an extra, whether settings ask for it; None for a stage that every run has
+    libraries : libraries that it calls in addition to numpy and scipy, under given settings; their versions are in its
+        key
+    takes_real : columns of the real side, by table, that the job of the simulated side reads under given settings; may
+        include the stage's tables
+    gather : for grain OBJECT, returns the metadata of the pair from the rows of all objects
+    is_wanted : for an extra, True if the settings request it; None for a stage that every run has
     summarise : entries of `run.json` about its finished jobs
     """
 
@@ -91,7 +91,7 @@ class Stage:
     make: Callable[[Inputs], JobResult]
     libraries: Callable[[Settings], tuple[str, ...]] = _no_libraries
     takes_real: Callable[[Settings], Columns] = _nothing
-    gather: Callable[[Inputs, Tables], Facts] | None = None
+    gather: Callable[[Inputs, Tables], Metadata] | None = None
     is_wanted: Callable[[Settings], bool] | None = None
     summarise: Callable[[Iterable[JobRecord], Settings], dict[str, Any]] | None = None
 
@@ -102,7 +102,7 @@ class Stage:
 
     @property
     def is_extra(self) -> bool:
-        """Whether a pair is scored without it."""
+        """True if a pair can be scored without it."""
         return self.is_wanted is not None
 
 
@@ -150,12 +150,12 @@ class Memo:
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """All that a job receives: what its stage declares, and nothing else.
+    """Argument of a job: what its stage declares, and nothing else.
 
     part : the side, the part of an experiment, or ""
     settings : the declared groups
-    tables : by name and side, "" for a table of the pair: gives the declared columns; read when first called
-    outputs : facts of the jobs that gave these tables, by name and side
+    tables : by name and side, "" for a table of the pair: returns the declared columns; read when first called
+    outputs : metadata of the jobs that made these tables, by name and side
     scans : by side, the input file, if the stage takes it; read when first called
     T_real_sim : motion of the simulated into the real sensor's frame, 12 numbers row by row; None if not given, or if
         the stage takes no input file, or for the real side, whose key does not cover it
@@ -169,7 +169,7 @@ class Inputs:
     part: str
     settings: Settings
     tables: Mapping[tuple[str, str], Callable[[], pa.Table]] = field(default_factory=dict)
-    outputs: Mapping[tuple[str, str], Facts] = field(default_factory=dict)
+    outputs: Mapping[tuple[str, str], Metadata] = field(default_factory=dict)
     scans: Mapping[str, Callable[[], Scan]] = field(default_factory=dict)
     T_real_sim: tuple[float, ...] | None = None
     objects: tuple[int, ...] = ()
@@ -181,6 +181,6 @@ class Inputs:
         """The declared columns of a table; `KeyError` for a table or side that is not declared."""
         return self.tables[name, side]()
 
-    def facts(self, name: str, side: str = "") -> Facts:
-        """Facts of the job that gave a table; `KeyError` for a table or side that is not declared."""
+    def metadata(self, name: str, side: str = "") -> Metadata:
+        """Metadata of the job that made a table; `KeyError` for a table or side that is not declared."""
         return self.outputs[name, side]

@@ -40,10 +40,10 @@ _COUNTS = ("n_matched", "n_missing", "n_hallucinated")
 def evaluate(
     real: FloatArray, sim: FloatArray, settings: Settings, *, T_real_sim: FloatArray | None = None
 ) -> Evaluation:
-    """How far a simulated scan is from a real one, from the points that were read to the scores of the pair.
+    """Compare a simulated scan with a real one: from the points as read to the scores of the pair.
 
-    `evaluate_pair` calls it; the jobs of `fidpipe run` call its steps one by one, on what the tables hold. Both give
-    the same numbers; to the last bit where BLAS has one thread, as it has there.
+    `evaluate_pair` calls it; the jobs of `fidpipe run` call its steps one by one, on the tables. Both return the
+    same numbers; to the last bit if BLAS has one thread, as it has there.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def remove_road(
     settings : of input and ground
     side : "real" or "sim"
     T_real_sim : (3, 4) float64, of the simulated side
-    real_cut, real_points : of the simulated side, the real side's cut and its (m, 3) clean points; used where
-        `ground.shared` or `ground.peak` ask for them
+    real_cut, real_points : for the simulated side, the real side's cut and its (m, 3) clean points; used if
+        `ground.shared` or `ground.peak` require them
     watch : entered around the steps clean and ground
 
     Raises
@@ -159,7 +159,7 @@ def partition(
     settings : of the graph, the communities and the pieces
     edges : the graph of these points, where it is known already; such as for another seed of the communities
     reference : of the simulated side, the real side's objects; unused where `communities.objects` is "independent"
-    annotation : of the real side, labels and instances of these points, where `communities.reference` asks for them
+    annotation : for the real side, labels and instances of these points, if `communities.reference` uses them
     watch : entered around the steps louvain and describe
     """
     own = settings.communities
@@ -179,14 +179,14 @@ def partition(
 
 
 def describe(points: FloatArray, labels: IntArray, settings: Settings, n_ids: int = 0) -> Objects:
-    """What the objects of a side look like; reference objects to the last bit alike in whatever order the rows are.
+    """Shape and place of the objects of a side; those of reference objects are independent of the order of rows.
 
     Parameters
     ----------
     points : (n, 3) float64, metres
     labels : (n,) int32, object of each
     settings : of the communities
-    n_ids : of reference objects, how many ids there are at least
+    n_ids : for reference objects, the least number of ids
     """
     if settings.communities.objects == "independent":
         return describe_objects(points, labels)
@@ -195,7 +195,7 @@ def describe(points: FloatArray, labels: IntArray, settings: Settings, n_ids: in
 
 
 def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, memo: Memo | None = None) -> PairScores:
-    """Which objects both sides have, the scores of each, and what they say together.
+    """Match the objects of both sides and score them; returns matching, scores and summary.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
 
 
 def match_objects(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: IntArray, settings: Settings) -> Matching:
-    """Which objects both sides have: by their centroids, or by their ids where the real side fixes the objects.
+    """Match the objects of both sides: by centroids, or by ids if the real side determines the objects.
 
     Parameters
     ----------
@@ -243,13 +243,13 @@ def measure_coverage(
     cuts: Sequence[tuple[FloatArray, float | None]],
     watch: Watch = unwatched,
 ) -> tuple[SideCoverage, SideCoverage]:
-    """How much of each object, and of each side, the other side has; arguments and result first real, then simulated.
+    """Share of each object, and of each side, that the other side has; first real, then simulated.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, object points, at least one
     labels : (n,) int32, object of each
-    n_objects : how many ids there are
+    n_objects : number of ids
     cuts : axis and threshold below which a point is road to that side, see `coverage.below_cut`
     watch : entered around the step nearest
     """
@@ -295,7 +295,7 @@ def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredO
 
 
 def n_communities(summary: Mapping[str, Number]) -> dict[str, int]:
-    """How many objects each side has, by column of `pairs`; the few points of a missing object are none."""
+    """Number of objects of each side, by column of `pairs`; the few points of a missing object do not count."""
     n_matched, n_missing, n_hallucinated = (int(summary[name] or 0) for name in _COUNTS)
     return {"n_communities_real": n_matched + n_missing, "n_communities_sim": n_matched + n_hallucinated}
 
@@ -319,7 +319,7 @@ class PartitionedScan:
     points : (n, 3) float64, metres
     edges : of the graph, by index into the points
     labels : (n,) int32, community of each point
-    objects : what the communities look like, by id
+    objects : shape and place of the communities, by id
     """
 
     points: FloatArray
@@ -329,16 +329,16 @@ class PartitionedScan:
 
     @property
     def reference(self) -> ReferenceObjects:
-        """Its objects as those that the other side is divided by."""
+        """Its objects, by which the other side is partitioned."""
         return ReferenceObjects(self.points, self.labels)
 
-    def subgraphs(self, wanted: Iterable[int]) -> dict[int, Subgraph]:
+    def subgraphs(self, community_ids: Iterable[int]) -> dict[int, Subgraph]:
         """The induced subgraphs of some communities, by id; their `point_ids` are indices into the points."""
-        wanted = list(wanted)
-        if not wanted:
+        chosen = list(community_ids)
+        if not chosen:
             return {}
         ids = np.arange(len(self.points), dtype=np.int32)
-        return split_by_community(ids, self.points, self.edges, self.labels, wanted)
+        return split_by_community(ids, self.points, self.edges, self.labels, chosen)
 
 
 @dataclass(frozen=True)
@@ -355,10 +355,10 @@ Memo = dict[tuple[int, int, SelectionSettings], ScoredObject]
 
 @dataclass(frozen=True)
 class PairScores:
-    """What two sides have in common.
+    """Result of comparing two sides.
 
-    matching : which objects both have
-    objects : those, in the order of `matching.real_ids`
+    matching : of their objects
+    objects : scored objects, in the order of `matching.real_ids`
     summary : counts, match rate, median ranges, mean and standard deviation of each score; see `summarise_pair`
     """
 
@@ -369,7 +369,7 @@ class PairScores:
 
 @dataclass(frozen=True)
 class SideCoverage:
-    """How much the other side has of each object of a side, and of the side as a whole (one row)."""
+    """Share of each object of a side, and of the side as a whole (one row), that the other side has."""
 
     objects: Coverage
     whole: Coverage

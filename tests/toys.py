@@ -57,7 +57,7 @@ def make_ratios(inputs):
         )
         if real_id is not None and sim_id is not None
     ]
-    facts = {side: inputs.facts("toy_crowds", side)["n_crowds"] for side in SIDES}
+    facts = {side: inputs.metadata("toy_crowds", side)["n_crowds"] for side in SIDES}
     return JobResult({"toy_ratios": RATIOS.from_rows(rows)}, facts | {"n_kept": inputs.table("selection").num_rows})
 
 
@@ -81,7 +81,7 @@ def ratios(table):
 def gather_marks(inputs, tables):
     """The best mark of the pair."""
     marks = tables["toy_marks"].column("mark").to_pylist()
-    return {"best": min(marks, default=None), "n_crowds": inputs.facts("toy_ratios")["real"]}
+    return {"best": min(marks, default=None), "n_crowds": inputs.metadata("toy_ratios")["real"]}
 
 
 MATCHED, RATIO = ("real_id", "sim_id"), ("real_id", "ratio")

@@ -1,7 +1,7 @@
 """Batches on several processes: on a local dask cluster, or on the cluster behind a scheduler's address.
 
-With `worker_start` the only file that needs dask, and only when a cluster is wanted (`pool` asks it for the memory of
-the machine).
+With `worker_start` the only file that needs dask, and only if there is a cluster (`pool` reads the machine's memory
+from it).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
 
-#: For a cluster on this machine. A task at which two workers die is given up (`schedule` decides what is tried again). A
+#: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides what is tried again. A
 #: silent worker is busy in a library, a busy event loop is not reported, logs of messages would grow with the pairs.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
@@ -60,7 +60,7 @@ _DASK_SETTINGS = {
 
 @dataclass
 class _Worker:
-    """What a worker process remembers between tasks."""
+    """State of a worker process between tasks."""
 
     limits: Any = field(default=None)
     libraries: dict[str, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ _WORKER = _Worker()
 
 
 def _in_worker(libraries: dict[str, str], function: Callable[..., Any], *args: Any) -> Any:
-    if libraries != _WORKER.libraries:  # it may have come after the others were asked
+    if libraries != _WORKER.libraries:  # it may have joined after the others were checked
         if fault := other_versions(library_versions_there(libraries), libraries):
             raise RunError(f"a worker on {socket.gethostname()}: {fault}")
         _WORKER.libraries = libraries
@@ -89,14 +89,14 @@ class DaskPool:
     address : of a scheduler whose workers see the same files; no cluster is started then
     shared_file : a file that every worker must see with the same content
     libraries : versions that every worker must have
-    memory : bytes that the worker processes may occupy together; None for what there is
-    modules : names of those that the jobs are in, to be imported once for all workers of this machine
-    may_end_workers : whether tasks may end the process that they are in, so that something must start it again
+    memory : bytes that the worker processes may occupy together; None for the default
+    modules : names of the modules of the jobs, to be imported once for all workers of this machine
+    may_end_workers : True if tasks may end their process, so that something must restart it
 
     Raises
     ------
     RunError
-        The scheduler cannot be reached, or a worker does not see the files, has other versions, or is not as is wanted.
+        The scheduler cannot be reached, or a worker does not see the files, has other versions, or lacks a limit.
     """
 
     def __init__(
@@ -111,11 +111,11 @@ class DaskPool:
         may_end_workers: bool = False,
     ) -> None:
         if address is None:
-            prefork.start(modules)  # before what is imported here: both take their time
+            prefork.start(modules)  # before the imports below, so that both run at the same time
         import dask
         import distributed
 
-        # dask gives its client a level of its own; asyncio tells of workers that were ended while they started
+        # dask sets the level of its client separately; asyncio reports workers that were ended while they started
         for name in ("distributed", "distributed.client", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
@@ -186,10 +186,10 @@ class DaskPool:
         except FidpipeError:
             raise
         except Exception:
-            self._check_versions()  # to a worker of another version what is sent makes no sense
+            self._check_versions()  # a worker of another version cannot unpickle the task
             raise
         if not keep:
-            future.release()  # or it would be made again, and its files written again, if the worker that holds it dies
+            future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
         return handle, result
 
     def close(self, *, now: bool = False) -> None:
@@ -257,17 +257,17 @@ class DaskPool:
         ) from fault
 
     async def _stop_workers(self) -> None:
-        """Ends the worker processes in the middle of whatever they are doing."""
+        """End the worker processes in the middle of their tasks."""
         closing = (nanny.close(timeout=_KILL_S) for nanny in self._cluster.workers.values())
         await asyncio.gather(*closing, return_exceptions=True)
 
     def _next_future(self) -> Any:
-        """The next task that has ended; one whose result went with its worker ends anew, for dask makes it again.
+        """The next task that has ended; dask repeats one whose result was lost with its worker.
 
         Raises
         ------
         RunError
-            The scheduler is lost, or has had no worker for long.
+            The scheduler is lost, or has had no worker for a long time.
         """
         while True:
             self._look_after_workers()
@@ -279,10 +279,10 @@ class DaskPool:
             if self._workers_now():
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
-                raise RunError(self._lost(f"no worker has been there for {_WITHOUT_WORKERS_S:.0f} s"))
+                raise RunError(self._lost(f"no worker for {_WITHOUT_WORKERS_S:.0f} s"))
 
     def _look_after_workers(self) -> None:
-        """Starts workers of this machine anew that nobody else does: dask gives up one that dies while it starts."""
+        """Restart local workers that died while they started, which dask gives up."""
         now = monotonic()
         if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
             return
@@ -294,16 +294,16 @@ class DaskPool:
                 del self._dead_since[name]
                 self._cluster.sync(self._give_up, name)
         if len(self._cluster.workers) < len(self._cluster.worker_spec):
-            self._cluster.scale(len(self._cluster.worker_spec))  # those that are not there are started
+            self._cluster.scale(len(self._cluster.worker_spec))  # starts the missing ones
 
     async def _give_up(self, name: Any) -> None:
-        """Ends what is left of a worker."""
+        """End what is left of a worker."""
         nanny = self._cluster.workers.pop(name, None)
         if nanny is not None:
             await asyncio.gather(nanny.close(timeout=_KILL_S), return_exceptions=True)
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
-        """What the scheduler knows of its workers, by address; asked once in a while."""
+        """The scheduler's description of its workers, by address; renewed every second."""
         if monotonic() - self._looked > _SECONDS_BETWEEN_LOOKS:
             try:
                 self._workers = self._client.scheduler_info(n_workers=-1)["workers"]
@@ -313,27 +313,27 @@ class DaskPool:
         return self._workers
 
     def _lost(self, fault: str) -> str:
-        return f"scheduler {self._address or 'here'}: {fault}; run the same command again: it goes on where it stopped"
+        return f"scheduler {self._address or 'here'}: {fault}; run the same command again: it resumes where it stopped"
 
     def _check_versions(self) -> None:
-        """Refuses a scheduler or workers of other versions, with `RunError`; no code of ours runs there for that."""
-        told = self._client.get_versions(packages=list(self._libraries))
-        for name, there in [("", told["scheduler"]), *told["workers"].items()]:
+        """Raise `RunError` if the scheduler or a worker has other versions; runs no code of ours there."""
+        versions = self._client.get_versions(packages=list(self._libraries))
+        for name, there in [("", versions["scheduler"]), *versions["workers"].items()]:
             if isinstance(there, dict) and (fault := other_versions(there["packages"], self._libraries)):
                 raise RunError(f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}")
 
     def _check_workers(self, shared_file: Path, may_end_workers: bool) -> None:
-        """Refuses workers on which a run could not go on to its end, with `RunError`."""
+        """Raise `RunError` if a run could not be completed on a worker."""
         faults = self._client.run(worker_fault, str(shared_file.resolve()), shared_file.read_bytes(), code_hash())
         for worker, known in self._workers_now().items():
             if self._given_memory is None and not known["memory_limit"]:
                 faults[worker] = (
-                    "has no memory limit; start it with --memory-limit, or say what all of them may occupy together: "
+                    "has no memory limit; start it with --memory-limit, or set the limit of all workers together: "
                     "--set machine.memory_gib=NUMBER"
                 )
             if may_end_workers and not known["nanny"]:
                 faults[worker] = (
-                    "has no nanny, and a pair that is out of time ends its worker process; start it with --nanny"
+                    "has no nanny, and a pair that exceeds its time ends its worker process; start it with --nanny"
                 )
         for worker, fault in faults.items():
             if fault:
@@ -352,7 +352,7 @@ def start_pool(
 ) -> Pool:
     """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`.
 
-    There are no more workers than the memory holds. One that may be ended is never this process.
+    There are no more workers than fit into the memory. Tasks that may end their process never run in this one.
     """
     from dask.system import CPU_COUNT
 
@@ -368,7 +368,7 @@ def start_pool(
 
 
 def _check_address(address: str) -> None:
-    """Refuses what is no address, with `RunError`: dask would end in a traceback, and 20 s later in another."""
+    """Raise `RunError` if an address is invalid: dask would end with two tracebacks, 20 s apart."""
     from distributed.comm.addressing import get_address_host_port
 
     try:
@@ -376,11 +376,11 @@ def _check_address(address: str) -> None:
     except ValueError:
         is_known = False
     if not is_known:
-        raise RunError(f"scheduler {address!r}: no such address, tcp://HOST:PORT is wanted, such as tcp://host:8786")
+        raise RunError(f"scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786")
 
 
 def _check_address_space() -> None:
-    """Refuses a limit on address space in which threads of dask cannot start, with `RunError`: it would wait for them.
+    """Raise `RunError` if dask's threads cannot start under the limit on address space; dask would wait for them.
 
     Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit the command takes
     1.8 GB.
@@ -392,13 +392,13 @@ def _check_address_space() -> None:
     limit, _ = getrlimit(RLIMIT_AS)
     if limit != RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:
         raise RunError(
-            f"ulimit -v allows {limit / 2**30:.1f} GiB of address space a process, at least "
-            f"{_LEAST_ADDRESS_SPACE / 2**30:.0f} are needed for worker processes; raise it, or take --workers 1"
+            f"ulimit -v allows {limit / 2**30:.1f} GiB of address space per process; at least "
+            f"{_LEAST_ADDRESS_SPACE / 2**30:.0f} are needed for worker processes; raise it, or use --workers 1"
         )
 
 
 def worker_fault(path: str, content: bytes, code: str) -> str:
-    """Why a worker cannot serve a run: it does not see the run's files, or runs other code; "" if it can."""
+    """Reason why a worker cannot serve a run: it does not see the run's files, or runs other code; "" if it can."""
     if code_hash() != code:
         return f"fidpipe of the same version with other code ({code_hash()}, here {code}); install the same one there"
     try:
@@ -410,11 +410,11 @@ def worker_fault(path: str, content: bytes, code: str) -> str:
     )
 
 
-def other_versions(there: Mapping[str, str | None], wanted: Mapping[str, str]) -> str:
-    """Which versions are others there than here, both named; "" if none is."""
+def other_versions(there: Mapping[str, str | None], here: Mapping[str, str]) -> str:
+    """Versions that differ, there and here; "" if all agree."""
     other = [
         f"{name} {there.get(name) or 'is not installed'} (here {version})"
-        for name, version in wanted.items()
+        for name, version in here.items()
         if there.get(name) != version
     ]
     return f"other versions: {', '.join(other)}; install the same ones there" if other else ""

@@ -14,7 +14,7 @@ _MIB = 2**20
 
 @dataclass(frozen=True)
 class CostModel:
-    """What tasks cost.
+    """Costs of tasks.
 
     process_bytes : what a worker process occupies before it has read anything
     bytes_per_point : a scan's tables, its graph twice, and what Louvain makes of it
@@ -28,30 +28,30 @@ class CostModel:
     disk_bytes_per_point: int = 120
 
     def disk_bytes(self, n_raw: int) -> int:
-        """Bytes of the tables of pairs whose files have so many points together, without extras."""
+        """Bytes of the tables of pairs whose files have `n_raw` points in all, without extras."""
         return self.disk_bytes_per_point * n_raw
 
     def side_seconds(self, n_raw: int) -> float:
-        """Seconds of the stages of one side, whose file has so many points."""
+        """Seconds of the stages of one side, whose file has `n_raw` points."""
         return 0.01 + 3e-5 * n_raw
 
     def object_seconds(self, n_keep: int) -> float:
-        """Seconds of selection and scores of one matched object of so many aligned nodes."""
+        """Seconds of selection and scores of one matched object with `n_keep` aligned nodes."""
         return 0.005 + 5e-5 * n_keep + 2e-8 * n_keep**2 + 4e-11 * n_keep**3
 
     def pair_bytes(self, n_raw: int) -> int:
-        """Bytes of the tables of a pair while a process works on them; both files have so many points."""
+        """Bytes of the tables of a pair while a process works on them; both files have `n_raw` points in all."""
         return self.bytes_per_point * n_raw
 
     def object_bytes(self, n_keep: int) -> int:
-        """Bytes of one object of so many aligned nodes while it is scored: at worst a whole dense matrix."""
+        """Bytes of one object with `n_keep` aligned nodes while it is scored: at worst a dense matrix."""
         return 8 * n_keep**2 + self.bytes_per_node * n_keep
 
     def most_workers(self, memory: int) -> int:
-        """How many worker processes may share so many bytes, at least half of which is left for what they make."""
+        """Number of worker processes that may share a memory, at least half of which is left for results."""
         return max(1, memory // (2 * self.process_bytes))
 
 
 def largest_object(objects: Iterable[tuple[int, int]]) -> tuple[int, int]:
-    """Id and nodes of the object that has the most nodes; (-1, 0) where there is none."""
+    """Id and nodes of the object that has the most nodes; (-1, 0) if there are none."""
     return max(objects, key=lambda entry: entry[1], default=(-1, 0))

@@ -1,6 +1,6 @@
-"""One engine for runs and experiments: inspects files, plans, removes what is out of date, has jobs made, collects.
+"""One engine for runs and experiments: hashes files, plans, removes stale results, runs jobs, collects results.
 
-A run and an experiment only say which pairs, stages and parts they want.
+A run or an experiment only chooses pairs, stages and parts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .pool import Pool
 from .progress import Reporter
 from .schedule import Policy, Schedule
 from .time_limit import TimeLimit
-from .worker import BatchResult, JobFailure, failures_in_words, is_required
+from .worker import BatchResult, JobFailure, failure_text, is_required
 
 _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 
@@ -39,13 +39,13 @@ PlanPair = Callable[[ScanPair], PairPlan]
 
 @dataclass(frozen=True)
 class Machines:
-    """Where work is done; no result depends on it.
+    """Machines that do the work; no result depends on them.
 
     workers : processes on this machine; None for one per core; 1 for this process alone, unless a job may end it
     scheduler : address of a dask scheduler, instead of a cluster on this machine
     pool : to be used instead of either; it is not closed
-    policy : how work is cut into batches
-    pair_timeout_s : a pair that workers have worked on for longer fails; None for as long as it takes
+    policy : for cutting work into batches
+    pair_timeout_s : a pair that takes workers longer than this fails; None for no limit
     """
 
     workers: int | None = None
@@ -57,38 +57,38 @@ class Machines:
 
 @dataclass
 class Survey:
-    """What there is and what is wanted.
+    """Comparison of existing results with the plan.
 
-    usable : pairs whose files can be read
-    todo : those of them that are wanted and have jobs to be made
-    unwanted : finished jobs whose results are not wanted, each with the reason
-    n_jobs : to be made, of the pairs in `todo`
+    usable : pairs whose files exist
+    todo : selected pairs among them that have jobs to do
+    stale : finished jobs whose results are no longer needed, each with the reason
+    n_jobs : jobs to do, of the pairs in `todo`
     """
 
     usable: list[ScanPair] = field(default_factory=list)
     todo: list[ScanPair] = field(default_factory=list)
-    unwanted: dict[JobName, str] = field(default_factory=dict)
+    stale: dict[JobName, str] = field(default_factory=dict)
     n_jobs: int = 0
 
 
 class RunEngine:
-    """Inspects files, plans, removes what is out of date, has jobs made and keeps the ledger of a run's folder.
+    """Hashes files, plans, removes stale results, runs jobs and keeps the ledger of a run's folder.
 
     A context, at whose end the pool is ended.
 
     Parameters
     ----------
-    folder : of the run; locked where anything is to be made
-    settings : in force
-    machines : where work is done
-    reporter : shows how it goes on
-    stages : whose jobs may be wanted
+    folder : of the run; locked if anything is to be written
+    settings : current settings
+    machines : for the jobs
+    reporter : shows progress
+    stages : all stages whose jobs may be planned
 
     Attributes
     ----------
     contents : hashes of the files of each pair, by pair_id and side; of pairs whose existing files can all be hashed
-    failures : why something failed: by pair_id, or "pair_id, part" for a part of an experiment
-    n_made : jobs that were made
+    failures : reasons by pair_id, or by "pair_id, part" for a part of an experiment
+    n_made : jobs that were done
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class RunEngine:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Ends the pool, whatever it is doing."""
+        """End the pool, even if tasks are running."""
         if self._pool is not None and self._pool is not self._machines.pool:
             self._pool.close(now=True)
 
@@ -161,7 +161,7 @@ class RunEngine:
             yield replace(plan, limit=TimeLimit(seconds, notes / str(i)))
 
     def fail(self, name: str, reason: str) -> None:
-        """Something came to nothing, by pair_id or "pair_id, part"."""
+        """Record and report a failure, by pair_id or "pair_id, part"."""
         self.failures[name] = reason
         self.reporter.fail(f"pair {name}", reason)
 
@@ -201,15 +201,15 @@ class RunEngine:
         exhaustive: frozenset[str] = frozenset(),
         why_absent: str = "no longer in the dataset",
     ) -> Survey:
-        """Compares what is there with what is wanted; `hash_files` comes before.
+        """Compare existing results with the plan; call `hash_files` first.
 
         Parameters
         ----------
         pairs : all pairs that may have results
-        plan_pair : gives the jobs that are wanted of a pair
-        selected : names of the pairs that are to be worked on
+        plan_pair : returns the plan of a pair
+        selected : names of the pairs to work on
         redo, exhaustive : see `with_results`; `redo` counts for the selected pairs
-        why_absent : why results of other pairs are not wanted
+        why_absent : reason why results of other pairs are stale
         """
         survey, names = Survey(), set()
         for pair in pairs:
@@ -218,10 +218,10 @@ class RunEngine:
                 continue
             survey.usable.append(pair)
             is_selected = pair.pair_id in selected
-            plan, unwanted = with_results(
+            plan, stale = with_results(
                 plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive, by_content=True
             )
-            survey.unwanted |= unwanted
+            survey.stale |= stale
             if is_selected and plan.todo:
                 survey.todo.append(pair)
                 survey.n_jobs += len(plan.todo)
@@ -229,19 +229,19 @@ class RunEngine:
             reason = "the input cannot be used" if pair_id in self._unusable else why_absent
             if pair_id not in names or pair_id in self._unusable:
                 for record in self.folder.ledger.jobs(pair_id).values():
-                    survey.unwanted[record.name] = reason
+                    survey.stale[record.name] = reason
         return survey
 
     def replace(self, survey: Survey, changes: Sequence[str] = (), stages: Sequence[str] = ()) -> None:
-        """Says what will be replaced or removed and why, and removes it.
+        """Report which results are replaced or removed and why, and remove them.
 
         Parameters
         ----------
-        survey : what is there
-        changes : what has changed since the last time, in words
+        survey : from `survey`
+        changes : changes since the last run, as text
         stages : in their order
         """
-        for reason, names in _by_reason(survey.unwanted).items():
+        for reason, names in _by_reason(survey.stale).items():
             count = Counter(stage for stage, _, _ in names)
             listed = ", ".join(stage for stage in dict.fromkeys((*stages, *count)) if stage in count)
             n_pairs = len({pair_id for _, pair_id, _ in names})
@@ -251,14 +251,14 @@ class RunEngine:
                 record = self.folder.ledger.jobs(pair_id).get((stage, part))
                 if record is not None:
                     self.folder.forget(record)
-        survey.unwanted.clear()
+        survey.stale.clear()
         if n_strays := self.folder.remove_strays():
             self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
         self.folder.ledger.commit()
 
     @contextmanager
     def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
-        """The schedule that makes the jobs that are not there, of the pairs that are to be worked on."""
+        """The schedule of the jobs to do."""
         pool = self.start(survey.todo)
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
@@ -272,25 +272,25 @@ class RunEngine:
             pairs = (
                 f"{n_pairs} pairs that were not finished need" if n_pairs > 1 else "pair that was not finished needs"
             )
-            raise DiskFullError(f"{error}: it goes on where it stopped; the {pairs} about {need} in all") from error
+            raise DiskFullError(f"{error}: it resumes where it stopped; the {pairs} about {need} in all") from error
         finally:
             self.reporter.stop()
             self.folder.ledger.commit()
             rmtree(self.folder.folder / _TIME_NOTES, ignore_errors=True)
         if survey.todo:
-            self.folder.remove_strays()  # what a worker wrote before it died, or had half written
+            self.folder.remove_strays()  # of workers that died: complete and incomplete files
 
     def batch_done(self, result: BatchResult) -> None:
-        """See `Watcher`: the ledger learns of the finished jobs."""
+        """See `Watcher`: add the finished jobs to the ledger."""
         if result.records:
             self.folder.ledger.put_jobs(result.pair_id, result.records)
         self.n_made += len(result.records)
         self.reporter.advance(len(result.records))
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """See `Watcher`: failures are shown, those of parts of an experiment one by one.
+        """See `Watcher`: report failures, those of parts of an experiment one by one.
 
-        The ledger learns why a pair failed, and nothing of a pair without scores stays.
+        The ledger keeps the reason of a failed pair; all results of a pair without scores are removed.
         """
         own = []
         order = {job.name: i for i, job in enumerate(plan.jobs)}
@@ -308,7 +308,7 @@ class RunEngine:
                 self.folder.forget(record)
                 self.n_made -= record.made_by == self.folder.token
         if own:
-            self.fail(plan.pair_id, failures_in_words(own))
+            self.fail(plan.pair_id, failure_text(own))
             key = plan.job((own[0].stage, own[0].part)).key
             self.folder.ledger.put_failure(plan.pair_id, {"key": key, "reason": self.failures[plan.pair_id]})
         else:
@@ -321,15 +321,15 @@ class RunEngine:
 
 def current_records(folder: RunFolder, pair_ids: Iterable[str], stages: Iterable[str]) -> Iterator[JobRecord]:
     """The finished jobs of some stages, pair by pair."""
-    wanted = set(stages)
+    names = set(stages)
     for pair_id in pair_ids:
         for record in folder.ledger.jobs(pair_id).values():
-            if record.stage in wanted:
+            if record.stage in names:
                 yield record
 
 
-def _by_reason(unwanted: Mapping[JobName, str]) -> dict[str, list[JobName]]:
+def _by_reason(stale: Mapping[JobName, str]) -> dict[str, list[JobName]]:
     reasons: dict[str, list[JobName]] = {}
-    for name, reason in unwanted.items():
+    for name, reason in stale.items():
         reasons.setdefault(reason, []).append(name)
     return reasons

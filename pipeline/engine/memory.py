@@ -1,4 +1,4 @@
-"""The memory budget: which batches may run at once, and what cannot fit at all."""
+"""The memory budget: batches that may run at the same time, and pairs that cannot fit at all."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class MemoryBudget:
 
     @property
     def usable(self) -> int:
-        """Bytes for what batches make, of all workers together."""
+        """Bytes available to batches, of all workers together."""
         return max(0, self._pool.memory.together - self._costs.process_bytes * self._pool.n_workers)
 
     def admits(self, need: int, running: Iterable[int]) -> bool:
-        """Whether a batch of this need fits beside those that run; a pool takes more batches than run at once."""
-        beside = list(running)
-        return not beside or sum(heapq.nlargest(self._pool.n_workers, [need, *beside])) <= self.usable
+        """True if a batch fits next to those that run; a pool accepts more batches than run at once."""
+        others = list(running)
+        return not others or sum(heapq.nlargest(self._pool.n_workers, [need, *others])) <= self.usable
 
     def object_share(self, plan: PairPlan) -> int:
         """Bytes that an object may need for its pair to run as one batch."""
         return max(0, self.usable // self._pool.n_workers - self._costs.pair_bytes(plan.n_raw))
 
     def why_too_large(self, plan: PairPlan) -> str | None:
-        """Why the rest of a pair does not fit into the memory even when nothing runs beside it; None if it does."""
+        """Reason why the rest of a pair does not fit into the memory even if nothing else runs; None if it fits."""
         own = self._costs.pair_bytes(plan.n_raw)
         number, n_keep = largest_object(plan.objects or [])
         usable = max(0, self._pool.memory.alone - self._costs.process_bytes)
@@ -47,8 +47,8 @@ class MemoryBudget:
         what = f"object {number} of {n_keep} aligned nodes" if n_keep else f"{plan.n_raw} points"
         lower = "a smaller graph.k makes smaller objects, " if n_keep else ""
         return (
-            f"{what}: {_gib(need)} of memory may be needed at once, {_gib(usable)} are there for it "
-            f"(machine.memory_gib, less {_gib(self._costs.process_bytes)} for the worker process); {lower}"
+            f"{what}: {_gib(need)} of memory may be needed at once, {_gib(usable)} are available "
+            f"(machine.memory_gib minus {_gib(self._costs.process_bytes)} for the worker process); {lower}"
             "input.include_box or input.max_range_m fewer points"
         )
 

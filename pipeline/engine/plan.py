@@ -41,7 +41,7 @@ class Part:
 
 
 class Source(NamedTuple):
-    """A table that a job takes: its declared columns, none for the facts alone, and the job that gives it.
+    """A table that a job takes: its declared columns, none for the metadata alone, and the job that gives it.
 
     maker : None for an input file
     """
@@ -116,7 +116,7 @@ class PairPlan:
 
     def _counted(self) -> dict[str, int]:
         records = (job.record for job in self.jobs if job.record is not None)
-        return {record.part: record.facts[N_RAW] for record in records if N_RAW in record.facts}
+        return {record.part: record.metadata[N_RAW] for record in records if N_RAW in record.metadata}
 
     @property
     def todo(self) -> tuple[Job, ...]:
@@ -127,9 +127,9 @@ class PairPlan:
     def objects(self) -> list[tuple[int, int]] | None:
         """Id and nodes of each matched object, where a finished job lists them."""
         lists: list[list[tuple[int, int]]] = [
-            [(number, n_keep) for number, n_keep in job.record.facts[OBJECTS]]
+            [(number, n_keep) for number, n_keep in job.record.metadata[OBJECTS]]
             for job in self.jobs
-            if job.record is not None and OBJECTS in job.record.facts
+            if job.record is not None and OBJECTS in job.record.metadata
         ]
         return lists[-1] if lists else None
 

@@ -1,6 +1,6 @@
 """Somewhere to run batches: what every pool can do, and the one in this process.
 
-A pool takes a function and its arguments and gives back what became of it, in any order.
+A pool takes a function and its arguments and returns the outcomes in any order.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class WorkerDied:
 
 @dataclass(frozen=True)
 class Memory:
-    """What tasks may occupy, in bytes: all that run at once together, and one alone."""
+    """Bytes that tasks may occupy: all that run at the same time together, and a single one."""
 
     together: int
     alone: int
@@ -42,15 +42,15 @@ class Pool(Protocol):
 
     @property
     def n_workers(self) -> int:
-        """How many tasks run at once."""
+        """Number of tasks that run at the same time."""
 
     @property
     def memory(self) -> Memory:
-        """What the tasks may occupy."""
+        """Memory that the tasks may occupy."""
 
     @property
     def dashboard(self) -> str:
-        """The address at which a browser shows the cluster at work; "" where it has none."""
+        """The address at which a browser shows the cluster at work; "" if there is none."""
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """Starts a task; those of higher priority first. With `keep` the result stays where it is made.
@@ -76,7 +76,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 class InProcess:
-    """Runs each task in this process when its outcome is asked for."""
+    """Runs each task in this process when its outcome is requested."""
 
     n_workers = 1
     dashboard = ""
@@ -110,12 +110,12 @@ class InProcess:
 
 
 def machine_memory() -> int:
-    """Bytes that a run may occupy here unless told: four fifths of the memory, or of this process's limit."""
+    """Bytes that a run may occupy by default: four fifths of the memory, or of this process's limit."""
     from distributed.system import MEMORY_LIMIT
 
     return int(SHARE_OF_MEMORY * MEMORY_LIMIT)
 
 
 def is_handles(arg: Any) -> bool:
-    """Whether an argument of a task is a list of handles, which stands for the list of their results."""
+    """True if an argument of a task is a list of handles, which is replaced by the list of their results."""
     return isinstance(arg, list) and all(isinstance(entry, Handle) for entry in arg)

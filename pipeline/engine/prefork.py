@@ -1,7 +1,7 @@
 """The process that the workers of this machine are forked from: it imports once what each of them needs.
 
-It can be started before the command has imported all of that itself, so that both are ready at the same time. Where
-there is no such way (Windows) workers start by themselves.
+It is started before the command imports the same modules, so that both are ready at the same time. On Windows, which
+cannot fork, each worker imports them itself.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ _LONGEST_WAIT_S = 15.0
 
 
 def is_available() -> bool:
-    """Whether processes can be forked from one that was started for it."""
+    """True if processes can be forked from one that was started for it."""
     return "forkserver" in multiprocessing.get_all_start_methods()
 
 
 def start(modules: Iterable[str] = ()) -> None:
-    """Starts the process, unless it is there; it imports while this one goes on, and ends when this one does.
+    """Start the process if it is not running; it imports at the same time as this one, and ends with it.
 
     Parameters
     ----------
-    modules : what it imports besides, by name: those of the jobs
+    modules : names of further modules to import: those of the jobs
     """
     if not is_available():
         return

@@ -1,4 +1,4 @@
-"""Progress on stderr: faults, counts and the time left; a live bar on a terminal, else a line every few seconds."""
+"""Progress on stderr: errors, counts and the time left; a live bar on a terminal, else a line every few seconds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _PACE_OVER_S = 600.0  # the time left follows the pace of this period
 
 
 class Reporter:
-    """Reports on stderr how work goes on.
+    """Reports progress on stderr.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Reporter:
         self.console.print(text, markup=False)
 
     def warn(self, *texts: str) -> None:
-        """Print lines that ask for attention, each one line; together, as each call costs more than its lines."""
+        """Print warnings, one line each; all at once, as each call costs more than its lines."""
         if texts:
             self.console.print("\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow")
 
@@ -42,7 +42,7 @@ class Reporter:
         self._n_failed += 1
 
     def start(self, n_pairs: int, n_jobs: int) -> None:
-        """Begin to show progress over so many jobs of so many pairs."""
+        """Begin to show progress over the jobs of all pairs."""
         self._n_pairs, self._n_ended, self._n_failed, self._last_line = n_pairs, 0, 0, self.console.get_time()
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),

@@ -1,8 +1,8 @@
-"""The order of work: which jobs of which pairs are submitted when, and what is done when a batch ends.
+"""The order of work: when the jobs of each pair are submitted, and what follows when a batch ends.
 
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
 only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. Parts
-of an experiment, which do not wait for each other, are always batches of their own. If the workers of a batch die, its
+of an experiment, which do not wait for each other, are always separate batches. If the workers of a batch die, its
 pairs are tried again, each in a separate batch. A pair whose workers die again is tried once more, job by job with
 nothing else running, so that only the job that causes it fails.
 """
@@ -28,15 +28,15 @@ _FIRST = 1e6  # priority of what others wait for
 
 @dataclass(frozen=True)
 class Policy:
-    """How work is cut into batches; no result depends on it.
+    """Batching policy; no result depends on it.
 
-    costs : what batches may need and take
-    pairs_per_worker : how many pairs are begun for each worker
+    costs : memory and seconds of batches
+    pairs_per_worker : pairs that are begun for each worker
     few_pairs_per_worker : with no more left than these, pairs fall into smaller batches
     worth_splitting_s : that cost more than this
-    batch_s : objects of together so many seconds go together
-    bundle_s : small pairs of together so many seconds go together
-    least_weight : and no more of them than one by this
+    batch_s : seconds of objects per batch
+    bundle_s : seconds of small pairs per batch
+    least_weight : share of a batch that a pair has at least
     """
 
     costs: CostModel = field(default_factory=CostModel)
@@ -49,7 +49,7 @@ class Policy:
 
 
 class Watcher(Protocol):
-    """Who is told how the work goes on."""
+    """Receiver of results while the work proceeds."""
 
     def batch_done(self, result: BatchResult) -> None:
         """Some jobs of a pair are finished, or failed."""
@@ -63,7 +63,7 @@ class _Pair:
     """A pair that is being worked on.
 
     is_lost : whether the pool has given up a batch of it, since the last submission
-    n_losses : how often that has happened
+    n_losses : number of times that has happened
     """
 
     plan: PairPlan
@@ -76,7 +76,7 @@ class _Pair:
 
     @property
     def todo(self) -> list[Job]:
-        """Its jobs that are neither done, nor failed, nor in need of one that did; none where a required one failed."""
+        """Its jobs that are neither done, nor failed, nor in need of one that did; none if a required one failed."""
         failed = {(failure.stage, failure.part) for failure in self.failures}
         if any(is_required(self.plan.job(name)) for name in failed):
             return []
@@ -97,7 +97,7 @@ class _Pair:
 
 @dataclass(frozen=True)
 class _Batch:
-    """What waits for memory, or runs.
+    """Jobs that wait for memory, or run, as one task.
 
     pairs : whose it is; several only of `run_batch`
     need : bytes that it may occupy
@@ -119,9 +119,9 @@ class Schedule:
     ----------
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
-    n_pairs : how many there are
-    watcher : is told what happens
-    policy : how work is cut
+    n_pairs : number of plans
+    watcher : receives the results
+    policy : how work is divided into batches
     """
 
     def __init__(

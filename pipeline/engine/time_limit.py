@@ -1,7 +1,7 @@
-"""The time limit of a pair: a worker that works too long on one ends its own process, whatever that is doing.
+"""The time limit of a pair: a worker that works too long on one ends its own process, even inside a library.
 
 Nothing else stops a thread that is inside a library: no exception, no signal, no message of the scheduler. The timer of
-`faulthandler` needs no interpreter. What each batch of a pair has taken stands in small files in the run's folder: so
+`faulthandler` needs no interpreter. The time of each batch of a pair is written to small files in the run's folder: so
 every worker knows how much is left, and whether another one ended because nothing was.
 """
 
@@ -25,7 +25,7 @@ _LEAST_S = 0.001
 
 @dataclass(frozen=True)
 class TimeLimit:
-    """How long workers may work on a pair.
+    """Time that workers may spend on a pair.
 
     seconds : of all its batches together, also of those that run at the same time
     folder : of what is noted about the pair; every worker sees it
@@ -93,7 +93,7 @@ def _seconds_used(limit: TimeLimit) -> float:
     for path in list(limit.folder.iterdir()):
         try:
             text = path.read_text(encoding="utf-8")
-        except FileNotFoundError:  # a batch beside this one has just finished
+        except FileNotFoundError:  # another batch has just finished
             continue
         if path.suffix == _FINISHED:
             used += float(text or 0)

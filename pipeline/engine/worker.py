@@ -1,4 +1,4 @@
-"""What a worker does: jobs of a pair one after the other, or some objects of one; and the tables that they work on.
+"""Work of a worker: jobs of a pair one after the other, or some objects of one; and the tables that they work on.
 
 A table that comes from the job before it and one that comes from the run's folder are the same, value for value.
 """
@@ -21,7 +21,7 @@ from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..stage import N_RAW, SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
-from ..storage.tables import JobRecord, TableFolder, plain_facts, table_name
+from ..storage.tables import JobRecord, TableFolder, plain_metadata, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan, Source
 from .time_limit import Clock, OutOfTimeError
@@ -29,7 +29,7 @@ from .time_limit import Clock, OutOfTimeError
 
 @dataclass(frozen=True)
 class JobFailure:
-    """Why a job came to nothing; `trace` where the fault is ours."""
+    """Reason why a job failed; with the traceback if it is a bug."""
 
     stage: str
     part: str
@@ -39,7 +39,7 @@ class JobFailure:
 
 @dataclass(frozen=True)
 class BatchResult:
-    """What a batch has done for one pair: the jobs that are finished, and those that failed."""
+    """Outcome of a batch for one pair: finished and failed jobs."""
 
     pair_id: str
     records: tuple[JobRecord, ...] = ()
@@ -68,7 +68,7 @@ class PairBatch:
 
 
 def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
-    """Makes and writes the jobs of each pair; one broken job does not stop the others that do not need it."""
+    """Run the jobs of each pair and write their results; a failed job does not stop those that do not need it."""
     results = []
     for batch in batches:
         jobs = [batch.plan.job(name) for name in batch.jobs]
@@ -85,7 +85,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                         continue
                     if batch.most_bytes is not None and tables.bytes_needed(job, costs) > batch.most_bytes:
                         break
-                    clock.begin(in_words(*job.name))
+                    clock.begin(job_title(*job.name))
                     try:
                         records.append(make_job(tables, job))
                     except DiskFullError:
@@ -102,7 +102,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
 
 
 def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]) -> ObjectRows | JobFailure:
-    """The rows of some objects, by the stages over objects that are wanted; nothing is written."""
+    """The rows of some objects, by the requested stages over objects; nothing is written."""
     try:
         with Clock(plan.limit) as clock:
             return _make_rows(plan, jobs, objects, clock)
@@ -111,7 +111,7 @@ def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, .
 
 
 def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRows | JobFailure]) -> list[BatchResult]:
-    """Writes the tables of a pair from the rows of all its objects."""
+    """Write the tables of a pair from the rows of all its objects."""
     failures = tuple(part for part in parts if isinstance(part, JobFailure))
     if failures:
         return [BatchResult(plan.pair_id, failures=failures[:1])]
@@ -132,7 +132,7 @@ def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRo
 
 
 def make_job(tables: PairTables, job: Job) -> JobRecord:
-    """Makes one job of a pair and writes what it gives; raises what its stage raises."""
+    """Run one job of a pair and write its results; raises what its stage raises."""
     objects = tuple(number for number, _ in tables.objects) if job.stage.grain is Grain.OBJECT else ()
     inputs = tables.inputs(job, objects)
     result = job.stage.make(inputs)
@@ -142,7 +142,7 @@ def make_job(tables: PairTables, job: Job) -> JobRecord:
 
 
 class PairTables:
-    """The tables of one pair while jobs run on it: those just made, and those that are read when first asked for."""
+    """The tables of one pair while jobs run on it: new ones, and those that are read when first requested."""
 
     def __init__(self, plan: PairPlan) -> None:
         self.plan = plan
@@ -156,11 +156,11 @@ class PairTables:
 
     @property
     def objects(self) -> list[tuple[int, int]]:
-        """Id and nodes of each matched object; none where nothing lists them."""
+        """Id and nodes of each matched object; [] if no finished job lists them."""
         return self.plan.with_records(self._records.values()).objects or []
 
     def learn(self, plan: PairPlan) -> None:
-        """Takes over what is known of the pair by now: which jobs are done."""
+        """Update which jobs of the pair are done."""
         self.plan = plan
         self._records |= {job.name: job.record for job in plan.jobs if job.record is not None}
         self._n_raw = plan.n_raw
@@ -179,7 +179,7 @@ class PairTables:
         rows: Mapping[tuple[str, str], pa.Table] | None = None,
         step: Steps | None = None,
     ) -> Inputs:
-        """What a job receives: what its stage declares.
+        """The argument of a job: what its stage declares.
 
         Parameters
         ----------
@@ -201,7 +201,7 @@ class PairTables:
                 )
             is_by_object = self.plan.job(source.maker).stage.grain is Grain.OBJECT
             if not (is_by_object and stage.grain is Grain.OBJECT):  # they are gathered when all objects are done
-                outputs[name] = self._records[source.maker].facts
+                outputs[name] = self._records[source.maker].metadata
         return Inputs(
             pair_id=self.plan.pair_id,
             part=job.part,
@@ -247,15 +247,17 @@ class PairTables:
         return self._scans[side]
 
     def finish(self, job: Job, inputs: Inputs, result: JobResult) -> JobRecord:
-        """Keeps and writes what a job has made.
+        """Keep and write the results of a job.
 
         Raises
         ------
         ValueError
-            The tables are not those that the stage gives.
+            The tables are not those that the stage declares.
         """
         if set(result.tables) != set(job.stage.gives):
-            raise ValueError(f"stage {job.stage.name} gives {', '.join(result.tables)}; it declares {job.stage.gives}")
+            raise ValueError(
+                f"stage {job.stage.name}: expected tables {job.stage.gives}, got {', '.join(result.tables)}"
+            )
         record = JobRecord(
             job.stage.name,
             self.plan.pair_id,
@@ -263,7 +265,7 @@ class PairTables:
             job.key,
             {},
             job.reads,
-            plain_facts(result.facts),
+            plain_metadata(result.metadata),
             inputs.step.total(),
             self.plan.token,
         )
@@ -273,7 +275,7 @@ class PairTables:
             record = replace(record, files=files, steps=inputs.step.total())
         self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
         self._records[job.name] = record
-        if N_RAW in record.facts:
+        if N_RAW in record.metadata:
             self._n_raw = self.plan.with_records(self._records.values()).n_raw
         for side in list(self._scans):
             readers = {own.name for own in self.plan.jobs for source in own.sources if source[:2] == (SCAN, side)}
@@ -283,7 +285,7 @@ class PairTables:
 
 
 def is_required(job: Job) -> bool:
-    """Whether its pair comes to nothing without it: neither an extra nor a part of an experiment."""
+    """True if its pair fails without it: it is neither an extra nor a part of an experiment."""
     return not job.stage.is_extra and job.part in job.stage.parts
 
 
@@ -297,7 +299,7 @@ def _make_rows(
     rows: dict[tuple[str, str], pa.Table] = {}
     for name in jobs:
         job = plan.job(name)
-        clock.begin(in_words(*name))
+        clock.begin(job_title(*name))
         try:
             inputs = tables.inputs(job, objects, rows)
             made[name] = job.stage.make(inputs).tables
@@ -315,8 +317,8 @@ def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[
         schema = TABLES[name]
         rows = pa.concat_tables([schema.schema.empty_table(), *parts])
         whole[name] = rows.sort_by([(key, "ascending") for key in schema.keys]).combine_chunks()
-    facts = job.stage.gather(inputs, whole) if job.stage.gather is not None else {}
-    return tables.finish(job, inputs, JobResult(whole, facts))
+    metadata = job.stage.gather(inputs, whole) if job.stage.gather is not None else {}
+    return tables.finish(job, inputs, JobResult(whole, metadata))
 
 
 def _kept_tables(plan: PairPlan) -> PairTables:
@@ -342,11 +344,11 @@ def _failure(job: Job, error: Exception) -> JobFailure:
     return JobFailure(*job.name, f"internal error: {type(error).__name__}: {error}", trace)
 
 
-def failures_in_words(failures: Iterable[JobFailure]) -> str:
-    """Where jobs failed and why, in one line."""
-    return "; ".join(f"{in_words(failure.stage, failure.part)}: {failure.reason}" for failure in failures)
+def failure_text(failures: Iterable[JobFailure]) -> str:
+    """Failed jobs and their reasons, in one line."""
+    return "; ".join(f"{job_title(failure.stage, failure.part)}: {failure.reason}" for failure in failures)
 
 
-def in_words(stage: str, part: str) -> str:
-    """What a job is called where people read it."""
+def job_title(stage: str, part: str) -> str:
+    """Name of a job in messages."""
     return f"stage {stage}{', ' + part if part else ''}"

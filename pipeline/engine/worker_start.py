@@ -24,7 +24,7 @@ def dask_setup(worker: Any) -> None:
 
 
 def limit_memory(n_bytes: int) -> None:
-    """Let this process take only so many bytes beyond those that it has: a file that asks for more fails alone."""
+    """Limit the bytes that this process may allocate from now on: a file that needs more fails alone."""
     try:
         import resource
 

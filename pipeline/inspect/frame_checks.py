@@ -19,12 +19,12 @@ _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 
 
 def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
-    """What the finished jobs of a pair have found: by side, and for both scans together."""
+    """Inspection results in the finished jobs of a pair: by side, and of both scans together."""
     sides, frames = {}, None
     for job in jobs:
-        if found := job.facts.get(INSPECTION):
+        if found := job.metadata.get(INSPECTION):
             sides[job.part] = ScanInspection(**found)
-        if found := job.facts.get(FRAMES):
+        if found := job.metadata.get(FRAMES):
             frames = FrameCheck(**found)
     return sides, frames
 
@@ -71,7 +71,7 @@ def place_warning(check: FrameCheck) -> str:
     """One line for two scans of different places."""
     return (
         f"the two scans do not show the same place: the simulated scan covers {check.coverage:.2f} of the real one in "
-        f"the best of all frames, units and shifts ({check.as_it_lies:.2f} as it lies); expected at least "
+        f"the best of all frames, units and shifts ({check.as_it_lies:.2f} as given); expected at least "
         f"{LEAST_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
     )
 
@@ -84,7 +84,7 @@ def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
             f"mount height wrong? set {suspect.setting}"
         )
     return (
-        f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as it lies and {suspect.coverage:.2f} "
+        f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as given and {suspect.coverage:.2f} "
         f"{suspect.reading}; is it in another frame? set {suspect.setting}"
     )
 

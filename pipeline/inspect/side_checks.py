@@ -1,6 +1,6 @@
-"""What is wrong with a side as a whole: late, standing still, nearly empty, hits on its own vehicle, times of points.
+"""Checks of a side as a whole: late, standing still, nearly empty, hits on the ego vehicle, times of points.
 
-Told from a few scans: two stretches of five neighbouring pairs, a quarter into the dataset and before its last quarter.
+Based on a few scans: two stretches of five neighbouring pairs, a quarter into the dataset and before its last quarter.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _NAMES = {"real": "real", "sim": "simulated"}
 
 
 class SideSamples:
-    """Collects what is needed of the scans of a few pairs, while all are read, and judges both sides by it.
+    """Collects samples from the scans of a few pairs and checks both sides with them.
 
     pairs : all of the dataset
     """
@@ -50,7 +50,7 @@ class SideSamples:
         self._stamps: dict[str, StampFacts] = {}
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
-        """Takes what it needs of a pair; scans that could not be read are left out."""
+        """Add the samples of a pair; scans that could not be read have no points."""
         for side, scan in scans.items():
             frame = self._settings.frame_of(side)
             if pair.pair_id in self._with_stamps and scan.times_s is not None and side not in self._stamps:
@@ -65,7 +65,7 @@ class SideSamples:
                 self._places[side][pair.pair_id] = Places(points)
 
     def notes(self) -> list[str]:
-        """What the times of the points say of each side that has them, one line each."""
+        """Notes on the times of points, one line for each side that has them."""
         lines = []
         for side, stamps in self._stamps.items():
             if stamps.span_s and not stamps.faults:
@@ -74,7 +74,7 @@ class SideSamples:
         return lines
 
     def warnings(self, n_clean: Mapping[str, Sequence[int]]) -> list[str]:
-        """What is wrong with a side as a whole, one line each.
+        """Warnings about a side as a whole, one line each.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class SideSamples:
         if static := find_static_side(moved["real"], moved["sim"]):
             other = "sim" if static == "real" else "real"
             lines.append(
-                f"all {_NAMES[static]} scans are alike: neighbouring ones are {moved[static]:.2f} m apart, "
+                f"all {_NAMES[static]} scans are nearly identical: neighbouring ones are {moved[static]:.2f} m apart, "
                 f"{_NAMES[other]} ones {moved[other]:.2f} m; is one scan written again and again?"
             )
         else:
@@ -155,7 +155,7 @@ def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:
     corners = np.array([hits.low, hits.high]) @ axes.T
     box = ",".join(f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0)))
     return (
-        f"{hits.share:.1%} of the points lie within {hits.farthest_m:.1f} m and move with the sensor: hits on its own "
+        f"{hits.share:.1%} of the points lie within {hits.farthest_m:.1f} m and move with the sensor: hits on the ego "
         f"vehicle? input.exclude_box={box} drops them and {hits.others_in_box:.1%} others, "
         f"input.min_range_m={hits.farthest_m:.1f} them and {hits.others_in_range:.1%} others"
     )

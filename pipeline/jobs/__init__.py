@@ -28,7 +28,7 @@ STAGES = (
     *(coverage.STAGE, surface.STAGE, pieces.STAGE, selection.STAGE, metrics.STAGE),
 )
 
-#: What is made besides, where the settings ask for it; no stage above depends on any of it.
+#: Additional stages that the settings may request; no stage above depends on them.
 EXTRAS = (baselines.STAGE, seeds.STAGE)
 
 

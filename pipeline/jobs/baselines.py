@@ -1,4 +1,4 @@
-"""Stage baselines, an extra: the wanted distances of others of each matched object and of the two whole scans."""
+"""Stage baselines, an extra: the requested baseline metrics of each matched object and of the two whole scans."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...schemas.metrics import BASELINE_NAMES
 from ...schemas.settings import Settings
 from ...schemas.tables import BASELINES
 from ...stages.baselines import Baseline, compare_objects, compare_points
 from ...stages.baselines.icp import can_register
 from ...stages.summary import mean_and_std
-from ..stage import Facts, Grain, Inputs, JobResult, Stage
+from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.tables import JobRecord
 from .points import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_rows, matched_subgraphs, object_points
 
@@ -23,10 +23,10 @@ OF_OBJECTS, OF_SCAN = "objects", "scans"
 
 
 def make_baselines(own: Inputs) -> JobResult:
-    """Compares each matched object, and all object points of the two scans; gives the pair's means as facts."""
+    """Compare each matched object, and all object points of the two scans; the metadata hold the pair's means."""
     settings, selection = own.settings, own.table("selection")
     subgraphs = [matched_subgraphs(own, side) for side in SIDES]
-    rows: list[Facts] = []
+    rows: list[Row] = []
     for match in matched_rows(own):
         real, sim = (graphs[match[f"{side}_id"]] for side, graphs in zip(SIDES, subgraphs, strict=True))
         nodes = kept_nodes(selection, match["real_id"], real, sim)
@@ -43,10 +43,10 @@ def make_baselines(own: Inputs) -> JobResult:
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
-    """Of each baseline and level (objects or scan): mean and standard deviation (n - 1) over pairs, seconds per pair.
+    """Mean and standard deviation (n - 1) over pairs, and seconds per pair, by baseline and level (objects or scan).
 
     The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds` is the time of the
-    method, which may give several baselines: it stands with the first of them.
+    method; if the method computes several baselines, the first one has it.
     """
     finished = list(records)
     summary = []
@@ -57,14 +57,14 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
             names = {
                 mean["baseline"]: mean["unit"]
                 for record in finished
-                for mean in record.facts["means"]
+                for mean in record.metadata["means"]
                 if mean["level"] == level and _method(mean["baseline"]) == method
             }
             for i, (name, unit) in enumerate(names.items()):
                 pairs = [
                     mean
                     for record in finished
-                    for mean in record.facts["means"]
+                    for mean in record.metadata["means"]
                     if (mean["level"], mean["baseline"]) == (level, name)
                 ]
                 values = [np.nan if pair["mean"] is None else pair["mean"] for pair in pairs]
@@ -85,7 +85,7 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
 
 
 def baseline_libraries(settings: Settings) -> tuple[str, ...]:
-    """What the wanted baselines call; ICP's library is an extra, and without it ICP is null."""
+    """Libraries of the requested baselines; ICP's library is an extra, and without it ICP is null."""
     wants_icp = "icp" in settings.metrics.baselines
     return ("POT", "small_gicp") if wants_icp and can_register() else ("POT",)
 
@@ -94,7 +94,7 @@ def _is_wanted(settings: Settings) -> bool:
     return bool(settings.metrics.baselines)
 
 
-def _row(own: Inputs, baseline: Baseline, real_id: int | None, sim_id: int | None) -> Facts:
+def _row(own: Inputs, baseline: Baseline, real_id: int | None, sim_id: int | None) -> Row:
     return {
         "pair_id": own.pair_id,
         "real_id": real_id,
@@ -106,9 +106,9 @@ def _row(own: Inputs, baseline: Baseline, real_id: int | None, sim_id: int | Non
     }
 
 
-def _means(rows: list[Facts]) -> list[Facts]:
+def _means(rows: list[Row]) -> list[Row]:
     """The pair's mean of each baseline over objects, and its value of the whole scan."""
-    groups: dict[tuple[str, str], list[Facts]] = {}
+    groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         level = OF_SCAN if row["real_id"] is None else OF_OBJECTS
         groups.setdefault((level, row["baseline"]), []).append(row)
@@ -129,12 +129,12 @@ def _means(rows: list[Facts]) -> list[Facts]:
 
 
 def _step(method: str, level: str) -> str:
-    """What the step is called in `timings`."""
+    """Name of the step in `timings`."""
     return method if level == OF_OBJECTS else f"{method}, whole scan"
 
 
 def _method(baseline: str) -> str:
-    """Which method gives a baseline: the one that its name begins with."""
+    """The method that computes a baseline: its name begins with the method's."""
     return next(name for name in BASELINE_NAMES if baseline.startswith(name))
 
 

@@ -80,7 +80,7 @@ def _takes_real(settings: Settings) -> Columns:
 
 
 def louvain_libraries(settings: Settings) -> tuple[str, ...]:
-    """What finds the communities under given settings."""
+    """Libraries that find the communities under given settings."""
     hashing = ("scikit-learn",) if _is_reference(settings) else ()
     return (*_LIBRARIES[settings.communities.backend], *hashing)
 

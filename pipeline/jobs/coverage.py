@@ -9,7 +9,7 @@ from ...schemas.metrics import COVERAGE_REACHES
 from ...schemas.tables import COVERAGE
 from ...stages.coverage import Coverage
 from ...stages.method import SideCoverage, measure_coverage
-from ..stage import OF_PAIR, Facts, Grain, Inputs, JobResult, Stage
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 _MEASURES = (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "median_distance_m", "road_share")
@@ -20,7 +20,7 @@ def make_coverage(own: Inputs) -> JobResult:
     points = [object_points(own, side)[1] for side in SIDES]
     labels = [column(own.table("communities", side), "community_id") for side in SIDES]
     n_objects = [own.table("objects", side).num_rows for side in SIDES]
-    cuts = [(np.array(cut["axis"]), cut["threshold_m"]) for cut in (own.facts("ground", side) for side in SIDES)]
+    cuts = [(np.array(cut["axis"]), cut["threshold_m"]) for cut in (own.metadata("ground", side) for side in SIDES)]
     coverage = measure_coverage(points, labels, n_objects, cuts, watch=own.step)
     return coverage_result(own.pair_id, coverage)
 
@@ -28,7 +28,7 @@ def make_coverage(own: Inputs) -> JobResult:
 def coverage_result(pair_id: str, coverage: tuple[SideCoverage, SideCoverage]) -> JobResult:
     """One row for each object of either side and one for each side."""
     rows: list[Row] = []
-    of_pair: Facts = {}
+    of_pair: Metadata = {}
     for side, own in zip(SIDES, coverage, strict=True):
         objects, (whole,) = _rows(own.objects), _rows(own.whole)
         both = {"pair_id": pair_id, "side": side}

@@ -14,7 +14,7 @@ from ...stages.ground import GroundResult
 from ...stages.inspect.plausibility import inspect_points
 from ...stages.method import remove_road
 from ..datasets.readers.scan import Scan
-from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Facts, Grain, Inputs, JobResult, Stage
+from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
 from .points import column
 
 _LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
@@ -34,7 +34,7 @@ def make_ground(own: Inputs) -> JobResult:
         inspection = inspect_points(scan.points, own.part, own.settings.input)
     real_cut = real_points = None
     if ("ground", "real") in own.outputs:
-        real_cut = _cut(own.facts("ground", "real"))
+        real_cut = _cut(own.metadata("ground", "real"))
     if ("ground", "real") in own.tables:
         real = own.table("ground", "real")
         real_points = np.column_stack([column(real, axis) for axis in "xyz"])
@@ -51,11 +51,11 @@ def make_ground(own: Inputs) -> JobResult:
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
     result = ground_result(own.pair_id, own.part, scan, clean, cut)
-    return replace(result, facts=result.facts | {INSPECTION: asdict(inspection)})
+    return replace(result, metadata=result.metadata | {INSPECTION: asdict(inspection)})
 
 
 def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> JobResult:
-    """The clean points with their ground flags; the facts say how many were dropped and where the cut lies."""
+    """The clean points with their ground flags; the metadata hold the number of dropped points and the cut."""
     x, y, z = clean.points.T
     rows = GROUND.build(
         {
@@ -93,17 +93,17 @@ def _takes_real(settings: Settings) -> Columns:
     return {"ground": ("x", "y", "z")} if settings.ground.peak == "real" else {}
 
 
-def _cut(facts: Facts) -> GroundResult:
+def _cut(metadata: Metadata) -> GroundResult:
     """The real side's cut, for the simulated side."""
     return GroundResult(
         is_ground=np.empty(0, dtype=np.bool_),
         height_m=np.empty(0),
-        axis=np.array(facts["axis"]),
-        tilt_deg=facts["tilt_deg"],
-        peak_m=facts["peak_m"],
-        threshold_m=facts["threshold_m"],
-        loss=facts["loss"],
-        iterations=facts["iterations"],
+        axis=np.array(metadata["axis"]),
+        tilt_deg=metadata["tilt_deg"],
+        peak_m=metadata["peak_m"],
+        threshold_m=metadata["threshold_m"],
+        loss=metadata["loss"],
+        iterations=metadata["iterations"],
     )
 
 

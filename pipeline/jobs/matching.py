@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...schemas.tables import MATCHING
 from ...stages.arrays import IntArray
 from ...stages.matching import Matching
 from ...stages.method import match_objects
-from ..stage import OBJECTS, Facts, Grain, Inputs, JobResult, Stage
+from ..stage import OBJECTS, Grain, Inputs, JobResult, Stage
 from .points import column
 
 
@@ -24,11 +24,9 @@ def make_matching(own: Inputs) -> JobResult:
 
 
 def matching_result(pair_id: str, matching: Matching, n_real: IntArray, n_sim: IntArray) -> JobResult:
-    """A row for each object; the facts list the matched ones with the number of nodes that both sides will keep."""
+    """A row for each object; the metadata list the matched ones with the number of nodes that both sides will keep."""
     pairs = zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True)
-    rows: list[Facts] = [
-        {"real_id": a, "sim_id": b, "centroid_distance_m": d, "status": "matched"} for a, b, d in pairs
-    ]
+    rows: list[Row] = [{"real_id": a, "sim_id": b, "centroid_distance_m": d, "status": "matched"} for a, b, d in pairs]
     rows += [{"real_id": a, "status": "missing"} for a in matching.missing.tolist()]
     rows += [{"sim_id": b, "status": "hallucinated"} for b in matching.hallucinated.tolist()]
     n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])

@@ -1,4 +1,4 @@
-"""Stage metrics: the scores of matched objects, and what they say together."""
+"""Stage metrics: the scores of matched objects, and their summary."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...stages.arrays import FloatArray
 from ...stages.method import n_communities
 from ...stages.metrics import Scores, score_object
 from ...stages.summary import summarise_pair
-from ..stage import OF_PAIR, Facts, Grain, Inputs, JobResult, Stage, Tables
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
 from .points import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_rows, matched_subgraphs
 
 
@@ -52,7 +52,7 @@ def metrics_result(
     return JobResult({"metrics": METRICS.from_rows(rows)})
 
 
-def gather_metrics(own: Inputs, tables: Tables) -> Facts:
+def gather_metrics(own: Inputs, tables: Tables) -> Metadata:
     """The pair's columns of `pairs`: counts, match rate, ranges, means over the objects."""
     metrics, matching = tables["metrics"], own.table("matching")
     statuses = np.array(matching.column("status").to_pylist(), dtype=object)

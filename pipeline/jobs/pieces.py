@@ -41,7 +41,7 @@ def pieces_result(
 
     Parameters
     ----------
-    names : by side, the class of each point; None where the scan has no labels
+    names : by side, the class of each point; None if the scan has no labels
     """
     rows: list[Row] = []
     for side, pieces, own in zip(SIDES, both, names, strict=True):

@@ -1,4 +1,4 @@
-"""What jobs read from tables: object points, the graph by node index, matched objects as subgraphs, kept nodes."""
+"""Inputs that jobs read from tables: object points, graph by node index, matched objects as subgraphs, kept nodes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def column(table: pa.Table, name: str) -> Any:
 
 
 def nulls_for_nan(values: Iterable[float]) -> list[float | None]:
-    """Numbers as a table holds them, null where there is none."""
+    """Numbers as in a table: null for NaN."""
     return [None if math.isnan(value) else value for value in values]
 
 

@@ -1,7 +1,7 @@
-"""Stage seeds, an extra: a pair repeated under other seeds of the communities, and what the repeats say together.
+"""Stage seeds, an extra: a pair repeated under other seeds of the communities, and a summary of the repeats.
 
-Ground and graph have no seed and are shared; communities, matching, selection and scores are made again in memory, and
-only the scores are kept.
+Ground and graph have no seed and are shared; communities, matching, selection and scores are recomputed in
+memory, and only the scores are kept.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from ...schemas.tables import SEEDS
 from ...stages.method import PartitionedScan, compare, n_communities, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
-from ..stage import OF_PAIR, Facts, Grain, Inputs, JobResult, Stage
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.tables import JobRecord
 from .communities import louvain_libraries
 from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
 
 
 def make_seeds(own: Inputs) -> JobResult:
-    """Scores the pair under each seed: the set one, whose tables are there, and those that follow it."""
+    """Score the pair under each seed: the configured one, whose tables exist, and those that follow it."""
     first = own.settings.communities.seed
-    scores = {first: own.facts("metrics")[OF_PAIR]}
+    scores = {first: own.metadata("metrics")[OF_PAIR]}
     for seed in range(first + 1, first + own.settings.stability.seeds):
         scores[seed] = _repeat(own, seed)
     rows = [
@@ -40,8 +40,8 @@ def make_seeds(own: Inputs) -> JobResult:
 
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
-    """Of each score: spread over seeds and over pairs; and of each pair, mean and standard deviation over seeds."""
-    repeats = {record.pair_id: _as_floats(record.facts["scores"]) for record in records}
+    """Spread of each score over seeds and over pairs; mean and standard deviation of each pair over seeds."""
+    repeats = {record.pair_id: _as_floats(record.metadata["scores"]) for record in records}
     dataset = {name: vars(spread(np.array([scores[name] for scores in repeats.values()]))) for name in SEEDED_SCORES}
     pairs = {
         pair_id: {name: dict(zip(("mean", "std"), mean_and_std(own), strict=True)) for name, own in scores.items()}
@@ -51,7 +51,7 @@ def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[st
     return {"seeds": {"n_seeds": n_seeds, "n_pairs": n_pairs, "dataset": dataset, "pairs": pairs}}
 
 
-def _repeat(own: Inputs, seed: int) -> Facts:
+def _repeat(own: Inputs, seed: int) -> Metadata:
     """The scores of the pair under another seed."""
     declared = own.settings
     settings = Settings(

@@ -32,14 +32,14 @@ def make_sensor(own: Inputs) -> JobResult:
     with own.step("frames"):
         T_real_sim = np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None
         check = check_frames(real.points, scan.points, own.settings.input, T_real_sim)
-    return replace(result, facts=result.facts | {FRAMES: None if check is None else asdict(check)})
+    return replace(result, metadata=result.metadata | {FRAMES: None if check is None else asdict(check)})
 
 
 def sensor_result(pair_id: str, side: str, sensor: SensorFacts) -> JobResult:
-    """One row; the facts have the whole description."""
+    """One row; the metadata contain the whole description."""
     row = {"pair_id": pair_id, "side": side} | sensor_row(sensor)
-    facts = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, side)}
-    return JobResult({"sensor": SENSOR.build(row, 1)}, facts)
+    metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, side)}
+    return JobResult({"sensor": SENSOR.build(row, 1)}, metadata)
 
 
 def _libraries(settings: Settings) -> tuple[str, ...]:

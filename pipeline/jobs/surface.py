@@ -8,7 +8,7 @@ from ...schemas.settings import Settings
 from ...schemas.tables import SURFACE
 from ...stages.method import SurfaceComparison, measure_surface
 from ...stages.surface import Offsets
-from ..stage import OF_PAIR, Facts, Grain, Inputs, JobResult, Stage
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 
@@ -23,13 +23,13 @@ def surface_result(pair_id: str, surface: SurfaceComparison) -> JobResult:
     """One row for each real object and one for the whole."""
     (pair,) = _rows(surface.whole)
     rows = [{"real_id": i} | row for i, row in enumerate(_rows(surface.objects))]
-    of_pair: Facts = {name: pair[name] for name in SHIFT_COLUMNS} | surface.roughness
+    of_pair: Metadata = {name: pair[name] for name in SHIFT_COLUMNS} | surface.roughness
     table = SURFACE.from_rows({"pair_id": pair_id} | row for row in [*rows, pair])
     return JobResult({"surface": table}, {OF_PAIR: of_pair})
 
 
 def _rows(offsets: Offsets) -> list[Row]:
-    """One row per piece of surface, nulls for what its normals do not tell."""
+    """One row per piece of surface, null for directions that are not observable."""
     counts = zip(offsets.n_points.tolist(), offsets.n_directions.tolist(), strict=True)
     shifts = zip(offsets.shift_m.tolist(), offsets.distance_m.tolist(), strict=True)
     return [

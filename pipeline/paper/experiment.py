@@ -238,8 +238,8 @@ class Experiment:
         self._refuse_replacing(survey)
         if survey.todo:
             self.engine.start(survey.todo)
-        only_adds = stages is STAGES and self._finished and not survey.unwanted  # what stays is still as it was asked
-        if (survey.todo or survey.unwanted) and not only_adds:
+        only_adds = stages is STAGES and self._finished and not survey.stale  # what stays is still as it was asked
+        if (survey.todo or survey.stale) and not only_adds:
             self._write_record({})
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
         if survey.todo:
@@ -263,11 +263,9 @@ class Experiment:
         groups = {group for stage in (*self._base, *self._own) for group in stage.settings}
         why = [text for group, texts in changed.items() if group in groups for text in texts]
         why += _dropped(self._finished, self._facts)
-        left_out = sorted(
-            {pair_id for _, pair_id, _ in survey.unwanted} - {pair.pair_id for pair in self._source.pairs}
-        )
+        left_out = sorted({pair_id for _, pair_id, _ in survey.stale} - {pair.pair_id for pair in self._source.pairs})
         why += [f"pair{'s' * (len(left_out) > 1)} {', '.join(left_out[:5])} not asked for"] if left_out else []
-        lost = [name for name, reason in survey.unwanted.items() if reason in (OUT_OF_DATE, _NOT_ASKED_FOR)]
+        lost = [name for name, reason in survey.stale.items() if reason in (OUT_OF_DATE, _NOT_ASKED_FOR)]
         if not lost or not why:
             return
         stages, pairs = dict.fromkeys(stage for stage, _, _ in lost), {pair_id for _, pair_id, _ in lost}

@@ -177,7 +177,7 @@ class PairTables:
     def sensors(self) -> dict[str, SensorFacts]:
         """The sensor of each side, as stage `sensor` describes it."""
         jobs = self._run.store.ledger.jobs(self._pair_id)
-        return {side: SensorFacts(**jobs["sensor", side].facts["sensor"]) for side in SIDES}
+        return {side: SensorFacts(**jobs["sensor", side].metadata["sensor"]) for side in SIDES}
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:

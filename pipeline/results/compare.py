@@ -330,7 +330,7 @@ def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
         if record is None:
             return {}
         for column, scores in repeats.items():
-            scores.append(record.facts["scores"][column])
+            scores.append(record.metadata["scores"][column])
     noise = {
         column: spread(np.array(scores, dtype=np.float64)).least_dataset
         for column, scores in repeats.items()

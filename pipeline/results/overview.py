@@ -272,6 +272,6 @@ def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
     others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json" * (len(similar) < len(suspects))
     return (
         f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: in {len(similar)} it "
-        f"covers {before:.2f} of the real one as it lies and {after:.2f} {first.reading}; set {first.setting}{where} "
+        f"covers {before:.2f} of the real one as given and {after:.2f} {first.reading}; set {first.setting}{where} "
         f"and run again{others}"
     )

@@ -1,7 +1,7 @@
 """The tables of a run's folder: where each lies, how it is written and read, and what its footer tells of the job.
 
 A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the job that made it: the
-wanted key and small facts, so that the tables are the truth and the ledger next to them a cache.
+wanted key and small metadata, so that the tables are the truth and the ledger next to them a cache.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class JobRecord:
     key : of its result
     files : by path relative to the run
     reads : keys of what it read
-    facts : small results that are not a table, as JSON has them
+    metadata : small results that are not a table, as JSON has them
     steps : name and seconds of each step
     made_by : token of the run that made it; "" where that is not known
     """
@@ -107,7 +107,7 @@ class JobRecord:
     key: str
     files: dict[str, StoredFile]
     reads: tuple[str, ...] = ()
-    facts: dict[str, Any] = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict)
     steps: tuple[tuple[str, float], ...] = ()
     made_by: str = ""
 
@@ -122,9 +122,9 @@ class JobRecord:
         return self.stage, self.pair_id, self.part
 
 
-def plain_facts(facts: dict[str, Any]) -> dict[str, Any]:
-    """Facts as they come back from JSON: lists for tuples and arrays, Python's numbers for NumPy's."""
-    plain: dict[str, Any] = orjson.loads(orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY))
+def plain_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
+    """Metadata as read back from JSON: lists for tuples and arrays, Python's numbers for NumPy's."""
+    plain: dict[str, Any] = orjson.loads(orjson.dumps(metadata, option=orjson.OPT_SERIALIZE_NUMPY))
     return plain
 
 
@@ -331,7 +331,7 @@ def job_record(entry: dict[str, Any]) -> JobRecord:
 
 def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
     """A job as the footers of its files have it: without seconds, so that files of equal content are equal."""
-    own = {name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "facts")}
+    own = {name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "metadata")}
     return orjson.dumps(own | {"files": list(names)}).decode()
 
 

@@ -96,7 +96,7 @@ def ground(pair: StoredPair) -> Parts:
     """Heights and flags of all clean points, and the cut."""
     settings = pair.settings.ground
     for side in SIDES:
-        stored, facts = pair.table("ground", side), pair.facts("ground", side)
+        stored, facts = pair.table("ground", side), pair.metadata("ground", side)
         cut, heights, is_clear = _cut(pair, side)
         frame = pd.DataFrame({"height_m": heights - cut["peak_m"]}, index=pd.Index(stored["point_id"], name="point_id"))
         if settings.method == "patchwork":
@@ -123,11 +123,11 @@ def _cut(pair: StoredPair, side: str) -> tuple[dict[str, Any], FloatArray, bool]
     """The cut of a side by its facts, the heights of its points, and whether the points determine the axis."""
     settings, points = pair.settings.ground, pair.sides[side].all_points
     limits = settings.prior_m, settings.max_variance_loss, settings.loss
-    own = method.ground(points, *limits, if_not_told=np.array(pair.facts("ground", side)["axis"]))
+    own = method.ground(points, *limits, if_not_told=np.array(pair.metadata("ground", side)["axis"]))
     heights = own.height_m
     cut = {name: getattr(own, name) for name in ("axis", "tilt_deg", "peak_m", "threshold_m", "loss", "iterations")}
     if side == "sim" and (settings.shared or settings.peak == "real"):
-        real = pair.facts("ground", "real")
+        real = pair.metadata("ground", "real")
         axis = np.array(real["axis"])
         offset_m = 0.0 if settings.shared else method.road_offset(pair.sides["real"].all_points, points, axis)
         if offset_m is not None:
@@ -336,7 +336,7 @@ def coverage(pair: StoredPair) -> Parts:
     sizes += [(side, -1, len(pair.sides[side].points)) for side in SIDES]
     yield pair.part("coverage", pd.DataFrame(sizes, columns=[*keys, "n_points"]).set_index(keys))
     for side, other in (SIDES, SIDES[::-1]):
-        own, others, cut = pair.sides[side], pair.sides[other].points, pair.facts("ground", other)
+        own, others, cut = pair.sides[side], pair.sides[other].points, pair.metadata("ground", other)
         drawn = {community: own.members(community) for community in pair.drawn_ids(side)}
         if pair.sample.whole_sides:
             drawn[-1] = np.arange(len(own.points))

@@ -148,9 +148,9 @@ class StoredPair:
         """True if the installed version of a library is that of the run."""
         return self.run.record.libraries.get(name) == library_versions([name])[name]
 
-    def facts(self, stage: str, side: str = "") -> dict[str, Any]:
-        """The facts that the job of a stage stored."""
-        return self.run.store.ledger.jobs(self.pair_id)[stage, side].facts
+    def metadata(self, stage: str, side: str = "") -> dict[str, Any]:
+        """The metadata that the job of a stage stored."""
+        return self.run.store.ledger.jobs(self.pair_id)[stage, side].metadata
 
     @cached_property
     def sides(self) -> dict[str, StoredSide]:
@@ -228,7 +228,7 @@ class StoredSide:
 
 
 def values(table: str, stored: Row, recomputed: Row, side: str = "", **keys: Any) -> Part:
-    """Single values, such as facts of a job, as frames of one row; `keys` say what they belong to."""
+    """Single values, such as metadata of a job, as frames of one row; `keys` say what they belong to."""
     index = pd.MultiIndex.from_arrays([[key] for key in keys.values()], names=list(keys)) if keys else None
     a, b = (pd.DataFrame([row], index=index, columns=list(recomputed)) for row in (stored, recomputed))
     return Part(table, a, b, side, is_whole=False)

@@ -33,7 +33,7 @@ def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monk
             run(dataset, tmp_path / "run")
     told = str(error.value)
     assert re.search(rf"run/\w+/00\d\S*\.parquet: {os.strerror(number)}, [0-9.]+ [MG]B free", told)
-    assert "free; make room, then run the same command again: it goes on where it stopped; " in told
+    assert "free; make room, then run the same command again: it resumes where it stopped; " in told
     assert "the 3 pairs that were not finished need about 1.2 MB in all" in told
     assert "\n" not in told
     assert not (tmp_path / "run" / "pairs.parquet").exists()

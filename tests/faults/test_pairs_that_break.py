@@ -151,7 +151,7 @@ def test_check_names_a_pair_whose_reader_crashes_and_reads_the_others(dataset):
         done = own_process("check", dataset, "--json")
     found = json.loads(done.stdout)
     assert (done.returncode, len(found["faults"])) == (1, 1)
-    assert re.match(f"pair {POISON}: its worker process died", found["faults"][0])
+    assert re.match(f"pair {POISON}: the worker process died, and again when the pair ran alone", found["faults"][0])
     assert [pair["real"] is None for pair in found["pairs"]] == [pair["pair_id"] == POISON for pair in found["pairs"]]
 
 

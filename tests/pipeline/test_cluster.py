@@ -158,7 +158,7 @@ def test_a_cluster_whose_workers_are_all_lost_ends_the_run_which_can_be_gone_on_
     monkeypatch.setattr(engine_cluster, "_WITHOUT_WORKERS_S", 2.0)
     cluster.add_workers(1, "--no-nanny")
     stages = broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
-    with pytest.raises(RunError, match="no worker has been there for 2 s; run the same command again: it goes on"):
+    with pytest.raises(RunError, match="no worker for 2 s; run the same command again: it resumes"):
         run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
     run(dataset, tmp_path / "run")
     assert_same_tables(tmp_path / "run", finished)
@@ -195,7 +195,7 @@ def kill_scheduler(context):
 @pytest.mark.exhaustive
 def test_a_lost_scheduler_is_named_and_the_run_goes_on_without_it(dataset, finished, tmp_path, cluster):
     cluster.add_workers(2, "--no-nanny", SCHEDULER=str(cluster.scheduler.pid))
-    with pytest.raises(RunError, match=f"scheduler {cluster.address}: .*; run the same command again: it goes on"):
+    with pytest.raises(RunError, match=f"scheduler {cluster.address}: .*; run the same command again: it resumes"):
         run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=with_metrics(kill_scheduler))
     run(dataset, tmp_path / "run")
     assert_same_tables(tmp_path / "run", finished)
@@ -252,11 +252,11 @@ def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_re
     words = ("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address, "--pairs", "000")
     refused = own_process(*words)
     assert refused.returncode == 1
-    assert "has no memory limit; start it with --memory-limit, or say" in refused.stderr
+    assert "has no memory limit; start it with --memory-limit, or set" in refused.stderr
     named = (*words, "--set", "machine.memory_gib=2")
     refused = own_process(*named, "--pair-timeout", "60")
     assert refused.returncode == 1
-    assert "has no nanny, and a pair that is out of time ends its worker process; start it with" in refused.stderr
+    assert "has no nanny, and a pair that exceeds its time ends its worker process; start it with" in refused.stderr
     assert own_process(*named).returncode == 0
 
 

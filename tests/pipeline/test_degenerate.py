@@ -154,7 +154,7 @@ def test_masked_points_are_dropped():
 
 
 def test_no_imaginary_part_is_dropped():
-    with pytest.raises(ScanError, match=r"sim: complex128 values found, real numbers wanted; convert .* sim\.real$"):
+    with pytest.raises(ScanError, match=r"sim: expected real numbers, got complex128 values; convert .* sim\.real$"):
         evaluate_pair(street(), street() + 0j)
 
 

@@ -61,7 +61,9 @@ def test_a_part_sees_what_was_made_after_another_part_had_begun(dataset, tmp_pat
     engine, jobs = make_parts(dataset, tmp_path, parts, InProcess())
     assert engine.failures == {}
     for own in jobs.values():
-        assert own[SEES_GROUND.name, "early"].facts["n_rows"] > own[SEES_MATCHING.name, "late"].facts["n_rows"] > 0
+        assert (
+            own[SEES_GROUND.name, "early"].metadata["n_rows"] > own[SEES_MATCHING.name, "late"].metadata["n_rows"] > 0
+        )
 
 
 def test_each_part_gets_its_own_arguments_and_is_a_batch_of_its_own(dataset, tmp_path):
@@ -69,7 +71,7 @@ def test_each_part_gets_its_own_arguments_and_is_a_batch_of_its_own(dataset, tmp
     pool = WatchedPool()
     engine, jobs = make_parts(dataset, tmp_path, parts, pool)
     assert engine.n_made == 2 * (N_BASE + 3)
-    assert [jobs["000"][SEES_GROUND.name, f"part-{i}"].facts["arguments"] for i in range(3)] == [[0], [1], [2]]
+    assert [jobs["000"][SEES_GROUND.name, f"part-{i}"].metadata["arguments"] for i in range(3)] == [[0], [1], [2]]
     assert all(len(batch) == 1 for batch in pool.batches if any("part" in part for _, _, part in batch))
 
 

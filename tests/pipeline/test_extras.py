@@ -203,6 +203,6 @@ def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset)
 
 def test_a_baseline_that_is_null_in_every_object_has_no_mean():
     means = [{"level": "objects", "baseline": "netlsd", "unit": None, "mean": None, "n": 0, "n_null": 4}]
-    job = JobRecord("baselines", "a", "", "key", {}, facts={"means": means}, steps=(("netlsd", 0.5),))
+    job = JobRecord("baselines", "a", "", "key", {}, metadata={"means": means}, steps=(("netlsd", 0.5),))
     (row,) = summarise_baselines([job], load(None, ["metrics.baselines=netlsd"]))["baselines"]
     assert (row["mean"], row["std"], row["n"], row["n_null"], row["seconds"]) == (None, None, 0, 4, 0.5)

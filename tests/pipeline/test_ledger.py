@@ -84,7 +84,7 @@ def test_entries_are_not_kept_in_memory(ledger):
     kept, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert kept < 100_000
-    assert len(ledger.jobs("1999")["graph", "real"].facts["text"]) == 1000
+    assert len(ledger.jobs("1999")["graph", "real"].metadata["text"]) == 1000
 
 
 def test_a_ledger_that_was_not_closed_in_order_says_so(ledger, tmp_path):

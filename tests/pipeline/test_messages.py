@@ -179,7 +179,7 @@ def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
 @pytest.mark.parametrize("address", ["foo", "tcp://host", "foo://host:1", "tcp://host:99999", ""])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
     assert one_error(command("run", dataset, "--out", tmp_path / "run", "--scheduler", address, timeout=60)) == (
-        f"error: scheduler {address!r}: no such address, tcp://HOST:PORT is wanted, such as tcp://host:8786"
+        f"error: scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786"
     )
 
 

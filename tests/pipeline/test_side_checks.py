@@ -67,7 +67,9 @@ def test_a_late_side_is_named_with_frames_and_seconds(tmp_path):
 def test_a_side_that_is_one_scan_is_named(tmp_path):
     still = [scan(3, seed, 0.03) for seed in range(6)]
     (warning,) = (text for text in warnings(write(tmp_path, drive(), still)) if not text.startswith("pair "))
-    assert warning.startswith("all simulated scans are alike: neighbouring ones are 0.07 m apart, real ones 0.5")
+    assert warning.startswith(
+        "all simulated scans are nearly identical: neighbouring ones are 0.07 m apart, real ones 0.5"
+    )
 
 
 def test_an_empty_side_is_named_beside_the_faults_of_its_scans(tmp_path):
@@ -85,10 +87,10 @@ def test_ego_hits_are_named_with_settings_that_drop_them(tmp_path, frame, turn):
     bonnet = box([3.2, 0, -0.9], [1, 1.6, 0.3], 600)
     own = [np.vstack([points, bonnet]) for points in drive()]
     folder, words = write(tmp_path, own, own, turn=turn), [f"input.{side}_frame={frame}" for side in ("real", "sim")]
-    real, sim = (text for text in warnings(folder, *words) if "own vehicle" in text)
+    real, sim = (text for text in warnings(folder, *words) if "ego vehicle" in text)
     assert real.startswith("real scans: 3.9%") and sim.startswith("simulated scans: 3.9%")
     for setting in re.findall(r"input\.(?:exclude_box|min_range_m)=\S+", real):
-        assert not [text for text in warnings(folder, *words, setting) if "own vehicle" in text]
+        assert not [text for text in warnings(folder, *words, setting) if "ego vehicle" in text]
 
 
 def timed(i, change=lambda times: times, way=-1, seed=0):

@@ -57,7 +57,7 @@ def toy_results(out):
     }
     ledger = RunFolder(out).ledger
     facts = {
-        record.name: record.facts
+        record.name: record.metadata
         for pair_id in ledger.pair_ids()
         for record in ledger.jobs(pair_id).values()
         if set(record.files) & set(tables)
@@ -200,7 +200,7 @@ def other_side(inputs):
     ("ask", "missing"),
     [
         (lambda own: own.table("graph", own.part), "KeyError: ('graph', "),
-        (lambda own: own.facts("ground", own.part), "KeyError: ('ground', "),
+        (lambda own: own.metadata("ground", own.part), "KeyError: ('ground', "),
         (lambda own: own.table("communities", own.part).column("point_id"), '\'Field "point_id" does not exist'),
         (lambda own: own.settings.graph, "has no attribute 'graph'"),
         (other_side, "KeyError: ('communities', 'sim')"),
@@ -264,7 +264,7 @@ def test_a_stage_that_reads_the_input_declares_the_settings_of_its_columns(datas
 @pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
 def test_no_object_depends_on_which_others_are_scored_beside_it(dataset, tmp_path, is_split):
     def make(inputs):
-        inputs.facts("metrics")  # of all objects
+        inputs.metadata("metrics")  # of all objects
         return OF_OBJECT.make(inputs)
 
     stages = with_toys(of_object=replace(OF_OBJECT, make=make))
@@ -292,7 +292,7 @@ def test_a_memo_gives_a_result_only_for_the_same_tables_and_values():
 def test_a_stage_that_gives_other_tables_than_it_declares_fails(dataset, tmp_path):
     stage = replace(OF_SIDE, make=lambda inputs: JobResult({}))
     reason = failure_of(stage, dataset, tmp_path / "run", STAGES[: toys.N_BEFORE_MATCHING])
-    assert "stage crowds gives" in reason
+    assert "stage crowds: expected tables" in reason
 
 
 def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work(dataset, tmp_path):
