@@ -219,11 +219,7 @@ class _Run:
         pairs = [pair for pair in self._dataset.pairs if pair.pair_id in names]
         self._reporter.warn(*self._dataset.warnings)
         self._engine.hash_files(pairs)
-        hashes = {
-            pair_id: {side: scan.sha256 for side, scan in sides.items()}
-            for pair_id, sides in self._engine.contents.items()
-        }
-        self._reporter.warn(*swapped_sides(pairs, self._dataset.folder), *shared_files(hashes))
+        self._reporter.warn(*swapped_sides(pairs, self._dataset.folder))
         self._hashes = {
             pair.pair_id: input_hashes(pair, self._dataset.label_names, self._engine.contents[pair.pair_id])
             for pair in self._dataset.pairs
@@ -318,22 +314,23 @@ class _Run:
 
     def _summarise_jobs(self, pairs: Iterable[ScanPair]) -> _JobSummary:
         """Summarise the current jobs of the pairs, and report what inspection found."""
-        found, warnings = _JobSummary(), list[str]()
+        found, warnings, hashes = _JobSummary(), list[str](), {}
         for pair in pairs:
             records = list(self._records([pair.pair_id]))
             if not records:
                 continue
+            hashes[pair.pair_id] = self._hashes[pair.pair_id]
             sides, frames = inspection_of(records)
             warnings += pair_warnings(pair, sides, frames)
             if suspect := frame_suspect(frames):
                 found.suspects[pair.pair_id] = suspect
             for job in records:
                 found.seconds.add(job)
-                found.notes[pair.pair_id] += [f"{job.part} side: {note}" for note in job.metadata.get("notes", ())]
+                for note in job.metadata.get("notes", ()):
+                    found.notes[pair.pair_id].append(f"{job.part} side: {note}")
             found.n_jobs += len(records)
             found.keys += [pair.pair_id, key_of(sorted(job.key for job in records if OF_PAIR in job.metadata))]
-        self._reporter.warn(*warnings)
-        found.notes = defaultdict(list, {pair_id: notes for pair_id, notes in found.notes.items() if notes})
+        self._reporter.warn(*shared_files(hashes), *warnings)
         return found
 
     def _write_record(self, record: RunHeader) -> None:
