@@ -160,16 +160,16 @@ def by_beam(points):
 
 STAMP_FAULTS = {
     "none": (lambda times, rng: times, ""),
-    "half are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.5, np.nan, times), "no time of their own"),
-    "every other is 0": (lambda times, rng: np.where(np.arange(len(times)) % 2, times, 0.0), "no time of their own"),
-    "half as many": (lambda times, rng: times[::2], "one each is wanted"),
+    "half are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.5, np.nan, times), "have no time"),
+    "every other is 0": (lambda times, rng: np.where(np.arange(len(times)) % 2, times, 0.0), "have no time"),
+    "half as many": (lambda times, rng: times[::2], "one per point"),
     "one for all": (lambda times, rng: np.full(len(times), 5.0), "all points have one time"),
     "milliseconds": (lambda times, rng: 1e3 * times, "milliseconds"),
     "nanoseconds": (lambda times, rng: 1e9 * times, "nanoseconds"),
     "of other points": (lambda times, rng: rng.permutation(times), "go round"),
     "by row, not by turn": (lambda times, rng: np.linspace(0, 0.1, len(times)), "go round"),
-    "5 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.05, np.nan, times), "no time of their own"),
-    "1 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.01, np.nan, times), "no time of their own"),
+    "5 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.05, np.nan, times), "have no time"),
+    "1 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.01, np.nan, times), "have no time"),
     "backwards": (lambda times, rng: times.max() - times, "go round"),
 }
 

@@ -23,7 +23,7 @@ from .communities import find_communities
 from .coverage import Coverage, below_cut, cover, nearest_distances
 from .graph import build_graph
 from .ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
-from .inspect.sensor import SensorFacts, describe_sensor
+from .inspect.sensor import SensorDescription, describe_sensor
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
@@ -395,7 +395,7 @@ class EvaluatedSide:
     coverage : by the other side
     """
 
-    sensor: SensorFacts
+    sensor: SensorDescription
     clean: CleanResult
     cut: GroundResult
     scan: PartitionedScan

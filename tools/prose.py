@@ -118,7 +118,7 @@ def findings(path):
     """Line, words found, and suggestion of each finding in a file."""
     for line, text in texts(path):
         is_doc = text.startswith('"""')
-        text = re.sub(r"`[^`]*`", lambda found: " " * len(found[0]), text.removeprefix('"""'))
+        text = re.sub(r"`[^`]*`|(?m:^ +[\w, ]+ : )", lambda found: " " * len(found[0]), text.removeprefix('"""'))
         for pattern, instead in _WORDS.items():
             for found in pattern.finditer(re.sub(r"\n", " ", text)):
                 yield line + text.count("\n", 0, found.start()), found[0], instead, pattern

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...schemas.columns import SIDES
 from ...schemas.record import FrameSuspect
-from ...stages.inspect.frames import LEAST_GAIN, LEAST_SAME_PLACE, FrameCheck
+from ...stages.inspect.frames import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
 from ...stages.inspect.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
 from ..datasets.pairs import ScanPair
 from ..stage import FRAMES, INSPECTION
@@ -72,13 +72,13 @@ def place_warning(check: FrameCheck) -> str:
     return (
         f"the two scans do not show the same place: the simulated scan covers {check.coverage:.2f} of the real one in "
         f"the best of all frames, units and shifts ({check.as_it_lies:.2f} as given); expected at least "
-        f"{LEAST_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
+        f"{MIN_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
     )
 
 
 def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
     """One line with both figures and the setting that fixes it."""
-    if suspect.coverage - suspect.as_it_lies < LEAST_GAIN:
+    if suspect.coverage - suspect.as_it_lies < MIN_GAIN:
         return (
             f"the ground of the two scans is at the same height if the simulated scan is {suspect.reading}; is the "
             f"mount height wrong? set {suspect.setting}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ...schemas.columns import SIDES
 from ...schemas.settings import InputSettings
 from ...stages.clean import as_ros
-from ...stages.inspect.sensor import SensorFacts, describe_sensor, differences, unlike_others
+from ...stages.inspect.sensor import SensorDescription, describe_sensor, differences, unlike_others
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 
@@ -24,7 +24,7 @@ class SensorCheck:
     """
 
     pair_ids: tuple[str, ...]
-    sides: dict[str, SensorFacts]
+    sides: dict[str, SensorDescription]
     differences: list[str]
     unlike: list[str]
 
@@ -39,7 +39,7 @@ class SensorSamples:
 
     def __init__(self, pair_ids: Collection[str], settings: InputSettings) -> None:
         self._pair_ids, self._settings = pair_ids, settings
-        self._sensors: dict[str, dict[str, SensorFacts]] = {side: {} for side in SIDES}
+        self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
         """Describes the scans of a pair, if it is one of the sample."""

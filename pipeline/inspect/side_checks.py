@@ -14,9 +14,9 @@ from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
 from ...stages.inspect.sequence_checks import (
-    MOST_FRAMES_LATE,
+    MAX_FRAMES_LATE,
     EgoHits,
-    Places,
+    SequenceScan,
     find_ego_hits,
     find_empty_side,
     find_static_side,
@@ -24,7 +24,7 @@ from ...stages.inspect.sequence_checks import (
     is_moving,
     moved_m,
 )
-from ...stages.inspect.stamps import StampFacts, describe_stamps, stamp_differences
+from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 
@@ -46,8 +46,8 @@ class SideSamples:
         self._with_stamps = {pair.pair_id for pair in pairs[:_WITH_STAMPS]}
         self.pair_ids = self._sampled | self._with_stamps  # pairs that are looked at closely
         self._points: dict[str, dict[str, FloatArray]] = {side: {} for side in SIDES}  # clean, own frame, z up
-        self._places: dict[str, dict[str, Places]] = {side: {} for side in SIDES}
-        self._stamps: dict[str, StampFacts] = {}
+        self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
+        self._stamps: dict[str, StampCheck] = {}
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
         """Add the samples of a pair; scans that could not be read have no points."""
@@ -62,7 +62,7 @@ class SideSamples:
                 if side == "sim" and pair.T_real_sim:
                     T = np.array(pair.T_real_sim).reshape(3, 4)
                     points = points @ T[:, :3].T + T[:, 3]
-                self._places[side][pair.pair_id] = Places(points)
+                self._places[side][pair.pair_id] = SequenceScan(points)
 
     def notes(self) -> list[str]:
         """Notes on the times of points, one line for each side that has them."""
@@ -103,7 +103,7 @@ class SideSamples:
             lines += self._ego_hits(side, moved[side])
         return lines
 
-    def _in_stretches(self, side: str) -> list[list[Places]]:
+    def _in_stretches(self, side: str) -> list[list[SequenceScan]]:
         known = self._places[side]
         return [[known[pair.pair_id] for pair in stretch if pair.pair_id in known] for stretch in self._stretches]
 
@@ -118,7 +118,7 @@ class SideSamples:
         times = [pair.timestamp_s for pair in stretches[0] if pair.timestamp_s is not None]
         seconds = f" ({abs(found.frames) * float(np.median(np.diff(times))):.2g} s)" if len(times) > 1 else ""
         n = abs(found.frames)
-        frames = "a frame" if n == 1 else f"{n} frames{' or more' * (n == MOST_FRAMES_LATE)}"
+        frames = "a frame" if n == 1 else f"{n} frames{' or more' * (n == MAX_FRAMES_LATE)}"
         return [
             f"simulated scans seem {frames} {word}{seconds}: real ones are {found.misfit_m:.2f} m from those of pair "
             f"{found.frames:+d}, {found.as_paired_m:.2f} m from their own (better in {found.n_better} of {found.n}); "
@@ -132,7 +132,7 @@ class SideSamples:
         scans = self._points[side]
         if not is_moving(side_moved_m) or not scans:
             return []
-        ground_m = float(np.median([Places(points).ground_m for points in scans.values()]))
+        ground_m = float(np.median([SequenceScan(points).ground_m for points in scans.values()]))
         hits = find_ego_hits(list(scans.values()), ground_m)
         return [] if hits is None else [f"{_NAMES[side]} scans: {_ego_text(hits, side, self._settings)}"]
 

@@ -13,7 +13,7 @@ from ...schemas.settings import Settings
 from ...schemas.tables import SENSOR
 from ...stages.clean import as_ros
 from ...stages.inspect.frames import can_move, check_frames
-from ...stages.inspect.sensor import SensorFacts, describe_sensor, pair_columns, sensor_row
+from ...stages.inspect.sensor import SensorDescription, describe_sensor, pair_columns, sensor_row
 from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Stage
 
 
@@ -35,7 +35,7 @@ def make_sensor(own: Inputs) -> JobResult:
     return replace(result, metadata=result.metadata | {FRAMES: None if check is None else asdict(check)})
 
 
-def sensor_result(pair_id: str, side: str, sensor: SensorFacts) -> JobResult:
+def sensor_result(pair_id: str, side: str, sensor: SensorDescription) -> JobResult:
     """One row; the metadata contain the whole description."""
     row = {"pair_id": pair_id, "side": side} | sensor_row(sensor)
     metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, side)}

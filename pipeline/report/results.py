@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.coverage import nearest_distances
-from ...stages.inspect.sensor import SensorFacts
+from ...stages.inspect.sensor import SensorDescription
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
@@ -174,10 +174,10 @@ class PairTables:
         return clouds
 
     @cached_property
-    def sensors(self) -> dict[str, SensorFacts]:
+    def sensors(self) -> dict[str, SensorDescription]:
         """The sensor of each side, as stage `sensor` describes it."""
         jobs = self._run.store.ledger.jobs(self._pair_id)
-        return {side: SensorFacts(**jobs["sensor", side].metadata["sensor"]) for side in SIDES}
+        return {side: SensorDescription(**jobs["sensor", side].metadata["sensor"]) for side in SIDES}
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:

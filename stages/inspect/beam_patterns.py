@@ -1,4 +1,4 @@
-"""At which elevations the beams of a sensor point, read from a scan; and which known sensor has such beams."""
+"""Elevations of a sensor's beams, estimated from a scan, and recognition of the sensor model."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _HEIGHTS_M = np.round(np.arange(-0.3, 0.301, 0.01), 2)
 _BLOCKS_APART_M = (0.05, 0.12)
 _BAND_DEG, _BAND_BIN_DEG = 1.0, 0.04
 _NEAREST_M = 0.15
-_FARTHER_M = 1.0  # where heights are read, and all where they are not 0
+_FARTHER_M = 1.0  # returns that are used for heights, and for beams if the heights are not 0
 _BIN_DEG = 0.01
 _WIDTHS_DEG = (0.02, 0.04, 0.08)
-_GAIN = 0.1  # of mean log density, for a further height to be believed
+_GAIN = 0.1  # of mean log density, required for a further height
 _SHARP, _TOLD = 0.9, 0.75
 _SECTOR_DEG = 60.0
-_FEWEST_BEAMS = 8
-_FEWEST_RETURNS = 8
+_MIN_BEAMS = 8
+_MIN_RETURNS = 8
 _EXACT_DEG = 0.06
 _AS_MANY = 3  # beams more or less
 _STEP_TOLERANCE = 0.015
@@ -35,13 +35,13 @@ class BeamPattern:
     """The beams of a sensor.
 
     elevation_deg : (b,) float64, ascending
-    width_deg : how far from its elevation a beam's returns lie
-    is_even : whether all neighbouring beams are equally far apart
-    origin_height_m : heights above the origin at which they start: of all, or of a lower and an upper block
+    width_deg : spread of the returns of a beam around its elevation
+    is_even : all neighbouring beams have the same distance
+    origin_height_m : heights of the beams' origin above the frame's origin: one for all, or one per block
     block_deg : elevation between the blocks
-    explained : share of the returns that lie in beams, beyond what would do so anyhow: 0 for none, 1 for all
-    is_sharp : whether they stand out in the whole scan; else they are those of a sector, and their number is about so
-    focal_m : how far before the axis they cross
+    explained : share of the returns in beams, corrected for chance: 0 for none, 1 for all
+    is_sharp : the beams are distinct in the whole scan; else they are from a sector, and their number is approximate
+    focal_m : distance from the axis at which the beams cross
     """
 
     elevation_deg: FloatArray
@@ -54,7 +54,7 @@ class BeamPattern:
     focal_m: float = 0.0
 
     def beam_of(self, points: FloatArray) -> IndexArray:
-        """(n,) intp, the beam that each point lies in, -1 for none."""
+        """Beam of each point, (n,) intp, -1 for none."""
         level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.focal_m, 1e-9)
         elevation = _elevation(points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg)
         middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
@@ -64,22 +64,22 @@ class BeamPattern:
 
 
 def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern | str:
-    """The beams that the returns of a scan lie in, or why they cannot be told.
+    """Find the beams of the returns of a scan, or the reason why they are not detectable.
 
-    A beam of elevation e that starts h above the origin has z / r = tan e + h / r at the horizontal distance r, however
-    noisy the range. Heights: those for which z / r - h / r is densest in angle, by the mean log of the collision
-    density sum n (n - 1) / (N (N - 1)) in bands of one degree; 0, one for all beams, or one each for a lower and an
-    upper block (HDL-64E), if that gains enough. Elevations: peaks of the density, under the kernel width of three that
-    explains most. A scan in which they are not sharp (compensated for motion, say) is looked at in sectors of 60
-    degrees as well: beams that fit a known sensor are told, others are not, as a scan out of its sensor's frame has
-    some too. With rings, the elevation of a beam is the median over its ring. Beams that are no known sensor's are
-    looked for once more from where those of each sensor with as many cross (r less its focal distance), and told if
-    they then are that sensor's.
+    A beam of elevation e that starts h above the origin has z / r = tan e + h / r at the horizontal distance r,
+    independent of range noise. Heights: those for which z / r - h / r is densest in angle, by the mean log of the
+    collision density sum n (n - 1) / (N (N - 1)) in bands of one degree; 0, one for all beams, or one each for a lower
+    and an upper block (HDL-64E), if that gains enough. Elevations: peaks of the density, for that one of three kernel
+    widths that explains most. If the peaks are not sharp (for example after motion compensation), sectors of 60 degrees
+    are searched as well: only beams that fit a known sensor are accepted, because a scan out of its sensor's frame also
+    has some peaks. With rings, the elevation of a beam is the median over its ring. Beams that fit no known sensor are
+    searched again from the crossing point of each sensor with the same number of beams (r minus its focal distance),
+    and accepted if they then fit that sensor.
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, the sensor's frame; finite, none at the origin
-    ring : (n,) int32, number of each point's beam, -1 where it has none
+    points : (n, 3) float64, metres, the sensor's frame; finite, not at the origin
+    ring : (n,) int32, beam number of each point, -1 for none
     """
     pattern = _find_from(0.0, points, ring)
     if not isinstance(pattern, str) and recognise(pattern).title:
@@ -94,7 +94,7 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
 
 
 def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> BeamPattern | str:
-    """The beams as seen from so far before the axis; sectors are looked at from the axis alone."""
+    """Find beams seen from `focal_m` before the axis; sectors are searched from the axis only."""
     level = np.hypot(points[:, 0], points[:, 1]) - focal_m
     is_used = level > _NEAREST_M
     level, z = level[is_used], points[is_used, 2]
@@ -124,7 +124,7 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
 
 
 class Recognition(NamedTuple):
-    """The known sensor with some beams: its title, or None and the reason; and the number of beams in its table."""
+    """Known sensor with some beams: its title, or None and the reason; and the number of beams in its table."""
 
     title: str | None
     reason: str = ""
@@ -132,23 +132,23 @@ class Recognition(NamedTuple):
 
 
 def recognise(pattern: BeamPattern, step_deg: float | None = None, quantum_m: float | None = None) -> Recognition:
-    """The known sensor with these beams, whose azimuth step and range quantum agree with the scan's.
+    """Recognise the sensor by its beams; azimuth step and range quantum must agree with the scan.
 
-    A sensor whose table holds for every unit fits if 95 % of the beams lie within 0.06 degrees, or a quarter of the
-    distance to its neighbour, of a beam of the table, 90 % of the table's beams within their limits are seen, and
-    70 % of all. One whose units differ (HDL-64E, Ouster, PandarXT) may be shifted and stretched, each half of the table
-    independently, by its `unit_deg` and 5 %; then 85 % must fit. Evenly spaced beams are never stretched: no unit has
-    them. Every second beam of a table is tried too. Beams that cross before the axis are those of sensors whose beams
-    do so there. If two sensors fit equally well, both are named; if more do, none is.
+    A sensor whose table is valid for every unit fits if 95 % of the beams are within 0.06 degrees, or a quarter of the
+    distance to its neighbour, of a beam of the table, and 90 % of the table's beams between the limits of the scan and
+    70 % of all its beams are detected. For sensors whose units differ (HDL-64E, Ouster, PandarXT) each half of the
+    table may be shifted by its `unit_deg` and stretched by 5 %; then 85 % must fit. Evenly spaced beams are never
+    stretched, because no real unit has them. Every second beam of a table is tried too. Beams that cross before the
+    axis only fit sensors whose beams cross there. If two sensors fit equally well, both are named; if more fit, none.
 
     Parameters
     ----------
     pattern : the beams
-    step_deg, quantum_m : of the scan; None if unknown, which agrees with every sensor
+    step_deg, quantum_m : values of the scan; None (unknown) agrees with every sensor
     """
     observed = pattern.elevation_deg
-    if len(observed) < _FEWEST_BEAMS:
-        return Recognition(None, f"{len(observed)} beams, at least {_FEWEST_BEAMS} are needed to know a sensor by them")
+    if len(observed) < _MIN_BEAMS:
+        return Recognition(None, f"{len(observed)} beams, at least {_MIN_BEAMS} are needed to know a sensor by them")
     fits: dict[str, tuple[float, SensorModel, int]] = {}
     for title, table, sensor in _tables():
         if pattern.focal_m in (0.0, sensor.focal_m) and (score := _fit(observed, table, sensor.unit_deg, pattern)):
@@ -192,7 +192,7 @@ def _is_worth_halving(sensor: SensorModel) -> bool:
 
 
 def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern) -> float:
-    """How well beams fit a table: mean closeness of those that do, times the share of the table seen; 0 if not."""
+    """Quality of fit of beams to a table: mean closeness times the share of the table that is detected; 0 if no fit."""
     exact = _matched(observed, table, np.minimum(max(_EXACT_DEG, pattern.width_deg), _FIT * _spacing(table)))
     if score := _score(exact, observed, table, 0.95, 0.9):
         return score
@@ -203,7 +203,7 @@ def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: Beam
 
 
 def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> FloatArray:
-    """The table, each half shifted and stretched about its middle so that most is observed, none passing the other."""
+    """Shift and stretch each half of a table about its middle so that most beams are observed, without overlap."""
     scale = np.arange(0.95, 1.051, 0.005)[:, None, None]
     shift = np.arange(-unit_deg, unit_deg + 1e-9, 0.02)[None, :, None]
     tried, score = [], []
@@ -223,7 +223,7 @@ def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> Floa
 
 
 def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
-    """(t,) float64, how close the nearest observed beam is to each of the table: 1 at it, 0 at the tolerance, or -1."""
+    """Closeness of the nearest observed beam to each beam of the table, (t,): 1 at it, 0 at the tolerance, or -1."""
     closeness: FloatArray = 1.0 - _distance(table, observed) / tolerance_deg
     return np.where(closeness >= 0, closeness, -1.0)
 
@@ -236,27 +236,27 @@ def _score(
     enough = (
         is_seen.sum() >= of_observed * len(observed)
         and is_seen.sum() >= of_table * is_within.sum()
-        and is_seen.sum() >= max(0.7 * len(table), _FEWEST_BEAMS)
+        and is_seen.sum() >= max(0.7 * len(table), _MIN_BEAMS)
     )
     return float((0.5 + 0.5 * closeness[is_seen].mean()) * is_seen.mean()) if enough else 0.0
 
 
 def _distance(places: FloatArray, ascending: FloatArray) -> FloatArray:
-    """From each place to the nearest of some ascending values."""
+    """Distance from each place to the nearest of some ascending values."""
     after = np.searchsorted(ascending, places).clip(1, len(ascending) - 1)
     distance: FloatArray = np.minimum(np.abs(places - ascending[after - 1]), np.abs(places - ascending[after]))
     return distance
 
 
 def _spacing(ascending: FloatArray) -> FloatArray:
-    """(b,) float64, from each value to the nearer of its neighbours."""
+    """Distance from each value to the nearer of its neighbours, (b,) float64."""
     gap = np.diff(ascending)
     spacing: FloatArray = np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
     return spacing
 
 
 def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
-    """The beams under the best heights and kernel width; None where there are none."""
+    """Beams for the best heights and kernel width; None if not found."""
     is_far = nearness < 1.0 / _FARTHER_M
     if is_far.sum() < 100:
         return None
@@ -284,14 +284,14 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
 def _by_ring(
     tangent: FloatArray, nearness: FloatArray, ring: IntArray, whole: BeamPattern | None
 ) -> BeamPattern | None:
-    """The beams by rings; None where there are too few, or where they are not rings of one elevation each."""
+    """Beams from rings; None if there are too few, or if rings do not have one elevation each."""
     heights, block_deg = (whole.origin_height_m, whole.block_deg) if whole else ((), -90.0)
     elevation, is_far = _elevation(tangent, nearness, heights, block_deg), nearness < 1.0 / _FARTHER_M
     rings = [ring == number for number in np.unique(ring[ring >= 0])]
     parts = [elevation[own & is_far] for own in rings]
-    if not heights:  # a beam that meets the car's own body alone
-        parts = [far if len(far) >= _FEWEST_RETURNS else elevation[own] for own, far in zip(rings, parts, strict=True)]
-    quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts if len(part) >= _FEWEST_RETURNS])
+    if not heights:  # a beam that only hits the ego vehicle
+        parts = [far if len(far) >= _MIN_RETURNS else elevation[own] for own, far in zip(rings, parts, strict=True)]
+    quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts if len(part) >= _MIN_RETURNS])
     if len(quartiles) < 4:
         return None
     quartiles = quartiles[np.argsort(quartiles[:, 1])]
@@ -303,7 +303,7 @@ def _by_ring(
 
 
 def _elevation(tangent: FloatArray, nearness: FloatArray, heights: tuple[float, ...], block_deg: float) -> FloatArray:
-    """Elevation of each return as seen from where its beam starts, degrees."""
+    """Elevation of each return seen from the origin of its beam, degrees."""
     if not heights:
         return np.degrees(np.arctan(tangent))
     middle = np.degrees(np.arctan(tangent - np.mean(heights) * nearness))
@@ -312,7 +312,7 @@ def _elevation(tangent: FloatArray, nearness: FloatArray, heights: tuple[float, 
 
 
 def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[float, ...], float]:
-    """Heights above the origin at which the beams start, () for 0; and the elevation between two blocks of them."""
+    """Heights of the beams' origin above the frame's origin, () for 0; and the elevation between two blocks."""
     n_bands, per_band = int(180 / _BAND_DEG), int(_BAND_DEG / _BAND_BIN_DEG)
     density = np.zeros((len(_HEIGHTS_M), n_bands))
     for row, height in enumerate(_HEIGHTS_M):
@@ -346,18 +346,18 @@ def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[fl
 
 
 def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
-    """Bins at which the smoothed count peaks: by half its height over what surrounds it, and by enough returns."""
+    """Bins of peaks of the smoothed count: prominent by half their height, and with enough returns."""
     from scipy.signal import find_peaks
 
     sigma = width_deg / _BIN_DEG
     smooth = gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
-    peaks, shape = find_peaks(smooth, height=_FEWEST_RETURNS, prominence=_FEWEST_RETURNS / 2)
+    peaks, shape = find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
     standing: IndexArray = peaks[shape["prominences"] > 0.5 * smooth[peaks]]
     return standing
 
 
 def _explained(count: IndexArray, peaks: IndexArray, width_deg: float) -> float:
-    """(s - c) / (1 - c): s the share of returns within two widths of a peak, c the share of angles that are."""
+    """(s - c) / (1 - c): s is the share of returns within two widths of a peak, c the share of these angles."""
     reach = round(2 * width_deg / _BIN_DEG)
     near: BoolArray = np.zeros(len(count), dtype=np.bool_)
     for offset in range(-reach, reach + 1):
@@ -369,7 +369,7 @@ def _explained(count: IndexArray, peaks: IndexArray, width_deg: float) -> float:
 
 
 def _is_even(ascending: FloatArray) -> bool:
-    """Whether all distances are multiples of one, within 3 % of it; missing beams leave a multiple."""
+    """True if all distances are multiples of one distance, within 3 % of it; a missing beam doubles a distance."""
     gap = np.diff(ascending)
     if len(gap) < 3:
         return False

@@ -1,7 +1,7 @@
-"""Whether two scans of one place lie in one frame: compared as a whole, as they lie and as one may be mistaken.
+"""Check of the frames of two scans: coverage of the scans as given, and under likely wrong frames, units and motions.
 
-Only what is near the sensor is compared, on a thinned grid, ground and the rest with equal weight: the ground looks the
-same however it is turned or mirrored, and is most of a scan. The limits are fidpipe's; see `benchmarks/frames.py`.
+Only points near the sensor are compared, downsampled, ground and the rest with equal weight: the ground is most of a
+scan, and looks the same after rotation or mirroring. The limits are defined by fidpipe; see `benchmarks/frames.py`.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import as_ros, clean_scan
 from .surfels import voxel_ids
 
-AS_IT_LIES = "as it lies"
+AS_GIVEN = "as given"
 VOXEL_M = 0.5
 REACH_M = 40.0
 NEAR_M = 1.0
 GROUND_BAND_M = 0.4
-MOST_POINTS = 1500
-FEWEST_POINTS = 50
+MAX_POINTS = 1500
+MIN_POINTS = 50
 
-LEAST_COVERAGE = 0.6
-LEAST_GAIN = 0.15
-MOST_LEFT_OPEN = 0.6
-LEAST_GAIN_BY_MOVING = 0.08  # a setting that a person would forget is named before one that only a machine would find
-LEAST_SAME_PLACE = 0.58  # best coverage: scans of one place 0.63 to 0.96, of two places 0.29 to 0.55
-LEAST_LIFT_M = 0.2
-_LEAST_SHIFT_M = 0.8
-_MOST_LIFT_LEFT_M = 0.05
-_MOST_COVERAGE_LOST = 0.02
+MIN_COVERAGE = 0.6
+MIN_GAIN = 0.15
+MAX_UNCOVERED_RATIO = 0.6
+MIN_GAIN_BY_MOVING = 0.08  # a likely mistake is preferred to a motion found by registration
+MIN_SAME_PLACE = 0.58  # best coverage: scans of one place 0.63 to 0.96, of two places 0.29 to 0.55
+MIN_LIFT_M = 0.2
+_MIN_SHIFT_M = 0.8
+_MAX_LIFT_LEFT_M = 0.05
+_MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
 _SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
 _SIMILAR_REACH = {"feet": 1.6}  # ratio of the reach of both sides in a unit; 10 in units that are farther apart
 _GROUND_STEP_M = 0.1
 
 _NAMED = {
-    AS_IT_LIES: (1, 1, 1),
+    AS_GIVEN: (1, 1, 1),
     "mirrored in y": (1, -1, 1),
     "mirrored in x": (-1, 1, 1),
-    "turned by 180 degrees": (-1, -1, 1),
-    "upside down, turned about x": (1, -1, -1),
-    "upside down, turned about y": (-1, 1, -1),
+    "rotated by 180 degrees": (-1, -1, 1),
+    "upside down, rotated about x": (1, -1, -1),
+    "upside down, rotated about y": (-1, 1, -1),
     "mirrored in z": (1, 1, -1),
     "mirrored in x, y and z": (-1, -1, -1),
 }
 _QUARTER_TURNS = {
-    "turned by 90 degrees": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
-    "turned by 270 degrees": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
+    "rotated by 90 degrees": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
+    "rotated by 270 degrees": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
     "with x and y exchanged": ((0, 1, 0), (1, 0, 0), (0, 0, 1)),
     "with x and y exchanged and negated": ((0, -1, 0), (-1, 0, 0), (0, 0, 1)),
 }
@@ -60,7 +60,7 @@ _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name
 
 
 def _turns() -> dict[str, FloatArray]:
-    """Turns and mirrors by name: usual mistakes, and those that come of either scan being in one of the frames."""
+    """Rotations and mirrors by name: usual mistakes, and those of either scan in one of the known frames."""
     turns = {name: np.diag(np.array(signs, dtype=np.float64)) for name, signs in _NAMED.items()}
     turns |= {name: np.array(rows, dtype=np.float64) for name, rows in _QUARTER_TURNS.items()}
     for real, F_real in _FRAMES.items():
@@ -77,13 +77,13 @@ _TURNS = _turns()
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """How well the simulated scan covers the real one, as it lies and in the reading that fits best.
+    """Coverage of the real scan by the simulated one, as given and for the best candidate transform.
 
-    as_it_lies, coverage : 0 to 1, see `check_frames`; of the scan as it lies and in the best reading; where the first
-        is so high that nothing can be suspect, no other is looked for
-    reading : the best reading in words, "as it lies" where no other fits better
-    is_suspect : whether the other reading fits much better
-    setting : what makes the best reading the one that is evaluated; "" where that is the present one
+    as_it_lies, coverage : 0 to 1, see `check_frames`; coverage of the scan as given, and for the best candidate; if the
+        first is too high for any suspicion, there is no search for others
+    reading : description of the best candidate, "as given" if no other fits better
+    is_suspect : another candidate fits much better
+    setting : setting that selects the best candidate; "" if that is the present one
     """
 
     as_it_lies: float
@@ -94,13 +94,13 @@ class FrameCheck:
 
     @property
     def is_elsewhere(self) -> bool:
-        """True if no reading covers as much as two scans of one place do."""
-        return self.coverage < LEAST_SAME_PLACE
+        """True if no candidate reaches the coverage of two scans of one place."""
+        return self.coverage < MIN_SAME_PLACE
 
 
 @dataclass(frozen=True)
 class _Placement:
-    """How scans are placed at present: turned from their frames, the simulated one moved by [R | t], cut by a box."""
+    """Present transform of the scans: frames of both sides, motion [R | t] of the simulated one, and box."""
 
     real_frame: FrameName
     sim_frame: FrameName
@@ -111,11 +111,11 @@ class _Placement:
 
 @dataclass(frozen=True)
 class _Reading:
-    """A way to place the simulated scan: p, in metres, becomes R p + t; R is a rotation or a mirror image.
+    """Candidate transform of the simulated scan: p, in metres, becomes R p + t; R is a rotation or a reflection.
 
-    words : description of the turn or motion; "" for none
+    words : description of the rotation or motion; "" for none
     M : (3, 4) float64, [R | t]
-    unit : that the file is read in; "" for metres
+    unit : unit of the file; "" for metres
     lift_m : difference of the ground heights, as part of t
     """
 
@@ -129,40 +129,40 @@ class _Reading:
         """Human-readable description, such as "mirrored in y and shifted by +1.80 m in z, in feet"."""
         lift = f"shifted by {self.lift_m:+.2f} m in z" if self.lift_m else ""
         words = " and ".join(filter(None, (self.words, lift)))
-        return ", ".join(filter(None, (words, self.unit and f"in {self.unit}"))) or AS_IT_LIES
+        return ", ".join(filter(None, (words, self.unit and f"in {self.unit}"))) or AS_GIVEN
 
 
 class _Side:
-    """A thinned scan: its points, which of them are ground, and a tree of them."""
+    """Downsampled scan: points, ground flags, search tree, and rows of a sample."""
 
     def __init__(self, points: FloatArray) -> None:
         self.points = points
         self.ground_m = ground_height(points)
         self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < GROUND_BAND_M
         self.tree = cKDTree(points)
-        self.asked = _some(len(points))
+        self.sample = _some(len(points))
 
 
 def check_frames(
     real: FloatArray, sim: FloatArray, settings: InputSettings, T_real_sim: FloatArray | None = None
 ) -> FrameCheck | None:
-    """How well the scans fit as they lie and in the best other reading; None where too little is left to compare.
+    """Compare the coverage of the scans as given with that of the best candidate; None if there are too few points.
 
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
-    The simulated scan is read as it lies; mirrored, turned by quarter turns, upside down; either scan in any of the
-    frames that settings have; in centimetres, millimetres and feet where it lies far beyond the real one; each of these
-    also shifted by the difference of the ground heights; and as small_gicp moves it, where that extra is installed. A
-    reading is suspect if it covers at least `LEAST_COVERAGE`, that is `LEAST_GAIN` more than the scan as it lies, and
-    leaves at most `MOST_LEFT_OPEN` of what that leaves uncovered. Otherwise a scan is suspect if its ground lies
-    `LEAST_LIFT_M` or more above or below the real one. Lifts are medians over ground points and their horizontal
-    neighbours, applied and measured once more before they are reported.
+    Candidates for the simulated scan: as given; mirrored, rotated by multiples of 90 degrees, upside down; either scan
+    in any of the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one;
+    each of these also shifted by the difference of the ground heights; and registered by small_gicp, if that extra is
+    installed. A candidate is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as
+    given, and leaves uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a
+    scan is suspect if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground
+    points and their horizontal neighbours, applied and re-measured before they are reported.
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, each in its own sensor's frame, as read; NaN are dropped
-    settings : how scans are cleaned, and in which frames they are at present
-    T_real_sim : (3, 4) float64, where the simulated scan is moved at present
+    settings : cleaning and present frames of the scans
+    T_real_sim : (3, 4) float64, present motion of the simulated scan
 
     Examples
     --------
@@ -178,21 +178,21 @@ def check_frames(
     real, sim = (points[np.isfinite(points).all(axis=1)] for points in (real, sim))
     target_points = _thinned(real, settings, "real")
     target_points = target_points[_is_inside(target_points, placement.include_box)]
-    if len(target_points) < FEWEST_POINTS:
+    if len(target_points) < MIN_POINTS:
         return None
     found = _search(_Side(target_points), sim, real, settings, placement)
     return None if found is None else _conclude(found, placement)
 
 
 def can_move() -> bool:
-    """Whether small_gicp (an extra) is installed."""
+    """True if small_gicp (an extra) is installed."""
     return find_spec("small_gicp") is not None
 
 
 def ground_height(points: FloatArray) -> float:
-    """The height at which most points of a thinned scan lie, metres: the middle of the fullest band of 0.8 m.
+    """Height of most points of a downsampled scan, metres: the middle of the fullest band of 0.8 m.
 
-    Of no points it is 0.
+    It is 0 without points.
 
     Parameters
     ----------
@@ -209,9 +209,9 @@ def ground_height(points: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class _Search:
-    """Outcome of comparing all readings: the coverage as it lies, and the best reading with its own.
+    """Result of the search over all candidates: coverage as given, and the best candidate with its coverage.
 
-    sources : thinned simulated scan by unit
+    sources : downsampled simulated scan by unit
     """
 
     target: _Side
@@ -225,51 +225,51 @@ class _Search:
 def _search(
     target: _Side, sim: FloatArray, real: FloatArray, settings: InputSettings, placement: _Placement
 ) -> _Search | None:
-    """Compares the readings; stops early if the scan as it lies covers so much that no other can be suspect."""
+    """Compare the candidates; stop early if the scan as given covers so much that no other can be suspect."""
     sources: dict[str, _Side] = {}
     as_it_lies, box = 0.0, placement.include_box
     best: tuple[float, _Reading] | None = None
     present = _Reading("", placement.motion)
     for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
         own = _thinned(sim * scale, settings, "sim")
-        if len(own) < FEWEST_POINTS:
+        if len(own) < MIN_POINTS:
             continue
         source = sources[unit] = _Side(own)
         for reading in _readings(target, source, placement, unit):
             coverage = _coverage(target, source, reading, box)
-            if reading.name == AS_IT_LIES:
+            if reading.name == AS_GIVEN:
                 as_it_lies = coverage
-                if 1 - as_it_lies < LEAST_GAIN:
+                if 1 - as_it_lies < MIN_GAIN:
                     return _Search(target, sources, present, as_it_lies, reading, as_it_lies)
             if best is None or coverage > best[0]:
                 best = coverage, reading
         if best is not None and best[1].unit == unit and best[0] < 1 and can_move():
             reading = _registered(target, source, best[1])
             coverage = _coverage(target, source, reading, box)
-            if coverage - best[0] >= LEAST_GAIN_BY_MOVING:
+            if coverage - best[0] >= MIN_GAIN_BY_MOVING:
                 best = coverage, reading
     return None if best is None else _Search(target, sources, present, as_it_lies, best[1], best[0])
 
 
 def _conclude(found: _Search, placement: _Placement) -> FrameCheck:
-    """Decides whether the best reading is suspect, or else a lift; lifts of either are refined."""
+    """Decide whether the best candidate is suspect, or else a lift; lifts of either are refined."""
     reading, coverage, as_it_lies, box = found.best, found.coverage, found.as_it_lies, placement.include_box
     is_suspect = (
-        coverage >= LEAST_COVERAGE
-        and coverage - as_it_lies >= LEAST_GAIN
-        and 1 - coverage <= MOST_LEFT_OPEN * (1 - as_it_lies)
+        coverage >= MIN_COVERAGE
+        and coverage - as_it_lies >= MIN_GAIN
+        and 1 - coverage <= MAX_UNCOVERED_RATIO * (1 - as_it_lies)
     )
     start, before = (reading, coverage) if is_suspect else (found.present, as_it_lies)
     source = found.sources.get(start.unit)
-    if source is not None and coverage >= LEAST_SAME_PLACE and (levelled := _levelled(found.target, source, start)):
+    if source is not None and coverage >= MIN_SAME_PLACE and (levelled := _levelled(found.target, source, start)):
         after = _coverage(found.target, source, levelled, box)
-        if after >= before - _MOST_COVERAGE_LOST:
+        if after >= before - _MAX_COVERAGE_LOST:
             reading, coverage, is_suspect = levelled, after, True
     return FrameCheck(as_it_lies, reading.name, coverage, is_suspect, _setting(reading, placement))
 
 
 def _levelled(target: _Side, source: _Side, reading: _Reading) -> _Reading | None:
-    """The reading with the ground at the height of the real one; None if that changes little or does not converge."""
+    """Candidate with the ground at the height of the real one; None if that changes little or does not converge."""
     placed = _placed(source.points, reading.M)
     ground = target.points[target.is_ground]
     tree = cKDTree(ground[:, :2])
@@ -281,11 +281,11 @@ def _levelled(target: _Side, source: _Side, reading: _Reading) -> _Reading | Non
         is_ground = np.abs(z - target.ground_m) < GROUND_BAND_M
         apart, row = tree.query(placed[is_ground, :2], distance_upper_bound=VOXEL_M)
         is_near = np.isfinite(apart)
-        if is_near.sum() < FEWEST_POINTS:
+        if is_near.sum() < MIN_POINTS:
             return None
         step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
     lift_m = reading.lift_m + change_m
-    if abs(step_m) > _MOST_LIFT_LEFT_M or abs(lift_m) < LEAST_LIFT_M:
+    if abs(step_m) > _MAX_LIFT_LEFT_M or abs(lift_m) < MIN_LIFT_M:
         return None
     M = reading.M.copy()
     M[2, 3] += change_m
@@ -293,21 +293,21 @@ def _levelled(target: _Side, source: _Side, reading: _Reading) -> _Reading | Non
 
 
 def _readings(target: _Side, source: _Side, placement: _Placement, unit: str) -> Iterator[_Reading]:
-    """Every reading but that of small_gicp; as it lies comes first, so that of equal ones it is taken."""
+    """All candidates except that of small_gicp; the scan as given comes first, so that it wins ties."""
     motion = placement.motion
     for name, turn in _TURNS.items():
-        words = "" if name == AS_IT_LIES else name
+        words = "" if name == AS_GIVEN else name
         M = np.column_stack([motion[:, :3] @ turn, motion[:, 3]])
         yield _Reading(words, M, unit)
         lift_m = target.ground_m - ground_height(_placed(source.points, M))
-        if abs(lift_m) >= _LEAST_SHIFT_M:
+        if abs(lift_m) >= _MIN_SHIFT_M:
             lifted = M.copy()
             lifted[2, 3] += lift_m
             yield _Reading(words, lifted, unit, lift_m)
 
 
 def _registered(target: _Side, source: _Side, start: _Reading) -> _Reading:
-    """The reading after small_gicp has moved it onto the real scan (Koide, JOSS 2024), one thread."""
+    """Candidate registered to the real scan by small_gicp (Koide, JOSS 2024), one thread."""
     import small_gicp
 
     result = small_gicp.align(
@@ -323,17 +323,17 @@ def _registered(target: _Side, source: _Side, start: _Reading) -> _Reading:
     turn_deg = float(np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
     before = replace(start, unit="").name
     moved = f"moved by {np.linalg.norm(T[:3, 3]):.2f} m and {turn_deg:.1f} degrees"
-    return _Reading(moved if before == AS_IT_LIES else f"{before} and {moved}", M, start.unit)
+    return _Reading(moved if before == AS_GIVEN else f"{before} and {moved}", M, start.unit)
 
 
 def _coverage(target: _Side, source: _Side, reading: _Reading, box: Box | None) -> float:
     """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
     R, t = reading.M[:, :3], reading.M[:, 3]
-    asked = _placed(source.points[source.asked], reading.M)
-    is_wanted = _is_inside(asked, box)
-    shares = [*_shares(target.tree, asked[is_wanted], source.is_ground[source.asked][is_wanted])]
-    back = (target.points[target.asked] - t) @ R  # distances stay: the tree need not be made again
-    shares += _shares(source.tree, back, target.is_ground[target.asked])
+    placed = _placed(source.points[source.sample], reading.M)
+    is_inside = _is_inside(placed, box)
+    shares = [*_shares(target.tree, placed[is_inside], source.is_ground[source.sample][is_inside])]
+    back = (target.points[target.sample] - t) @ R  # distances do not change, so the tree is reused
+    shares += _shares(source.tree, back, target.is_ground[target.sample])
     return float(np.mean(shares)) if shares else 0.0
 
 
@@ -346,7 +346,7 @@ def _shares(tree: cKDTree, points: FloatArray, is_ground: BoolArray) -> Iterator
 
 
 def _setting(reading: _Reading, placement: _Placement) -> str:
-    """What makes a reading the one that is evaluated, in words."""
+    """Text of the settings that select a candidate."""
     parts = [f"simulated points in metres (they are in {reading.unit})"] if reading.unit else []
     real_frame, sim_frame, motion = _frames_and_motion(reading.M, placement)
     if real_frame != placement.real_frame:
@@ -361,10 +361,10 @@ def _setting(reading: _Reading, placement: _Placement) -> str:
 
 
 def _frames_and_motion(M: FloatArray, placement: _Placement) -> tuple[FrameName, FrameName, FloatArray]:
-    """Frames of both sides and T_real_sim that place the simulated scan as M does; frames alone where they can.
+    """Frames of both sides and T_real_sim that place the simulated scan as M does; only frames if possible.
 
-    With p_ros = F p of each side, M F_sim q lies on F_real p. Other frames F' do the same with [R | t'] if
-    F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; fewer frames are changed before more.
+    With p_ros = F p on each side, M F_sim q coincides with F_real p. Other frames F' have the same effect with [R | t']
+    if F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; the fewest frames are changed.
     """
     R, real, sim = placement.motion[:, :3], placement.real_frame, placement.sim_frame
     reals = sorted(_FRAMES, key=lambda name: name == "carla")  # real sensors are right-handed, if anything else fits
@@ -381,7 +381,7 @@ def _frames_and_motion(M: FloatArray, placement: _Placement) -> tuple[FrameName,
 
 def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArray:
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
-    with np.errstate(over="ignore"):  # an infinite distance is far
+    with np.errstate(over="ignore"):  # infinite distances are out of reach
         near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
     _, first = np.unique(voxel_ids(near, VOXEL_M), return_index=True)
     own = settings.model_copy(update={"include_box": None})
@@ -389,13 +389,13 @@ def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArr
 
 
 def _some(n: int) -> IndexArray:
-    """Rows that are asked for, at most `MOST_POINTS`, drawn without order: scans repeat themselves ring by ring."""
-    return np.sort(np.random.default_rng(0).permutation(n)[:MOST_POINTS])
+    """Rows of a random sample of at most `MAX_POINTS`; a regular one would follow the rings of the scan."""
+    return np.sort(np.random.default_rng(0).permutation(n)[:MAX_POINTS])
 
 
 def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
-    """Units in which a simulated scan that lies far beyond the real one would lie about as far; metres per unit."""
-    sides = [points[points.any(axis=1)] for points in (sim, real)]  # no return is often written as zeros
+    """Units in which a simulated scan far beyond the real one would have about the same extent; metres per unit."""
+    sides = [points[points.any(axis=1)] for points in (sim, real)]  # missing returns are often written as zeros
     if not all(map(len, sides)):
         return {}
     with np.errstate(over="ignore", invalid="ignore"):  # infinite distances fit no unit

@@ -16,9 +16,9 @@ STEEP_SPREAD = 0.5
 STEEP_SPREAD_M = 20.0
 HALF_SWEEP_GAP_DEG = 90.0
 EGO_RANGE_M = 3.0
-MOST_RANGE_M = 150.0
+MAX_RANGE_M = 150.0
 _UNITS = (("centimetres", 100), ("millimetres", 1000))
-_MOST_NOT_FINITE = 0.25
+_MAX_NOT_FINITE = 0.25
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def inspect_points(points: FloatArray, side: str, settings: InputSettings) -> Sc
     is_finite = np.isfinite(points).all(axis=1)
     own = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
     warnings = implausible(own, side, settings.min_range_m)
-    if (share := 1.0 - float(is_finite.mean())) > _MOST_NOT_FINITE:
+    if (share := 1.0 - float(is_finite.mean())) > _MAX_NOT_FINITE:
         dropped = f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped"
         warnings.append(f"{dropped}; is the export complete?")
     return ScanInspection(widest_azimuth_gap_deg(own), tuple(warnings))
@@ -52,13 +52,13 @@ def inspect_points(points: FloatArray, side: str, settings: InputSettings) -> Sc
 
 @np.errstate(over="ignore", invalid="ignore")  # distances may be infinite
 def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
-    """What is odd about the values of a scan, one sentence each; nothing where there is no point.
+    """Describe implausible values of a scan, one sentence each; an empty list without points.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, the scan's own frame, finite and not zero
-    side : "real" or "sim", for the setting that is named
-    min_range_m : nearer points are dropped at present
+    side : "real" or "sim", for the suggested setting
+    min_range_m : present minimum range; nearer points are dropped
     """
     if not len(points):
         return []
@@ -70,12 +70,12 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
         unit = _unit(low, high)
         reach_words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
         odd.append(
-            f"coordinates reach {reach_words}; metres are wanted: are they {unit}?"
+            f"coordinates reach {reach_words}; expected metres: are they {unit}?"
             if unit
             else f"coordinates reach {reach_words}; a scan has its sensor at (0, 0, 0): are they projected?"
         )
     elif spread.max() < SMALLEST_EXTENT_M:
-        odd.append(f"all points lie within {spread.max():.2g} m; metres are wanted")
+        odd.append(f"all points are within {spread.max():.2g} m; expected metres")
     elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
         odd.append(
             f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
@@ -90,7 +90,7 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     if near > 0.5:
         left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
         odd.append(
-            f"{near:.0%} of the points lie within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
+            f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
             + (
                 f"{left:.1%} are kept by input.min_range_m={min_range_m:g}; input.min_range_m={EGO_RANGE_M:g} or "
                 "input.exclude_box drops them"
@@ -102,16 +102,16 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
 
 
 def _unit(low: FloatArray, high: FloatArray) -> str:
-    """Centimetres or millimetres, where the box of the points then is that of a scan around its sensor; else ""."""
+    """Centimetres or millimetres, if the points in that unit surround a sensor at the usual range; else ""."""
     if (low[:2] > 0).any() or (high[:2] < 0).any():
         return ""
     reach = np.abs([low, high]).max()
-    fitting = [name for name, factor in _UNITS if reach / factor <= MOST_RANGE_M]
+    fitting = [name for name, factor in _UNITS if reach / factor <= MAX_RANGE_M]
     return fitting[0] if fitting else ""
 
 
 def widest_azimuth_gap_deg(points: FloatArray) -> float:
-    """The widest sector around +Z in which no point lies, in degrees; 360 where there is no point.
+    """Widest sector around +Z without points, in degrees; 360 without any point.
 
     Parameters
     ----------

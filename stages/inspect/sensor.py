@@ -1,4 +1,4 @@
-"""What sensor a scan is from: its beams, steps and noise as the points show them, and its model if that is known."""
+"""Description of the sensor of a scan from its points: beams, steps, noise, and the model if it is known."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ..arrays import FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 
-#: Limits of the bands of range, metres, for which the share of lost pulses is told.
+#: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
 #: Columns of table `sensor` that `pairs` has for both sides.
 PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
-_FEWEST_POINTS = 500
+_MIN_POINTS = 500
 _QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
@@ -29,25 +29,25 @@ _HOLE = 5  # pulses
 
 
 @dataclass(frozen=True)
-class SensorFacts:
-    """What a scan shows of its sensor; what cannot be told is None, or (), and `untold` has the reason.
+class SensorDescription:
+    """Properties of the sensor of a scan; undetermined ones are None or (), and `untold` has the reason.
 
-    elevation_deg : of its beams, ascending
-    is_even : whether all neighbouring beams are equally far apart
-    is_sharp : whether the beams stand out in the whole scan; else, as after compensation for motion, they were read in
-        a sector, and their number is about so
-    origin_height_m : heights above the origin at which the beams start: of all, or of a lower and an upper block
-    focal_m : how far before the axis they cross
+    elevation_deg : elevations of the beams, ascending
+    is_even : all neighbouring beams have the same distance
+    is_sharp : the beams are distinct in the whole scan; else, as after motion compensation, they are from a sector,
+        and their number is approximate
+    origin_height_m : heights of the beams' origin above the frame's origin: one for all, or one per block
+    focal_m : distance from the axis at which the beams cross
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
-    azimuth_step_deg : between two firings of a beam
-    range_quantum_m : that ranges are multiples of
+    azimuth_step_deg : angle between two firings of a beam
+    range_quantum_m : ranges are multiples of it
     range_noise_m : standard deviation along the ray on smooth surfaces
-    lost_share : by band of range, see `LOST_BANDS_M`: share of the pulses that are missing in surfaces that are seen
-    lost_in_all : share over all bands together
-    has_ring, has_time : whether each point has its beam's number, and its time
-    model : title of the known sensor with these beams, or of two
-    model_beams : number of beams in its table
-    untold : by field, why it is not told
+    lost_share : by range band, see `LOST_BANDS_M`: share of the pulses without a return within visible surfaces
+    lost_in_all : share over all bands
+    has_ring, has_time : each point has a beam number, and a time
+    model : title of the known sensor with these beams, or of two sensors
+    model_beams : number of beams in the table of the model
+    untold : reason by undetermined field
     """
 
     n_points: int
@@ -69,36 +69,36 @@ class SensorFacts:
     untold: dict[str, str] = field(default_factory=dict)
 
 
-def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: bool = False) -> SensorFacts:
-    """What the points of one scan show of the sensor that made it.
+def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: bool = False) -> SensorDescription:
+    """Describe the sensor of a scan from its points.
 
     Elevations are the peaks of the density of z / r - h / r over all points, in angle, where r is the horizontal
     distance and h the height at which beams start; see `beam_patterns.find_beams`. With rings they are medians over
-    each ring. Step: the commonest distance in azimuth of neighbouring returns of a beam. Quantum: the largest q of a
-    list for which ranges R of a beam have |mean exp(2 pi i R / q)| >= 0.7. Noise: rms residual of a parabola through
+    each ring. Step: the most frequent distance in azimuth of neighbouring returns of a beam. Quantum: the largest q of
+    a list for which ranges R of a beam have |mean exp(2 pi i R / q)| >= 0.7. Noise: rms residual of a parabola through
     nine returns in a row, its lower quartile over all such runs, as a standard deviation. Lost: of the gaps between
     returns of one surface, the firings without one.
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, the frame of the sensor itself: z up, beams start on the z axis. Left out are zero
-        ones, those that are not finite, and those beyond a million kilometres. A scan that was moved or tilted out of
-        that frame has no beams that could be told
-    ring : (n,) int32, number of each point's beam, if the file has it
-    has_time : whether the file has a time for each point
+    points : (n, 3) float64, metres, the frame of the sensor itself: z up, beams start on the z axis. Points that are
+        zero, not finite, or beyond a million kilometres are ignored. Beams are not detectable in a scan that was moved
+        or tilted out of that frame
+    ring : (n,) int32, beam number of each point, if the file has it
+    has_time : the file has a time for each point
     """
     is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
     points, ring = points[is_return], None if ring is None else ring[is_return]
-    facts = SensorFacts(len(points), has_ring=ring is not None, has_time=has_time)
-    if len(points) < _FEWEST_POINTS:
-        return _untold(facts, f"{len(points)} points, at least {_FEWEST_POINTS} are needed")
+    sensor = SensorDescription(len(points), has_ring=ring is not None, has_time=has_time)
+    if len(points) < _MIN_POINTS:
+        return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed")
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
-    facts = replace(facts, field_of_view_deg=view)
+    sensor = replace(sensor, field_of_view_deg=view)
     pattern = find_beams(points, ring)
     if isinstance(pattern, str):
-        return _untold(facts, pattern)
+        return _undetected(sensor, pattern)
     untold = {}
     sweep = _by_beam(points, pattern)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
@@ -108,7 +108,7 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
     known = recognise(pattern, step, quantum)
     untold["model"] = known.reason
     return replace(
-        facts,
+        sensor,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
         is_even=pattern.is_even,
         is_sharp=pattern.is_sharp,
@@ -125,7 +125,7 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
     )
 
 
-def sensor_row(sensor: SensorFacts) -> dict[str, Any]:
+def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
     """Columns of table `sensor`; None if undetermined, and then `reason` has the causes."""
     low, high = _limits(sensor) if sensor.elevation_deg else (None, None)
     return {
@@ -142,14 +142,14 @@ def sensor_row(sensor: SensorFacts) -> dict[str, Any]:
     }
 
 
-def pair_columns(sensor: SensorFacts, side: str) -> dict[str, Any]:
+def pair_columns(sensor: SensorDescription, side: str) -> dict[str, Any]:
     """Columns of `pairs` for the sensor of a side, "real" or "sim"."""
     row = sensor_row(sensor)
     return {f"sensor_{side}_{name.removeprefix('n_')}": row[name] for name in PAIR_COLUMNS}
 
 
-def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
-    """One line for each property in which the sensors of the two sides differ; nothing about undetermined ones.
+def differences(real: SensorDescription, sim: SensorDescription) -> list[str]:
+    """One line for each property in which the sensors of the two sides differ; undetermined ones are skipped.
 
     Beams differ if their number (by more than two) or limits (by more than 0.3 degrees) do, or if they are even on one
     side only; steps by more than 5 %, quanta at all, noise by a factor of 1.5 and 5 mm, lost shares by 5 points.
@@ -175,7 +175,7 @@ def differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
     return found
 
 
-def _beam_differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
+def _beam_differences(real: SensorDescription, sim: SensorDescription) -> list[str]:
     if not (real.elevation_deg and sim.elevation_deg):
         is_one = bool(real.elevation_deg or sim.elevation_deg)
         return [f"beams: {_count_text(real)} real, {_count_text(sim)} simulated"] if is_one else []
@@ -197,35 +197,35 @@ def _beam_differences(real: SensorFacts, sim: SensorFacts) -> list[str]:
     return found
 
 
-def has_other_beams(one: SensorFacts, other: SensorFacts) -> bool:
+def has_other_beams(one: SensorDescription, other: SensorDescription) -> bool:
     """True if two scans are of sensors with different numbers of beams, or of known sensors that differ."""
     if one.model and other.model:
         return one.model not in other.model and other.model not in one.model
     return abs(len(one.elevation_deg) - len(other.elevation_deg)) > 2
 
 
-def beams_text(facts: SensorFacts) -> str:
+def beams_text(sensor: SensorDescription) -> str:
     """Number, range and spacing of the beams, and the model: "32 beams, -25 to +15 degrees, uneven: ..."."""
-    if not facts.elevation_deg:
-        return f"no beams detected ({facts.untold['elevation_deg']})"
-    low, high = _limits(facts)
-    evenness = "evenly spaced" if facts.is_even else "uneven"
-    text = f"{_count_text(facts)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
-    return f"{text}: {facts.model or facts.untold['model']}"
+    if not sensor.elevation_deg:
+        return f"no beams detected ({sensor.untold['elevation_deg']})"
+    low, high = _limits(sensor)
+    evenness = "evenly spaced" if sensor.is_even else "uneven"
+    text = f"{_count_text(sensor)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
+    return f"{text}: {sensor.model or sensor.untold['model']}"
 
 
-def _name_text(facts: SensorFacts) -> str:
-    return f"{_count_text(facts)} ({facts.model})" if facts.model else _count_text(facts)
+def _name_text(sensor: SensorDescription) -> str:
+    return f"{_count_text(sensor)} ({sensor.model})" if sensor.model else _count_text(sensor)
 
 
-def unlike_others(sensors: Mapping[str, SensorFacts]) -> tuple[str, list[str]]:
+def unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[str]]:
     """Name of the scan whose sensor is the most frequent, and one line for each scan with another sensor.
 
     Parameters
     ----------
     sensors : by name of the scan, at least one
     """
-    seen = {name: facts for name, facts in sensors.items() if facts.elevation_deg} or sensors
+    seen = {name: sensor for name, sensor in sensors.items() if sensor.elevation_deg} or sensors
     n_alike = {name: sum(not has_other_beams(own, other) for other in seen.values()) for name, own in seen.items()}
 
     def rank(name: str) -> tuple[int, bool, bool, int]:
@@ -237,63 +237,63 @@ def unlike_others(sensors: Mapping[str, SensorFacts]) -> tuple[str, list[str]]:
     return usual, [f"{name}: beams {_name_text(seen[name])}, others {_name_text(seen[usual])}" for name in others]
 
 
-def _count_text(facts: SensorFacts) -> str:
-    """Number of beams; a beam without any return is not seen."""
-    n = len(facts.elevation_deg)
-    if facts.model_beams:
-        return f"{n} of {facts.model_beams}" if n < facts.model_beams else f"{facts.model_beams}"
-    return (f"at least {n}" if facts.is_sharp else f"about {n}") if n else "none detected"
+def _count_text(sensor: SensorDescription) -> str:
+    """Number of beams as text; beams without a return are not detected."""
+    n = len(sensor.elevation_deg)
+    if sensor.model_beams:
+        return f"{n} of {sensor.model_beams}" if n < sensor.model_beams else f"{sensor.model_beams}"
+    return (f"at least {n}" if sensor.is_sharp else f"about {n}") if n else "none detected"
 
 
-def sensor_lines(facts: SensorFacts) -> list[str]:
-    """What the points tell of their sensor, line by line; what they do not tell, with the reason."""
-    view = facts.field_of_view_deg
+def sensor_lines(sensor: SensorDescription) -> list[str]:
+    """Lines with the properties of a sensor, and the reason for undetermined ones."""
+    view = sensor.field_of_view_deg
     rows = [
-        ("beams", beams_text(facts).replace("no beams", "none").replace(" beams", "", 1)),
-        ("beams start", _heights_text(facts)) if facts.origin_height_m else ("", ""),
-        ("beams cross", f"{1e3 * facts.focal_m:.1f} mm before the axis") if facts.focal_m else ("", ""),
+        ("beams", beams_text(sensor).replace("no beams", "none").replace(" beams", "", 1)),
+        ("beams start", _heights_text(sensor)) if sensor.origin_height_m else ("", ""),
+        ("beams cross", f"{1e3 * sensor.focal_m:.1f} mm before the axis") if sensor.focal_m else ("", ""),
         ("field of view", f"{view[0]:+.4g} to {view[1]:+.4g} degrees, {view[2]:.0f} degrees around")
         if view
         else ("", ""),
-        _told(facts, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
-        _told(facts, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
-        _told(facts, "range noise", "range_noise_m", lambda noise: f"{1e3 * noise:.0f} mm on smooth surfaces"),
-        _told(facts, "pulses lost in surfaces", "lost_share", _lost_text),
-        ("for each point", f"ring: {_yes(facts.has_ring)}, time: {_yes(facts.has_time)}"),
+        _property(sensor, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
+        _property(sensor, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
+        _property(sensor, "range noise", "range_noise_m", lambda noise: f"{1e3 * noise:.0f} mm on smooth surfaces"),
+        _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text),
+        ("for each point", f"ring: {_yes(sensor.has_ring)}, time: {_yes(sensor.has_time)}"),
     ]
     return [f"{name}: {text}" for name, text in rows if name]
 
 
-def _told(facts: SensorFacts, name: str, attribute: str, text: Callable[[Any], str]) -> tuple[str, str]:
-    if attribute in facts.untold:
-        return name, f"none detected ({facts.untold[attribute]})"
-    value = getattr(facts, attribute)
+def _property(sensor: SensorDescription, name: str, attribute: str, text: Callable[[Any], str]) -> tuple[str, str]:
+    if attribute in sensor.untold:
+        return name, f"none detected ({sensor.untold[attribute]})"
+    value = getattr(sensor, attribute)
     return (name, text(value)) if value not in (None, ()) else ("", "")
 
 
 def _lost_text(shares: Sequence[float | None]) -> str:
     bands = zip(LOST_BANDS_M, LOST_BANDS_M[1:], shares, strict=False)
     known = [f"{share:.0%} at {low:.0f}-{high:.0f} m" for low, high, share in bands if share is not None]
-    return ", ".join(known) or "too few to tell"
+    return ", ".join(known) or "too few returns"
 
 
-def _untold(facts: SensorFacts, why: str) -> SensorFacts:
-    """The facts of a scan whose beams cannot be told, and so nothing that is read beam by beam."""
+def _undetected(sensor: SensorDescription, why: str) -> SensorDescription:
+    """Description of a sensor with undetected beams, and therefore without all properties of beams."""
     others = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share", "model")
-    return replace(facts, untold={"elevation_deg": why, **dict.fromkeys(others, "no beams are told")})
+    return replace(sensor, untold={"elevation_deg": why, **dict.fromkeys(others, "no beams detected")})
 
 
-def _limits(facts: SensorFacts) -> tuple[float, float]:
-    return facts.elevation_deg[0], facts.elevation_deg[-1]
+def _limits(sensor: SensorDescription) -> tuple[float, float]:
+    return sensor.elevation_deg[0], sensor.elevation_deg[-1]
 
 
-def _heights(facts: SensorFacts) -> tuple[float, float]:
-    """Of the lower and the upper block."""
-    return (facts.origin_height_m[0], facts.origin_height_m[-1]) if facts.origin_height_m else (0.0, 0.0)
+def _heights(sensor: SensorDescription) -> tuple[float, float]:
+    """Heights of the lower and the upper block."""
+    return (sensor.origin_height_m[0], sensor.origin_height_m[-1]) if sensor.origin_height_m else (0.0, 0.0)
 
 
-def _heights_text(facts: SensorFacts) -> str:
-    heights = facts.origin_height_m or (0.0,)
+def _heights_text(sensor: SensorDescription) -> str:
+    heights = sensor.origin_height_m or (0.0,)
     if not any(heights):
         return "at the origin"
     if min(heights) >= 0 or max(heights) <= 0:
@@ -301,9 +301,9 @@ def _heights_text(facts: SensorFacts) -> str:
     return f"{' and '.join(f'{h:+g}' for h in heights)} m from the origin"
 
 
-def _quantum_text(facts: SensorFacts) -> str:
-    quantum = facts.range_quantum_m
-    return facts.untold["range_quantum_m"] if quantum is None else f"{1e3 * quantum:g} mm"
+def _quantum_text(sensor: SensorDescription) -> str:
+    quantum = sensor.range_quantum_m
+    return sensor.untold["range_quantum_m"] if quantum is None else f"{1e3 * quantum:g} mm"
 
 
 def _yes(has: bool) -> str:
@@ -312,10 +312,10 @@ def _yes(has: bool) -> str:
 
 @dataclass(frozen=True)
 class _Sweep:
-    """Returns that lie in a beam, sorted by beam and in it by azimuth.
+    """Returns in beams, sorted by beam, then by azimuth.
 
     beam : (m,) intp, row of the pattern's elevations
-    azimuth_deg, range_m : (m,) float64; the range from where beams cross
+    azimuth_deg, range_m : (m,) float64; range from the crossing point of the beams
     """
 
     beam: IndexArray
@@ -324,7 +324,7 @@ class _Sweep:
 
     @property
     def gap_deg(self) -> FloatArray:
-        """(m - 1,) float64, from each return to the next; NaN where that is another beam's."""
+        """Azimuth from each return to the next, (m - 1,) float64; NaN if the next is of another beam."""
         return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
 
 
@@ -344,7 +344,7 @@ def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
     bin_deg, most_deg = 0.002, 4.0
     gap = sweep.gap_deg
     gap = gap[(gap > 0.02) & (gap < most_deg)]
-    if len(gap) < _FEWEST_POINTS:
+    if len(gap) < _MIN_POINTS:
         return None, "too few neighbouring returns"
     count = np.bincount((gap / bin_deg).astype(np.intp), minlength=int(most_deg / bin_deg)).astype(np.float64)
     density = gaussian_filter1d(count, 3.0)
@@ -364,7 +364,7 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
     beam, range_m = sweep.beam[is_near], sweep.range_m[is_near]
     n_returns = np.bincount(beam)
     used = n_returns >= 50
-    if n_returns[used].sum() < _FEWEST_POINTS:
+    if n_returns[used].sum() < _MIN_POINTS:
         return None, f"too few returns nearer than {_QUANTUM_RANGE_M:g} m"
 
     def is_multiple(quantum: float) -> bool:
@@ -380,7 +380,7 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
 
 def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, str]:
     if step_deg is None or len(sweep.beam) < _RUN:
-        return None, "no azimuth step is told"
+        return None, "no azimuth step detected"
     is_next = np.nan_to_num(sweep.gap_deg, nan=np.inf) < 1.5 * step_deg
     is_run = sliding_window_view(is_next, _RUN - 1).all(axis=1)
     runs = sliding_window_view(sweep.range_m, _RUN)[is_run]
@@ -395,9 +395,9 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
 
 
 def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | None, ...], float | None, str]:
-    """Share by band and over all bands."""
+    """Lost share by band and over all bands."""
     if step_deg is None:
-        return (), None, "no azimuth step is told"
+        return (), None, "no azimuth step detected"
     n_firings = np.round(sweep.gap_deg / step_deg)
     nearer, farther = (
         np.minimum(sweep.range_m[:-1], sweep.range_m[1:]),
@@ -407,8 +407,8 @@ def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | No
     shares: list[float | None] = []
     for low_m, high_m in (*pairwise(LOST_BANDS_M), (LOST_BANDS_M[0], LOST_BANDS_M[-1])):
         firings = n_firings[is_surface & (nearer >= low_m) & (nearer < high_m)]
-        enough = len(firings) >= _FEWEST_POINTS
+        enough = len(firings) >= _MIN_POINTS
         shares.append(round(float(1.0 - len(firings) / firings.sum()), 4) if enough else None)
     *by_band, in_all = shares
-    why = f"fewer than {_FEWEST_POINTS} gaps between returns of one surface"
+    why = f"fewer than {_MIN_POINTS} gaps between returns of one surface"
     return tuple(by_band), in_all, why if in_all is None else ""

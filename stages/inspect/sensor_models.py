@@ -1,4 +1,4 @@
-"""The sensors that are known: where their beams point and how they measure. One table for casting and for naming."""
+"""Known sensor models: beams and measurement properties, used for ray casting and for recognition."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ class SensorModel:
     """A spinning LiDAR.
 
     elevation_deg, azimuth_offset_deg : by laser; the offset is added to the azimuth of the firing
-    azimuth_step_deg : between two firings
+    azimuth_step_deg : angle between two firings
     min_range_m, max_range_m : returns outside are not reported
     range_noise_m : standard deviation along the ray
     range_quantum_m : ranges are multiples of it; 0 for any
-    lost_share : share of the pulses that are lost whatever they meet
-    signal_range_m : range at which a white surface that faces the sensor still answers 63 % of the pulses
+    lost_share : share of the pulses that are lost on any surface
+    signal_range_m : range at which a white surface facing the sensor returns 63 % of the pulses
     title : maker and model
-    source : where the elevations are published
-    unit_deg : how far the elevations of one unit, which its own calibration has, lie from the table as a whole;
-        0 where drivers use the table for every unit
-    focal_m : how far before the axis its beams cross, which drivers take off, or leave in; 0 where it is not known
-    column_deg : azimuth steps are multiples of it; 0 if the rotation rate sets them
+    source : publication of the elevations
+    unit_deg : offset of the elevations of a single unit (in its calibration) from the table; 0 if drivers use the table
+        for every unit
+    focal_m : distance from the axis at which its beams cross, which drivers may correct; 0 if unknown
+    column_deg : azimuth steps are multiples of it; 0 if the rotation rate determines them
     """
 
     name: str
@@ -49,7 +49,7 @@ class SensorModel:
 
 
 # fmt: off
-#: VLP-32C: elevation and azimuth offset in degrees, by laser id, as both public drivers have them (velodyne, nebula).
+#: VLP-32C: elevation and azimuth offset in degrees, by laser id, as in both public drivers (velodyne, nebula).
 _VLP32C_DEG = (
     (-25.000, -1.4), (-1.000, +4.2), (-1.667, -1.4), (-15.639, +1.4),
     (-11.310, -1.4), (+0.000, +1.4), (-0.667, -4.2), (-8.843, +1.4),
@@ -90,7 +90,7 @@ _DEG_PER_S = 600 / 60 * 360.0
 
 
 def _even(highest_deg: float, lowest_deg: float, n: int) -> tuple[float, ...]:
-    """Elevations at equal distances."""
+    """Evenly spaced elevations."""
     return tuple(np.linspace(highest_deg, lowest_deg, n).tolist())
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with the scans of a side as a sequence: it stands still, is late, is empty, or sees its own vehicle."""
+"""Checks of the scans of a side as a sequence: static, late or empty sides, and hits on the ego vehicle."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _COMPARED_M = (3.0, 40.0)
 _VOXEL_M = 0.5
 _ABOVE_GROUND_M = 0.5
 _ASKED = 800
-_FEWEST_ASKED = 50
+_MIN_SAMPLED = 50
 _FARTHEST_M = 1.0
 
-_STILL_M = 0.15  # misfit of scans of one place; a dense one with noise of 10 cm included
+_STILL_M = 0.15  # misfit of scans of one place, including a dense one with noise of 10 cm
 _MOVING_M = 0.25
 
-MOST_FRAMES_LATE = 3
-_LEAST_GAIN_M, _LEAST_GAIN = 0.05, 0.15
-_FEWEST_COMPARISONS, _AGREEING = 3, 0.8
+MAX_FRAMES_LATE = 3
+_MIN_GAIN_M, _MIN_GAIN = 0.05, 0.15
+_MIN_COMPARISONS, _AGREEING = 3, 0.8
 
 _EMPTY = 0.05
 
@@ -35,13 +35,13 @@ _EGO_M, _AROUND_M = 5.0, 6.5
 _EGO_GROUND_M = 0.35
 _SAME_PLACE_M = 0.1
 _LINK_M = 0.5
-_FEWEST_SCANS = 3  # of two, half a metre apart in a narrow yard, surfaces that the motion slides along seem to stay
-_LEAST_SHARE = 0.002
-_FEWEST_NEAR = 20
+_MIN_SCANS = 3  # of two, half a metre apart in a narrow yard, surfaces that the motion slides along seem to stay
+_MIN_SHARE = 0.002
+_MIN_NEAR = 20
 
 
-class Places:
-    """What is compared of a scan: all its points within 40 m, and some of those above the ground.
+class SequenceScan:
+    """Points of a scan for comparisons: all points within 40 m, and a sample of those above the ground.
 
     points : (n, 3) float64, metres, the real sensor's frame, z up, finite; those nearer than 3 m are left out
     """
@@ -54,25 +54,25 @@ class Places:
         )
         self.ground_m = ground_height(thinned)
         above = thinned[thinned[:, 2] > self.ground_m + _ABOVE_GROUND_M]
-        self.asked: FloatArray = above[np.random.default_rng(0).permutation(len(above))[:_ASKED]]
+        self.sample: FloatArray = above[np.random.default_rng(0).permutation(len(above))[:_ASKED]]
         self.tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
 
-    def misfit_m(self, other: Places) -> float:
-        """Mean distance of either's points above the ground to the other scan, of 1 m at most; NaN of too few points.
+    def misfit_m(self, other: SequenceScan) -> float:
+        """Mean distance between the points above the ground of two scans, limited to 1 m; NaN for too few points.
 
-        0 of the same scan; on recordings about 0.03 of a sensor that stands still, 0.4 of one 0.8 m ahead.
+        0 for the same scan; on recordings about 0.03 for a static sensor, 0.4 for one 0.8 m ahead.
         """
-        distances = [_apart(own, scan.tree) for own, scan in ((self.asked, other), (other.asked, self))]
-        return float(np.mean([apart.mean() for apart in distances if len(apart) >= _FEWEST_ASKED] or [np.nan]))
+        distances = [_apart(own, scan.tree) for own, scan in ((self.sample, other), (other.sample, self))]
+        return float(np.mean([apart.mean() for apart in distances if len(apart) >= _MIN_SAMPLED] or [np.nan]))
 
 
 @dataclass(frozen=True)
 class TimeOffset:
-    """A side that is late.
+    """Time offset between the sides, in frames.
 
-    frames : by so many the simulated side is late; negative where it is early
-    misfit_m, as_paired_m : mean misfit of the scans that fit, and of the same real scans with those of their pairs
-    n_better, n : of so many comparisons so many are better
+    frames : number of frames by which the simulated side is late; negative if it is early
+    misfit_m, as_paired_m : mean misfit of the real scans with shifted simulated scans, and with those of their pairs
+    n_better, n : number of comparisons with a smaller misfit, and of all comparisons
     """
 
     frames: int
@@ -84,12 +84,12 @@ class TimeOffset:
 
 @dataclass(frozen=True)
 class EgoHits:
-    """Returns of the sensor's own vehicle.
+    """Returns from the ego vehicle.
 
-    share : of the points, mean over the scans
-    farthest_m : range within which they lie
+    share : share of the points, mean over the scans
+    farthest_m : maximum range of these returns
     low, high : corners of their box, metres, the scan's own frame but z up
-    others_in_range, others_in_box : shares of the points that are as near, or in the box, and no such returns
+    others_in_range, others_in_box : share of other points within that range, or in the box
     """
 
     share: float
@@ -100,13 +100,13 @@ class EgoHits:
     others_in_box: float
 
 
-def find_time_offset(sequences: Sequence[tuple[Sequence[Places], Sequence[Places]]]) -> TimeOffset | None:
-    """By how many frames the simulated side is late, if scans of other pairs fit clearly better; else None.
+def find_time_offset(sequences: Sequence[tuple[Sequence[SequenceScan], Sequence[SequenceScan]]]) -> TimeOffset | None:
+    """Find by how many frames the simulated side is late, if scans of other pairs fit clearly better; else None.
 
     The misfit m(i, j) of real scan i and simulated scan j is compared with m(i, i), for j = i + k and |k| <= 3. The k
     of the largest mean gain m(i, i) - m(i, i + k) is late by k if that is at least 0.05 m and 15 % of m(i, i), and
-    positive in 80 % of at least three comparisons. A simulated sensor that is mounted ahead by what the vehicle drives
-    in a frame gives the same; sensors that stand still give nothing.
+    positive in 80 % of at least three comparisons. A simulated sensor that is mounted ahead by the distance of one
+    frame has the same effect; static sensors have no offset.
 
     Parameters
     ----------
@@ -115,25 +115,25 @@ def find_time_offset(sequences: Sequence[tuple[Sequence[Places], Sequence[Places
     gains: dict[int, list[tuple[float, float]]] = {}
     for real, sim in sequences:
         paired = [a.misfit_m(b) for a, b in zip(real, sim, strict=True)]
-        for late in range(-MOST_FRAMES_LATE, MOST_FRAMES_LATE + 1):
+        for late in range(-MAX_FRAMES_LATE, MAX_FRAMES_LATE + 1):
             for i in range(max(0, -late), min(len(real), len(real) - late)) if late else ():
                 gains.setdefault(late, []).append((paired[i], real[i].misfit_m(sim[i + late])))
     best: TimeOffset | None = None
     for late, values in gains.items():
         both = np.array(values)
         both = both[np.isfinite(both).all(axis=1)]
-        if len(both) < _FEWEST_COMPARISONS:
+        if len(both) < _MIN_COMPARISONS:
             continue
         as_paired, other = both.mean(axis=0).tolist()
         n_better = int((both[:, 1] < both[:, 0]).sum())
-        is_clear = as_paired - other > max(_LEAST_GAIN_M, _LEAST_GAIN * as_paired) and n_better >= _AGREEING * len(both)
+        is_clear = as_paired - other > max(_MIN_GAIN_M, _MIN_GAIN * as_paired) and n_better >= _AGREEING * len(both)
         if is_clear and (best is None or other - as_paired < best.misfit_m - best.as_paired_m):
             best = TimeOffset(late, other, as_paired, n_better, len(both))
     return best
 
 
-def moved_m(sequences: Sequence[Sequence[Places]]) -> float:
-    """Median misfit of neighbouring scans of a side: how much it changes from frame to frame; NaN where none compare.
+def moved_m(sequences: Sequence[Sequence[SequenceScan]]) -> float:
+    """Median misfit of neighbouring scans of a side: its change from frame to frame; NaN without comparisons.
 
     Parameters
     ----------
@@ -145,12 +145,12 @@ def moved_m(sequences: Sequence[Sequence[Places]]) -> float:
 
 
 def is_moving(side_moved_m: float) -> bool:
-    """Whether a side's scans differ so much from frame to frame (`moved_m`) that its sensor moves."""
+    """True if the scans of a side differ enough from frame to frame (`moved_m`) for a moving sensor."""
     return side_moved_m > _MOVING_M
 
 
 def find_static_side(real_moved_m: float, sim_moved_m: float) -> str | None:
-    """The side ("real" or "sim") whose scans are one scan, but for noise, while the other's are not; else None.
+    """Side ("real" or "sim") whose scans are equal except for noise while those of the other side differ, or None.
 
     Parameters
     ----------
@@ -163,11 +163,11 @@ def find_static_side(real_moved_m: float, sim_moved_m: float) -> str | None:
 
 
 def find_empty_side(n_real: IndexArray, n_sim: IndexArray) -> str | None:
-    """The side ("real" or "sim") whose scans have less than a twentieth of the other's points; else None.
+    """Side ("real" or "sim") whose scans have less than a twentieth of the points of the other side, or None.
 
     Parameters
     ----------
-    n_real, n_sim : (n,), (m,) intp, points of each scan after cleaning; the median of each counts
+    n_real, n_sim : (n,), (m,) intp, points of each scan after cleaning; the medians are compared
     """
     for side, own, other in (("real", n_real, n_sim), ("sim", n_sim, n_real)):
         if len(own) and len(other) and np.median(own) < _EMPTY * np.median(other):
@@ -176,25 +176,25 @@ def find_empty_side(n_real: IndexArray, n_sim: IndexArray) -> str | None:
 
 
 def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | None:
-    """Returns near the sensor that stay where they are while it moves, and so are of its own vehicle; else None.
+    """Find returns near a moving sensor that do not move relative to it, and so are from the ego vehicle; or None.
 
-    They lie within 5 m, 0.35 m above or below the ground, have a return within 0.1 m in 80 % of the other scans, and
-    are linked (0.5 m) to nothing that stays and reaches farther, as a wall along the road does. They are told if they
-    are 0.2 % of the points. One or two scans tell nothing.
+    They are within 5 m, at least 0.35 m above or below the ground, have a return within 0.1 m in 80 % of the other
+    scans, and are not linked (0.5 m) to static points beyond 5 m, as a wall along the road is. They are reported if
+    they are at least 0.2 % of the points. One or two scans are not enough.
 
     Parameters
     ----------
-    scans : (n, 3) float64 each, metres, their own frame, z up, finite; of a sensor that moves, see `is_moving`
+    scans : (n, 3) float64 each, metres, their own frame, z up, finite; of a moving sensor, see `is_moving`
     ground_m : z of the ground
     """
-    if len(scans) < _FEWEST_SCANS:
+    if len(scans) < _MIN_SCANS:
         return None
     near = [_near(points, ground_m) for points in scans]
     trees = [cKDTree(own) for own in near]
     hits = [_staying(own, [*trees[:i], *trees[i + 1 :]]) for i, own in enumerate(near)]
     share = float(np.mean([len(own) / max(len(points), 1) for own, points in zip(hits, scans, strict=True)]))
     every = np.concatenate(hits)
-    if share < _LEAST_SHARE or len(every) < _FEWEST_NEAR:
+    if share < _MIN_SHARE or len(every) < _MIN_NEAR:
         return None
     low, high = np.floor(10 * every.min(axis=0)) / 10, np.ceil(10 * every.max(axis=0)) / 10
     farthest_m = float(np.ceil(10 * np.sqrt((every**2).sum(axis=1)).max()) / 10)
@@ -225,7 +225,7 @@ def _near(points: FloatArray, ground_m: float) -> FloatArray:
 
 
 def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
-    """Near points of a scan that are in most others too, and belong to no piece that reaches beyond 5 m."""
+    """Near points of a scan that most other scans have too, and that belong to no component beyond 5 m."""
     if not len(own):
         return own
     n_seen = np.zeros(len(own))

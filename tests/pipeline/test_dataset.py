@@ -143,7 +143,7 @@ def warnings_of(tmp_path, scan):
 
 @pytest.mark.parametrize(("factor", "unit"), [(100, "centimetres"), (1000, "millimetres")])
 def test_a_scan_in_another_unit_is_told_by_its_unit(tmp_path, factor, unit):
-    assert f"metres are wanted: are they {unit}?" in warnings_of(tmp_path, street() * factor)
+    assert f"expected metres: are they {unit}?" in warnings_of(tmp_path, street() * factor)
 
 
 def test_projected_coordinates_are_not_taken_for_another_unit(tmp_path):
@@ -171,7 +171,7 @@ def test_the_faults_of_real_scans_are_seen(real_data, tmp_path):
         f"good,{real_data / 'kitti_twin/real/000000.bin'},{real_data / 'kitti_twin/sim/000000.bin'}\n"
     )
     warnings = check_dataset(tmp_path, Settings()).warnings
-    assert any("000030.bin: 51% of the points lie within 3 m" in text for text in warnings)
+    assert any("000030.bin: 51% of the points are within 3 m" in text for text in warnings)
     assert any("half_sweep.bin: no point in a sector of 180 degrees" in text for text in warnings)
     assert not any("kitti_twin" in text for text in warnings)
 

@@ -95,7 +95,7 @@ def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_sett
     mended = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings | {"input": {"sim_frame": "carla"}})  # warns: error
     assert mended.summary["match_rate"] > wrong.summary["match_rate"]
     turned = sim * [-1, -1, 1]
-    with pytest.warns(UserWarning, match="turned by") as told:
+    with pytest.warns(UserWarning, match="rotated by") as told:
         fidpipe.evaluate_pair(real, turned, settings)
     T = np.array(re.search('T_real_sim "(.*?)"', str(told[0].message))[1].split(), dtype=float).reshape(3, 4)
     np.testing.assert_allclose(turned @ T[:, :3].T + T[:, 3], sim, atol=1e-9)
@@ -211,4 +211,4 @@ def test_two_sensors_raise_no_alarm_with_their_extrinsics_and_one_without(real_d
     ouster, velodyne = (read_scan(real_data / "rellis" / f"{name}.bin").points for name in ("000104", "vel000104"))
     assert not check_frames(ouster, velodyne, InputSettings(), T).is_suspect
     found = check_frames(ouster, velodyne, InputSettings())
-    assert (found.is_suspect, found.reading) == (True, "turned by 180 degrees")
+    assert (found.is_suspect, found.reading) == (True, "rotated by 180 degrees")

@@ -118,7 +118,7 @@ def test_the_command_prints_notes_and_warnings_of_sides(tmp_path):
     assert "real scans: 0.1 s from first to last point" in command("check", folder).stdout
     told = json.loads(command("check", folder, "--json").stdout)
     assert len(told["notes"]) == 2
-    assert told["warnings"] == ["by their times, the real sensor turns clockwise and the simulated one anticlockwise"]
+    assert told["warnings"] == ["by the times, the real sensor rotates clockwise and the simulated one anticlockwise"]
 
 
 def test_the_time_of_a_recorded_scan_is_that_of_its_last_point(real_data, tmp_path):

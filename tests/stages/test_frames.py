@@ -48,13 +48,13 @@ def placed_by(setting):
     [
         (np.diag([1, -1, 1]), "mirrored in y"),
         (np.diag([-1, 1, 1]), "mirrored in x"),
-        (np.diag([-1, -1, 1]), "turned by 180 degrees"),
-        (rigid(90, [0, 0, 0])[:, :3], "turned by 270 degrees"),
-        (rigid(270, [0, 0, 0])[:, :3], "turned by 90 degrees"),
+        (np.diag([-1, -1, 1]), "rotated by 180 degrees"),
+        (rigid(90, [0, 0, 0])[:, :3], "rotated by 270 degrees"),
+        (rigid(270, [0, 0, 0])[:, :3], "rotated by 90 degrees"),
         (np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]]), "with x and y exchanged"),
         (np.array([[0, -1, 0], [-1, 0, 0], [0, 0, 1]]), "with x and y exchanged and negated"),
-        (np.diag([1, -1, -1]), "upside down, turned about x"),
-        (np.diag([-1, 1, -1]), "upside down, turned about y"),
+        (np.diag([1, -1, -1]), "upside down, rotated about x"),
+        (np.diag([-1, 1, -1]), "upside down, rotated about y"),
         (np.diag([1, 1, -1]), "mirrored in z"),
         (np.diag([-1, -1, -1]), "mirrored in x, y and z"),
         (100 * np.eye(3), "in centimetres"),
@@ -142,7 +142,7 @@ def test_the_same_scene_measured_again_raises_no_alarm():
 
 def test_the_same_scan_fits_wholly_as_it_lies():
     found = check(scene(), scene())
-    assert (found.as_it_lies, found.coverage, found.reading, found.setting) == (1.0, 1.0, "as it lies", "")
+    assert (found.as_it_lies, found.coverage, found.reading, found.setting) == (1.0, 1.0, "as given", "")
 
 
 def test_a_symmetric_corridor_raises_no_alarm_however_it_lies():

@@ -13,7 +13,7 @@ def test_plausible_scans_raise_no_warning():
     ("change", "warning"),
     [
         (lambda p: p + [481000.0, 0, 0], "are they projected"),
-        (lambda p: p / 100, "metres are wanted"),
+        (lambda p: p / 100, "expected metres"),
         (lambda p: p[:, [2, 1, 0]], "are the columns right"),
         (lambda p: np.vstack([p, np.random.default_rng(0).uniform(-1, 1, (3 * len(p), 3))]), "hits on the ego vehicle"),
     ],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fidpipe.stages.inspect.sequence_checks import (
-    Places,
+    SequenceScan,
     find_ego_hits,
     find_empty_side,
     find_static_side,
@@ -40,7 +40,7 @@ def drive(n=6, step_m=STEP_M, seed=0, noise_m=0.02, extra=None):
 
 
 def places(scans):
-    return [Places(points) for points in scans]
+    return [SequenceScan(points) for points in scans]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_a_sensor_that_stands_still_is_never_late():
 
 
 def test_places_that_have_nothing_in_common_are_not_late():
-    other = [Places(points @ np.diag([-1.0, 1, 1])) for points in drive(step_m=7.0, seed=3)]
+    other = [SequenceScan(points @ np.diag([-1.0, 1, 1])) for points in drive(step_m=7.0, seed=3)]
     assert find_time_offset([(places(drive()), other)]) is None
 
 

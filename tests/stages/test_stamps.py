@@ -33,11 +33,11 @@ def test_half_as_many_times_as_points_are_seen(wrong):
     _, times = turn()
     times[::2] = wrong
     (fault,) = faults(times)
-    assert fault.startswith("50% of the points have no time of their own")
+    assert fault.startswith("50% of the points have no time")
 
 
 def test_fewer_times_than_points_are_counted():
-    assert faults(turn()[1][:3000]) == ("3000 times for 6000 points; one each is wanted",)
+    assert faults(turn()[1][:3000]) == ("expected 6000 times, one per point, got 3000",)
 
 
 def test_one_time_for_all_points_is_named():
@@ -70,7 +70,7 @@ def test_times_of_other_points_do_not_go_round(shuffle):
     points = points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3)  # beam by beam, as organised clouds are
     right = times.reshape(-1, 16).T.ravel()
     assert faults(right, points) == ()
-    assert faults(shuffle(right), points) == ("times do not go round with azimuth; are they those of other points?",)
+    assert faults(shuffle(right), points) == ("times do not follow the azimuth; do they belong to other points?",)
 
 
 @pytest.mark.parametrize(("place", "at"), [("first", 0.0), ("middle", 0.5), ("last", 1.0)])
@@ -87,7 +87,7 @@ def test_it_is_told_of_which_point_the_time_of_the_scan_is(place, at, is_relativ
 def test_a_time_of_the_scan_outside_of_its_turn_is_a_fault():
     points, times = turn()
     (fault,) = faults(1.7e9 + times, points, 1.7e9 + 5.0)
-    assert "the scan's own time lies +5.000 s after its first point" in fault
+    assert "the scan's own time is +5.000 s after its first point" in fault
 
 
 def test_sides_whose_times_are_of_other_points_or_go_another_way_differ():
@@ -95,8 +95,11 @@ def test_sides_whose_times_are_of_other_points_or_go_another_way_differ():
     first, last = describe_stamps(times, points, 0.0), describe_stamps(times - TURN_S, points * [1, -1, 1], 0.0)
     assert stamp_differences(first, first) == stamp_differences(first, None) == []
     places, ways = stamp_differences(first, last)
-    assert "of its first point, of a simulated one that of its last point: scans of one time were taken 0.1 s" in places
-    assert ways == "by their times, the real sensor turns clockwise and the simulated one anticlockwise"
+    assert (
+        "of its first point, the time of a simulated scan that of its last point: scans with the same time are 0.1 s"
+        in places
+    )
+    assert ways == "by the times, the real sensor rotates clockwise and the simulated one anticlockwise"
 
 
 def test_few_and_no_returns_are_not_judged():
