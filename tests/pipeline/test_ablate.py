@@ -27,7 +27,7 @@ from fidpipe.schemas.metrics import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from fidpipe.stages import method
 from fidpipe.stages.paper.parameter_choice import ParameterSet
-from runs import command, contents
+from runs import command
 
 N_POINTS = 100
 
@@ -46,25 +46,6 @@ def done(dataset, tmp_path_factory):
     return ablated(dataset, tmp_path_factory.mktemp("ablate") / "run")
 
 
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        ({"settings": load(None, ["graph.k=12", "communities.seed=3"])}, r"communities\.seed was 0, is 3"),
-        ({"values": VALUES | {"k": (12,)}}, r"values\.k 8 not asked for"),
-        ({"values": VALUES | {"t": (1.0, 2.0)}}, r"values\.t 0\.5 not asked for"),
-        ({"pattern": "000"}, "pair 001 not asked for"),
-    ],
-)
-def test_a_finished_ablation_is_not_replaced_unasked(done, dataset, tmp_path, options, why):
-    out = shutil.copytree(done.folder, tmp_path / "run")
-    before = contents(out)
-    with pytest.raises(RunError, match=rf"ablate .*run: is finished, .* would be replaced \({why}\); add --replace"):
-        ablated(dataset, out, **options)
-    assert contents(out) == before
-    replaced = ablated(dataset, out, replace=True, **options)
-    assert replaced.rows.equals(ablated(dataset, tmp_path / "fresh", **options).rows)
-
-
 def test_a_finished_ablation_takes_further_values_and_pairs_unasked(done, dataset, tmp_path):
     more = {name: (*values, 2.0) if name != "k" else (*values, 10) for name, values in VALUES.items()}
     out = tmp_path / "run"
@@ -74,8 +55,15 @@ def test_a_finished_ablation_takes_further_values_and_pairs_unasked(done, datase
     assert wider.values["k"] == (8, 10, 12)
     assert wider.rows.equals(ablated(dataset, tmp_path / "fresh", values=more).rows)
     assert ablated(dataset, out, values=more, grid=True).n_made > 0
-    with pytest.raises(RunError, match="grid was True, is False"):
-        ablated(dataset, out, values=more)
+    record = (out / "run.json").read_bytes()
+    for options, why in (
+        ({}, "grid was True, is False"),
+        ({"values": VALUES | {"k": (12,)}, "grid": True}, r"values\.k 8, 10 not asked for"),
+        ({"pattern": "000", "grid": True}, "pair 001 not asked for"),
+    ):
+        with pytest.raises(RunError, match=rf"ablate .*run: is finished, .* would be replaced \(.*{why}"):
+            ablated(dataset, out, **({"values": more} | options))
+    assert (out / "run.json").read_bytes() == record
 
 
 def test_one_setting_moves_at_a_time_or_all_of_them_do():
@@ -100,13 +88,6 @@ def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp
     built.clear()
     ablated(dataset, tmp_path / "run", grid=True)
     assert built == []
-
-
-def test_values_of_tau_that_agree_to_many_digits_are_two(dataset, tmp_path):
-    values = {"tau_m": (0.2, 0.2000000001)}
-    outcome = ablated(dataset, tmp_path / "run", values=values, pattern="000")
-    assert not outcome.failures
-    assert set(pd.read_parquet(tmp_path / "run" / "ablate").tau_m) >= set(values["tau_m"])
 
 
 def test_a_row_has_the_numbers_of_an_evaluation_under_its_settings(done, dataset):

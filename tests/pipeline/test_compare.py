@@ -16,7 +16,6 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.report.page.compare import compare_page
 from fidpipe.pipeline.report.page.page import write_report
 from fidpipe.pipeline.report.pictures import draw_change
@@ -42,24 +41,23 @@ from scenes import drifted, street, write_bin
 HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300, "../x", "x&amp;", "x%41 '")
 
 
-def write_version(folder, noise, keep):
-    """A dataset of the six hostile names: the real scans are the same in every version."""
-    rows = []
-    for i, name in enumerate(HOSTILE):
-        scan = street(seed=10 * i)
-        write_bin(folder / f"real{i}.bin", scan)
-        write_bin(folder / f"sim{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep))
-        rows.append(f'"{name}",real{i}.bin,sim{i}.bin,{60 * i}')
-    (folder / "pairs.csv").write_text("pair_id,real,sim,timestamp_s\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    return folder
+def run_versions(folder, n=6, step_s=60, signs=(1, 1, 1)):
+    """Runs of a good and a bad simulator on the same real scans under the hostile names; `signs` mirror the bad one."""
+    for version, noise, keep, own_signs in (("good", 0.02, 0.95, (1, 1, 1)), ("bad", 0.3, 0.6, signs)):
+        data, rows = folder / f"data-{version}", []
+        for i, name in enumerate(HOSTILE[:n]):
+            scan = street(seed=10 * i)
+            write_bin(data / f"real{i}.bin", scan)
+            write_bin(data / f"sim{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep) * own_signs)
+            rows.append(f'"{name}",real{i}.bin,sim{i}.bin,{step_s * i}')
+        (data / "pairs.csv").write_text("pair_id,real,sim,timestamp_s\n" + "\n".join(rows) + "\n", encoding="utf-8")
+        run(data, folder / version)
+    return folder / "good", folder / "bad"
 
 
 @pytest.fixture(scope="module")
 def versions(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("compare")
-    for name, noise, keep in (("good", 0.02, 0.95), ("bad", 0.3, 0.6)):
-        run(write_version(folder / f"data-{name}", noise, keep), folder / name)
-    return folder / "good", folder / "bad"
+    return run_versions(tmp_path_factory.mktemp("compare"))
 
 
 def by_name(comparison):
@@ -74,17 +72,8 @@ def test_a_worse_simulator_is_distinguished_from_a_better_one_both_ways(versions
     assert worse.kinds["worse"] > worse.kinds["better"]
 
 
-def test_a_break_on_too_few_pairs_is_worse_all_the_same(versions, tmp_path):
-    folders = []
-    for version in versions:
-        data = shutil.copytree(version.parent / f"data-{version.name}", tmp_path / f"data-{version.name}")
-        if version.name == "bad":
-            for i in range(len(HOSTILE)):
-                write_bin(data / f"sim{i}.bin", read_scan(data / f"sim{i}.bin").points * [1, -1, 1])
-        lines = (data / "pairs.csv").read_text(encoding="utf-8").splitlines()
-        (data / "pairs.csv").write_text("\n".join(lines[:6]) + "\n", encoding="utf-8")
-        folders.append(tmp_path / version.name)
-        run(data, folders[-1])
+def test_a_break_on_too_few_pairs_is_worse_all_the_same(tmp_path):
+    folders = run_versions(tmp_path, n=5, signs=(1, -1, 1))
     found = compare_runs(folders)[0]
     assert (found.n_blocks, found.decision) == (5, "worse")
     assert "fewer than 6 pairs decide only changes far beyond the noise" in chance(found)
@@ -104,14 +93,8 @@ def test_copies_of_one_pair_under_another_seed_are_not_better(tmp_path):
     assert found.blocking == "8 pairs form 1 block of neighbouring frames (by comparing the scans)"
 
 
-def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
-    folders = []
-    for version in versions:
-        data = shutil.copytree(version.parent / f"data-{version.name}", tmp_path / f"data-{version.name}")
-        rows = [f'"{name}",real{i}.bin,sim{i}.bin,{0.2 * i}' for i, name in enumerate(HOSTILE)]
-        (data / "pairs.csv").write_text("pair_id,real,sim,timestamp_s\n" + "\n".join(rows) + "\n", encoding="utf-8")
-        folders.append(tmp_path / version.name)
-        run(data, folders[-1])
+def test_scans_near_each_other_in_time_count_once(tmp_path):
+    folders = run_versions(tmp_path, step_s=0.2)
     found = compare_runs(folders)[0]
     assert (len(found.pairs), found.n_blocks) == (6, 1)
     assert found.decision == "undecided"

@@ -4,7 +4,6 @@ import shutil
 
 import numpy as np
 import pytest
-import trimesh
 
 from fidpipe.pipeline.datasets.pairs import read_label_names
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
@@ -98,11 +97,6 @@ def test_real_scans_come_back(real_data, tmp_path, suffix, name):
     first, second = read_scan(real_data / name), read_scan(written)
     same(first, second)
     assert (first.labels is None) == (second.labels is None)
-
-
-def test_a_written_ply_is_read_by_trimesh(tmp_path):
-    (written,) = convert(write_bin(tmp_path / "a.bin", street()), tmp_path / "a.ply")
-    np.testing.assert_array_equal(trimesh.load(written).vertices, read_scan(written).points)
 
 
 def test_what_is_there_is_not_replaced_unasked_and_the_source_never(tmp_path):

@@ -9,7 +9,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.baselines import summarise_baselines
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.tables import JobRecord
@@ -75,16 +74,6 @@ def test_there_is_a_baseline_for_each_object_and_each_pair_of_scans(finished):
         assert frame.real_id.isna().to_numpy()[-10:].all()
         assert not frame.duplicated(["real_id", "sim_id", "baseline"]).any()
         assert frame[frame.value.isna()].reason.notna().all()
-
-
-def test_centred_earth_movers_are_the_mean_distance_of_the_nodes_in_the_selection(finished):
-    points = pd.read_parquet(finished / "ground").set_index(["pair_id", "side", "point_id"])[["x", "y", "z"]]
-    frame = pd.read_parquet(finished / "baselines").query("baseline == 'emd_centred_mean_m'")
-    found = frame.set_index(["pair_id", "real_id"]).value
-    for (pair_id, real_id), own in pd.read_parquet(finished / "selection").groupby(["pair_id", "real_id"]):
-        real, sim = (points.loc[pair_id, side].loc[own[f"{side}_point_id"]].to_numpy() for side in ("real", "sim"))
-        apart = (real - real.mean(axis=0)) - (sim - sim.mean(axis=0))
-        assert found[pair_id, real_id] == pytest.approx(np.linalg.norm(apart, axis=1).mean())
 
 
 def test_the_seeds_of_a_pair_are_what_runs_under_them_give(dataset, finished, tmp_path):
@@ -183,10 +172,6 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
         written = extras(finished)[stage, "001"].to_pandas()
         pd.testing.assert_frame_equal(found.drop(columns="pair_id"), written.drop(columns="pair_id"), check_exact=True)
     assert fidpipe.evaluate_pair(*scans).baselines is None
-
-
-def test_no_stage_of_the_scores_depends_on_their_settings():
-    assert not any("metrics" in stage.settings for stage in STAGES)
 
 
 def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset):

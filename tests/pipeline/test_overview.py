@@ -20,9 +20,9 @@ from fidpipe.pipeline.report.views.run_view import outcome_view
 from fidpipe.pipeline.report.views.show_view import show_view
 from fidpipe.pipeline.results.findings import describe_objects
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
-from fidpipe.pipeline.results.overview import Tally, largest_pieces
+from fidpipe.pipeline.results.overview import largest_pieces
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.statistics.findings import BAND_EDGES_M
+from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from runs import command, run
 from scenes import drifted, street, write_bin
 
@@ -54,51 +54,19 @@ def invoked(*words):
     return CliRunner().invoke(app, list(map(str, words)))
 
 
-def objects_of(side, rows):
-    """Objects as (range_m, n_points, covered, is_matched, label)."""
-    range_m, n_points, covered, is_matched, label = zip(*rows, strict=True)
-    return pd.DataFrame(
-        {
-            "side": side,
-            "pair": 0,
-            "fate": np.where(is_matched, "matched", "missing" if side == "real" else "hallucinated"),
-            "band": np.digitize(range_m, BAND_EDGES_M) - 1,
-            "n_points": n_points,
-            "label": [own or None for own in label],
-            "covered_0p3m": covered,
-            "road_share": 0.0,
-            "diagonal_m": 10.0,
-            "r_lambda": np.nan,
-            "alignment_rms_m": np.nan,
-        }
-    )
-
-
-def counted(real, sim, scores=()):
-    """The overview of one pair; scores of the first real objects as (r_lambda, alignment)."""
-    objects = objects_of("real", real)
-    for i, values in enumerate(scores):
-        objects.loc[i, ["r_lambda", "alignment_rms_m"]] = values
-    tally = Tally()
-    tally.add(pd.concat([objects, objects_of("sim", sim)], ignore_index=True))
-    return tally.overview([{"pair_id": "a"}], [])
-
-
-CARS = [(5.0, 500, 1.0, True, "car")] * 3
-
-
 def test_the_overview_of_the_record_is_that_of_the_tables(finished):
     _, folder, outcome = finished
     overview = outcome.record.overview
     objects, coverage = pd.read_parquet(folder / "objects"), pd.read_parquet(folder / "coverage")
     both = objects.merge(coverage.dropna(subset="community_id"), on=["pair_id", "side", "community_id"])
     pieces = pd.read_parquet(folder / "pieces")
-    for band, low, high in zip(overview.surface[:5], (0, 10, 20, 30, 50), (10, 20, 30, 50, 999), strict=True):
-        own = both[(both.side == "real") & (both.range_m >= low) & (both.range_m < high)]
-        assert band.n_real == own.n_points_x.sum()
-        if band.n_real:
-            missing = (own.n_points_x * (1 - own.covered_0p3m)).sum() / own.n_points_x.sum()
-            assert band.missing_share == pytest.approx(missing)
+    both["band"] = np.array(BAND_NAMES)[np.digitize(both.range_m, BAND_EDGES_M) - 1]
+    for one in overview.surface:
+        for side, n, share in (("real", one.n_real, one.missing_share), ("sim", one.n_sim, one.invented_share)):
+            own = both[(both.side == side) & (both["label" if one.group == "class" else "band"] == one.name)]
+            assert n == own.n_points_x.sum()
+            expected = (own.n_points_x * (1 - own.covered_0p3m)).sum() / n if n else None
+            assert share == (None if expected is None else pytest.approx(expected))
     assert {one.name for one in overview.surface if one.group == "class"} == set(objects.label.dropna())
     assert [one.n_points for one in overview.pieces] == pieces.n_points.nlargest(len(overview.pieces)).tolist()
 
@@ -150,23 +118,6 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
         ("a", "missing", "car-sized, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
         ("a", "invented", "car-sized, 4.2 x 1.8 x 1.5 m, 7 m ahead left"),
     ]
-
-
-def test_surface_is_counted_by_points_per_range_band_and_class():
-    real = [(5.0, 300, 1.0, True, "car"), (60.0, 100, 0.2, False, "tree"), (5.0, 100, 0.0, False, "")]
-    found = counted(real, [real[0]]).surface
-    known = {one.name: (one.n_real, one.missing_share, one.n_sim, one.invented_share) for one in found if one.n_real}
-    assert known == {
-        "0 to 10 m": (400, 0.25, 300, 0.0),
-        "over 50 m": (100, 0.8, 0, None),
-        "car": (300, 0.0, 300, 0.0),
-        "tree": (100, 0.8, 0, None),
-    }
-
-
-def test_an_alignment_is_bad_for_its_object_or_for_any():
-    found = counted(CARS, CARS, [(0.0, 2.4), (0.0, 2.6), (np.nan, 9.0)])
-    assert (found.n_aligned, found.n_badly_aligned) == (2, 1), "of 10 m; without r_lambda it does not matter"
 
 
 def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_still_does(finished, tmp_path):

@@ -60,10 +60,6 @@ def test_the_file_in_a_folder_of_ros_2_is_read_without_its_metadata(tmp_path, fo
     np.testing.assert_array_equal(read_scan(Path(alone)).points, read_scan(bag).points)
 
 
-def test_a_file_of_one_frame_needs_no_address(tmp_path):
-    assert len(read_scan(bag_of(tmp_path / "a.bag", street())).points) == len(street())
-
-
 @pytest.mark.parametrize(
     ("address", "fault"),
     [

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-from dataclasses import replace
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -241,13 +240,6 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
 
 
 @pytest.mark.exhaustive
-def test_each_scan_and_each_class_has_a_box_of_both_scores(page):
-    for chart, n_groups in (("box_scan", len(HOSTILE_PAIRS)), ("box_class", 2)):
-        assert len(page.find_elements("css selector", f"#{chart} path.box")) == 2 * n_groups
-        assert [one.text for one in page.find_elements("css selector", f"#{chart} .legendtext")] == ["r_lambda", "CDC"]
-
-
-@pytest.mark.exhaustive
 def test_the_theme_can_be_chosen(page):
     before = pixels(page, "hist_cdc")
     choose(page, "theme", "dark")
@@ -367,34 +359,6 @@ def test_comparison_and_history_draw_their_charts_in_the_theme_and_fit_the_windo
         assert len(browser.find_elements("css selector", marks)) == n_marks >= 5
         assert complaints(browser) == []
         assert requests(browser) == [path.as_uri()]
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("width", WIDTHS)
-def test_the_worst_changes_are_drawn_and_lead_into_both_reports(browser, by_reference, tmp_path, width):
-    base, other = (shutil.copytree(by_reference, tmp_path / name) for name in ("base", "other"))
-    for folder in (base, other):
-        write_report(folder)
-    (comparison,) = compare_runs([base, other])
-    gone = next(one for one in comparison.objects if one.kind == "alike")
-    changed = replace(comparison, objects=(replace(gone, kind="vanished", sim_after=None),))
-    path = tmp_path / "compare.html"
-    path.write_text(compare_page([changed], tmp_path), encoding="utf-8")
-    resize(browser, width)
-    open_page(browser, path)
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-    boxes = browser.execute_script(
-        "return [...document.querySelectorAll('.panels path')].map((path) => path.getBBox().width)"
-    )
-    assert [width > 0 for width in boxes[1:5:3]] == [True, True], "the real object and the simulated one before"
-    links = browser.find_elements("css selector", ".panels a")
-    addresses = [link.get_attribute("href") for link in links]
-    assert [address.partition("#")[0] for address in addresses] == [
-        (folder / "report.html").as_uri() for folder in (base, other)
-    ]
-    links[1].click()
-    wait_for(browser, "return location.pathname.endsWith('report.html')")
-    wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
 
 
 @pytest.mark.exhaustive

@@ -10,23 +10,10 @@ from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
 from fidpipe.pipeline.storage.record import read_run
 from fidpipe.schemas.errors import RunError
-from runs import command, run
-from scenes import drifted, street, write_bin
+from reports import HOSTILE_PAIRS
+from runs import command
 
-HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300, "../x")
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("show")
-    scan = street()
-    write_bin(folder / "streets" / "real.bin", scan)
-    write_bin(folder / "streets" / "sim.bin", drifted(scan))
-    (folder / "streets" / "empty.bin").write_bytes(b"")
-    rows = [f'"{name}",real.bin,sim.bin' for name in HOSTILE] + ["failed,real.bin,empty.bin"]
-    (folder / "streets" / "pairs.csv").write_text("pair_id,real,sim\n" + "\n".join(rows) + "\n", encoding="utf-8")
-    run(folder / "streets", folder / "run")
-    return folder / "run"
+FIRST, BROKEN = HOSTILE_PAIRS[0], "broken <b>pair</b>"
 
 
 def shown(*words):
@@ -36,10 +23,10 @@ def shown(*words):
     return result.stdout
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_json_holds_the_numbers_of_the_tables_whatever_the_pair_is_called(finished, name):
-    metrics = pd.read_parquet(finished / "metrics").query("pair_id == @name").set_index("real_id")
-    found = json.loads(shown(finished, name, "--json"))
+@pytest.mark.parametrize("name", HOSTILE_PAIRS)
+def test_json_holds_the_numbers_of_the_tables_whatever_the_pair_is_called(report_run, name):
+    metrics = pd.read_parquet(report_run / "metrics").query("pair_id == @name").set_index("real_id")
+    found = json.loads(shown(report_run, name, "--json"))
     assert found["pair"]["pair_id"] == name
     of_both = [of for of in found["objects"] if of["status"] == "matched"]
     assert len(of_both) == len(metrics) > 0
@@ -50,44 +37,44 @@ def test_json_holds_the_numbers_of_the_tables_whatever_the_pair_is_called(finish
     assert [of["scores"]["r_lambda"] for of in of_both] == sorted(metrics.r_lambda, reverse=True)
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_the_terminal_shows_any_name_as_it_is(finished, name):
-    assert "Pairs (means over matched objects)" not in shown(finished)
-    everything = shown(finished, "--all")
+@pytest.mark.parametrize("name", HOSTILE_PAIRS)
+def test_the_terminal_shows_any_name_as_it_is(report_run, name):
+    assert "Pairs (means over matched objects)" not in shown(report_run)
+    everything = shown(report_run, "--all")
     assert "Pairs (means over matched objects)" in everything
     assert "Dataset (mean and standard deviation" in everything
-    for words in ([finished, name], [finished, name, "0"]):
-        assert name.replace(" ", "") in "".join(shown(*words).split())
+    for words in ([report_run, name], [report_run, name, "0"]):
+        assert name.replace(" ", "").replace("\u202e", "\\u202e") in "".join(shown(*words).split())
 
 
-def test_every_object_of_either_side_stands_in_its_pair_once(finished):
-    run_ = FinishedRun(finished)
-    found = pair_facts(run_, HOSTILE[0]).objects
-    objects = pd.read_parquet(finished / "objects").query("pair_id == @HOSTILE[0]")
+def test_every_object_of_either_side_stands_in_its_pair_once(report_run):
+    run_ = FinishedRun(report_run)
+    found = pair_facts(run_, FIRST).objects
+    objects = pd.read_parquet(report_run / "objects").query("pair_id == @FIRST")
     for side in ("real", "sim"):
         ids = sorted(getattr(of, side)["community_id"] for of in found if getattr(of, side))
         assert ids == sorted(objects[objects.side == side].community_id)
 
 
-def test_an_object_is_named_by_its_side_and_number(finished):
-    run_ = FinishedRun(finished)
-    real = object_facts(run_, HOSTILE[0], "0")
+def test_an_object_is_named_by_its_side_and_number(report_run):
+    run_ = FinishedRun(report_run)
+    real = object_facts(run_, FIRST, "0")
     partner = real.sim["community_id"]
-    assert object_facts(run_, HOSTILE[0], f"sim:{partner}") == real == object_facts(run_, HOSTILE[0], "real:0")
-    alone = next(of for of in pair_facts(run_, HOSTILE[0]).objects if of.status == "missing")
-    assert object_facts(run_, HOSTILE[0], str(alone.real["community_id"])).scores is None
+    assert object_facts(run_, FIRST, f"sim:{partner}") == real == object_facts(run_, FIRST, "real:0")
+    alone = next(of for of in pair_facts(run_, FIRST).objects if of.status == "missing")
+    assert object_facts(run_, FIRST, str(alone.real["community_id"])).scores is None
 
 
 @pytest.mark.parametrize("name", ["99", "sim:99", "nose:1", "-1", "٣", ""])
-def test_an_object_that_is_not_there_is_named_with_what_is(finished, name):
+def test_an_object_that_is_not_there_is_named_with_what_is(report_run, name):
     with pytest.raises(RunError, match=r"no object .* 7 is a real object, sim:7 a simulated one"):
-        object_facts(FinishedRun(finished), HOSTILE[0], name)
+        object_facts(FinishedRun(report_run), FIRST, name)
 
 
-def test_a_pair_and_its_objects_have_their_coverage(finished):
-    coverage = pd.read_parquet(finished / "coverage").query("pair_id == @HOSTILE[0]")
+def test_a_pair_and_its_objects_have_their_coverage(report_run):
+    coverage = pd.read_parquet(report_run / "coverage").query("pair_id == @FIRST")
     stored = coverage.dropna(subset="community_id").set_index(["side", "community_id"])
-    found = json.loads(shown(finished, HOSTILE[0], "--json"))
+    found = json.loads(shown(report_run, FIRST, "--json"))
     whole = coverage[coverage.community_id.isna()].set_index("side")
     assert found["pair"]["covered_real_0p3m"] == whole.covered_0p3m["real"]
     for of in found["objects"]:
@@ -95,10 +82,10 @@ def test_a_pair_and_its_objects_have_their_coverage(finished):
             if of[side]:
                 row = stored.loc[(side, of[side]["community_id"])]
                 assert [of[side][name] for name in row.index[2:]] == row.tolist()[2:]
-    text = shown(finished, HOSTILE[0])
+    text = shown(report_run, FIRST)
     assert f"{whole.covered_0p3m['sim']:.3f}" in text
     assert "Surface of the matched objects" in text
-    first = shown(finished, HOSTILE[0], "0")
+    first = shown(report_run, FIRST, "0")
     assert f"{stored.covered_1m['real', 0]:.3f}" in first
 
 
@@ -119,24 +106,24 @@ def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_refe
     assert all(of.real is None for of in invented)
 
 
-def test_a_failed_pair_shows_why_and_has_no_objects(finished):
-    assert "empty.bin: the file is empty" in shown(finished, "failed")
-    assert json.loads(shown(finished, "failed", "--json"))["objects"] == []
+def test_a_failed_pair_shows_why_and_has_no_objects(report_run):
+    assert "4.bin: the file is empty" in shown(report_run, BROKEN)
+    assert json.loads(shown(report_run, BROKEN, "--json"))["objects"] == []
 
 
-def test_the_whole_run_as_json_is_its_record_and_its_pairs(finished):
-    found = json.loads(shown(finished, "--json"))
-    assert {row["pair_id"] for row in found["pairs"]} == {*HOSTILE, "failed"}
-    assert found["record"] == read_run(finished)
-    claims = json.loads(shown(finished, "--paper", "--json"))
+def test_the_whole_run_as_json_is_its_record_and_its_pairs(report_run):
+    found = json.loads(shown(report_run, "--json"))
+    assert {row["pair_id"] for row in found["pairs"]} == {*HOSTILE_PAIRS, BROKEN}
+    assert found["record"] == read_run(report_run)
+    claims = json.loads(shown(report_run, "--paper", "--json"))
     words = "claim paper here estimate low high n_pairs rule verdict why"
     assert list(claims[0]) == words.split()
 
 
-def test_a_name_that_is_nearly_right_is_suggested(finished):
-    result = command("show", finished, "faild")
+def test_a_name_that_is_nearly_right_is_suggested(report_run):
+    result = command("show", report_run, BROKEN[1:])
     assert result.returncode == 1
-    assert "it has 'failed'" in result.stderr
+    assert f"it has {BROKEN!r}" in result.stderr
 
 
 def test_a_folder_without_a_finished_run_is_refused(tmp_path):

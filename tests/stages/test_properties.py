@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from degenerate import OPEN, evaluated, faults_of
 from fidpipe.schemas.errors import FidpipeError
-from fidpipe.schemas.settings import FARTHEST_M, MetricsSettings, load, parse
+from fidpipe.schemas.settings import FARTHEST_M, MetricsSettings, load
 from fidpipe.stages.baselines import compare_points
 from fidpipe.stages.coverage import nearest_distances
-from fidpipe.stages.method import compare, graph_of, measure_coverage, measure_surface, partition
+from fidpipe.stages.method import graph_of
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import select_nodes
 
@@ -110,35 +110,3 @@ def test_the_scores_of_an_object_are_the_same_both_ways(real, sim):
     for name in ("cdc", "alignment_rms_m", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change"):
         assert getattr(forth, name) == pytest.approx(getattr(back, name), rel=1e-6, abs=1e-9), name
     assert forth.status == back.status
-
-
-def surfaces(real, sim):
-    """Coverage, displacement and roughness of two whole sides."""
-    ids = [np.zeros(len(points), dtype=np.int32) for points in (real, sim)]
-    coverage = measure_coverage([real, sim], ids, [1, 1], [(np.array([0.0, 0, 1]), None)] * 2)
-    compared = measure_surface(real, sim, ids[0])
-    values = [*(side.whole.covered for side in coverage), compared.whole.shift_m, compared.whole.distance_m]
-    roughness = [np.nan if value is None else value for value in compared.roughness.values()]
-    return np.concatenate([*map(np.ravel, values), roughness])
-
-
-@PROFILE
-@given(clouds(fewest=8), clouds(fewest=8), st.randoms(use_true_random=False))
-def test_objects_of_the_reference_do_not_depend_on_the_order_of_rows(real, sim, random):
-    real, sim = distinct(real), distinct(sim)
-    orders = [np.array(random.sample(range(len(points)), len(points))) for points in (real, sim)]
-    chosen = parse(REFERENCE)
-    results = []
-    for own_real, own_sim in ((real, sim), (real[orders[0]], sim[orders[1]])):
-        objects_real = partition(own_real, chosen)
-        objects_sim = partition(own_sim, chosen, reference=objects_real.reference)
-        results.append((objects_real, objects_sim, compare(objects_real, objects_sim, chosen)))
-    (first_real, first_sim, first), (then_real, then_sim, then) = results
-    assert np.array_equal(first_real.labels[orders[0]], then_real.labels)
-    assert np.array_equal(first_sim.labels[orders[1]], then_sim.labels)
-    assert first.matching.pairs == then.matching.pairs
-    assert np.array_equal(first.matching.distance_m, then.matching.distance_m)
-    for one, other in zip(first.objects, then.objects, strict=True):
-        assert one.scores.cdc == pytest.approx(other.scores.cdc, rel=1e-12)
-    first_values, then_values = surfaces(real, sim), surfaces(real[orders[0]], sim[orders[1]])
-    assert then_values == pytest.approx(first_values, rel=1e-9, nan_ok=True)
