@@ -1,4 +1,4 @@
-"""Runs that break on purpose, as scripts of their own: `python broken_jobs.py kill graph 2 DATASET OUT`."""
+"""Runs that break on purpose, as separate scripts: `python broken_jobs.py kill graph 2 DATASET OUT`."""
 
 import os
 import resource

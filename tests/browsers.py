@@ -21,7 +21,7 @@ PROGRAMS = ("chromium", "chromedriver")
 
 
 def missing_programs():
-    """Which of the two programs are not there, in words; "" if both are."""
+    """Names of the missing programs as text; "" if both are installed."""
     return " and ".join(name for name in PROGRAMS if not shutil.which(name))
 
 
@@ -56,7 +56,7 @@ def wait_for(browser, script, seconds=60):
 
 
 def settle(browser):
-    """Waits until what was asked for is drawn."""
+    """Wait until the page is drawn."""
     browser.execute_async_script(
         "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 300)))"
     )

@@ -1,4 +1,4 @@
-"""What all tests share: the real scans, one BLAS thread, and small datasets on disk."""
+"""Shared by all tests: the real scans, one BLAS thread, and small datasets on disk."""
 
 import os
 

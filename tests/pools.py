@@ -72,7 +72,7 @@ def jobs_in(function, args):
 
 
 def bytes_needed(function, args, costs):
-    """What a task may occupy, by the cost model."""
+    """Bytes that a task may occupy, by the cost model."""
     if function.__name__ == "run_batch":
         return max(_bytes_of_batch(batch, costs) for batch in args[0])
     if function.__name__ == "score_objects":

@@ -103,7 +103,7 @@ def write_pcap(path, packets):
 
 
 def carla_ply(points, columns):
-    """What `save_to_disk` of CARLA writes: carla/pointcloud/PointCloudIO.h, sensor/data/LidarData.h.
+    """File contents as `save_to_disk` of CARLA writes them: carla/pointcloud/PointCloudIO.h, sensor/data/LidarData.h.
 
     columns : after x, y, z: I; or CosAngle, ObjIdx and ObjTag
     """

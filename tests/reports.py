@@ -17,7 +17,7 @@ HOSTILE_CLASS = "</script><img src=x onerror=alert(1)>"
 
 
 def embedded(page):
-    """What the JavaScript of a page reads, from the page's text."""
+    """Data that the JavaScript of a page reads, from the page's text."""
     return json.loads(re.search(r'<script type="application/json" id="report">(.*?)</script>', page, re.S)[1])
 
 

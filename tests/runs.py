@@ -56,14 +56,14 @@ def run(
 
 
 def own_process(*words, timeout=300, **options):
-    """The ended command, in a process of its own: exit code and what it printed."""
+    """Run the command in a separate process; returns exit code and output."""
     return subprocess.run(
         [FIDPIPE, *map(str, words)], capture_output=True, text=True, timeout=timeout, check=False, **options
     )
 
 
 def command(*words, cwd=None, **options):
-    """The same in this process, which takes two seconds less, if the command starts no workers and has no options."""
+    """Run the command in this process, two seconds faster, unless it starts workers or has process options."""
     words = [str(word) for word in words]
     alone = {"--help", "--workers 1"} & {*words, *map(" ".join, pairwise(words))}
     if options or (words[0] in WITH_WORKERS and not alone):
@@ -123,12 +123,12 @@ def contents(folder):
 
 
 def no_temporary_files(run_folder):
-    """Whether nothing half-written was left behind."""
+    """True if no temporary file is left."""
     return not [path for folder in FOLDERS for path in (run_folder / folder).glob(".*")]
 
 
 def changed_files(run_folder, before):
-    """Names of files whose modification time is other than before, with those that are new."""
+    """Names of files that are new or whose modification time has changed."""
     now = marks(run_folder)
     return {name for name in now if now[name] != before.get(name)}
 
@@ -158,7 +158,7 @@ def rewrite(folder, name, change):
 
 
 def read_only(folder):
-    """What a command's process does first, so that it may not write there, not even where the user is root."""
+    """Function for a command's process to call first, so that it may not write there, not even as root."""
 
     def forbid():
         for path in (*folder.rglob("*"), folder):

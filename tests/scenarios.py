@@ -54,7 +54,7 @@ def reference(folder):
 
 
 def failed(folder):
-    """Three pairs, the second one without a simulated point and the third one not asked for."""
+    """Three pairs, the second one without a simulated point and the third one not requested."""
     data = write_dataset(folder / "streets", 3)
     (data / "sim" / "001.bin").write_bytes(b"")
     run(data, folder / "run", pattern="00[01]")

@@ -82,7 +82,7 @@ def grid(*axes):
 
 
 def degenerate():
-    """By what it is: a real and a simulated scan of which hardly anything can be said, or for which numbers end."""
+    """Degenerate pairs by description: a real and a simulated scan, some at the limits of float64."""
     some, line = cloud(), np.outer(np.arange(40.0), [1, 0.5, 0.2]) + [3, 3, 1]
     plane = np.column_stack([np.random.default_rng(1).uniform(5, 15, (80, 2)), np.ones(80)])
     lattice = grid(*[np.arange(5.0)] * 3) + [5, 5, 0]

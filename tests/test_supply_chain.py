@@ -1,4 +1,4 @@
-"""What fidpipe is made of and whom it talks to: locked libraries, their licences, no network."""
+"""Dependencies and network: locked libraries, their licences, no connections."""
 
 import os
 import re
@@ -19,7 +19,7 @@ from runs import FIDPIPE, some_of
 
 HOUSE = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-#: Loaded by every Python process of a command; what would reach or serve others is written down and refused.
+#: Loaded by every Python process of a command; connections to other machines are logged and rejected.
 GUARD = """
 import os, sys
 
@@ -128,7 +128,7 @@ def guarded(tmp_path):
 
 
 def all_commands(dataset):
-    """Commands of every family: made data, a run on two workers, and what is made of it."""
+    """Commands of every family: synthetic data, a run on two workers, and its views."""
     yield FIDPIPE, "run", dataset, "--out", "a", "--workers", "2"
     yield FIDPIPE, "synth", "made", "--pairs", "1"
     yield FIDPIPE, "check", dataset

@@ -1,4 +1,4 @@
-"""Toy stages, one of each grain, with tables and settings of their own; a module that worker processes can import."""
+"""Toy stages, one of each grain, with their own tables and settings; a module that worker processes can import."""
 
 import numpy as np
 import pyarrow as pa
@@ -26,7 +26,7 @@ TABLES.update({table.name: table for table in TOY_TABLES})
 
 
 class ToyGroup(BaseModel):
-    """What the toys read."""
+    """Settings of the toys."""
 
     model_config = ConfigDict(frozen=True)
     least_points: int = 20
@@ -39,7 +39,7 @@ class ToySettings(Settings):
 
 
 def make_crowds(inputs):
-    """How many points each community has over a number, side by side."""
+    """Points of each community beyond a number, for one side."""
     n_points = np.bincount(values_of(inputs.table("communities", inputs.part), "community_id"))
     n_over = np.maximum(n_points - inputs.settings.toy.least_points, 0).astype(np.int32)
     ids = np.arange(len(n_over), dtype=np.int32)
@@ -48,7 +48,7 @@ def make_crowds(inputs):
 
 
 def make_ratios(inputs):
-    """How many of an object's points the simulated side has, object by object."""
+    """Ratio of simulated to real points of each object."""
     n_over = {side: values_of(inputs.table("toy_crowds", side), "n_over") for side in SIDES}
     rows = [
         {"pair_id": inputs.pair_id, "real_id": real_id, "ratio": n_over["sim"][sim_id] / (1 + n_over["real"][real_id])}

@@ -1,4 +1,4 @@
-"""Faults on real processes: start the command, harm it, run it again, and compare with an undisturbed run."""
+"""Start the command in a real process, harm it, run it again, and compare with an undisturbed run."""
 
 import os
 import re
@@ -14,7 +14,7 @@ _OWN_FILES = {".lock", ".writer"}  # of a run's folder, beginning with a dot, th
 
 
 class Started:
-    """The command in a session of its own, so that whatever it starts can be found, also when it is gone."""
+    """The command in a separate session, so that its processes can be found after it has ended."""
 
     def __init__(self, *words, **environment):
         self.words = words
@@ -48,7 +48,7 @@ class Started:
         return found
 
     def wait_for(self, is_so, timeout=120):
-        """Whether something came to be before the command ended."""
+        """True if a condition became true before the command ended."""
         end = time.monotonic() + timeout
         while not is_so():
             if self.process.poll() is not None:
@@ -59,7 +59,7 @@ class Started:
         return True
 
     def ends_within(self, seconds):
-        """Whether the command ends by itself so soon."""
+        """True if the command ends within this time."""
         try:
             self.process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -67,20 +67,20 @@ class Started:
         return True
 
     def end(self, timeout=300):
-        """Waits for the end: exit code, what was said on standard error; no process may be left."""
+        """Wait for the end; returns exit code and standard error. No process may be left."""
         _, errors = self.process.communicate(timeout=timeout)
         assert_no_process(self)
         return self.process.returncode, errors
 
     def kill(self):
-        """Ends the command at once, as the system does when memory is short; nobody is told."""
+        """Kill the command at once, as the system does when memory is short."""
         self.process.send_signal(signal.SIGKILL)
         self.process.communicate()
         assert_no_process(self)
 
 
 def assert_no_process(started, within_s=60):
-    """What the command had started ends by itself."""
+    """Wait until all processes of the command have ended."""
     end = time.monotonic() + within_s
     while left := started.family():
         assert time.monotonic() < end, [process.cmdline() for process in left]
@@ -88,7 +88,7 @@ def assert_no_process(started, within_s=60):
 
 
 def temporary_files(out):
-    """What a run should not leave in its folder: names that begin with a dot, but for lock and writer."""
+    """Files that a run should not leave: names that begin with a dot, except lock and writer."""
     return [path for path in out.rglob(".*") if path.name not in _OWN_FILES]
 
 
@@ -111,5 +111,5 @@ def assert_resumes(dataset, out, undisturbed, workers=1, code=0, start=command):
 
 
 def lines_of(errors):
-    """What was said, without the lines of progress."""
+    """Lines of standard error without those of progress."""
     return [line for line in errors.splitlines() if line.strip() and not re.search(r"\d+ pairs?, \d+ failed", line)]

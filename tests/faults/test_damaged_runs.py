@@ -40,7 +40,7 @@ def empty(path, rng):
 
 
 def zero_the_end(path, rng):
-    """What a crash of the machine may leave of a file that was not flushed."""
+    """As a crash of the machine may leave a file that was not flushed."""
     content = path.read_bytes()
     start = rng.randrange(len(content) // 2)
     path.write_bytes(content[:start] + bytes(len(content) - start))

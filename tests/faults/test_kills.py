@@ -1,4 +1,4 @@
-"""What happens when processes die, are interrupted, or run beside each other."""
+"""Processes that die, are interrupted, or run at the same time."""
 
 import os
 import signal
@@ -106,7 +106,7 @@ def test_a_bug_fails_its_pair_and_keeps_its_traceback(dataset, tmp_path, monkeyp
 
 
 def note(path):
-    """A line in a file, so that a test can count how often this was called."""
+    """Append a line to a file, so that a test can count the calls."""
     with path.open("a") as file:
         file.write("called\n")
     return path.read_text()
@@ -164,7 +164,7 @@ def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monk
 
 
 def break_run(how, stage, n, dataset, out):
-    """A run of its own that breaks at the n-th job of a stage."""
+    """Run a separate process that breaks at the n-th job of a stage."""
     words = [sys.executable, str(TESTS / "broken_jobs.py"), how, stage, str(n), str(dataset), str(out)]
     return subprocess.run(words, check=False, capture_output=True)
 

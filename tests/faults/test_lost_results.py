@@ -1,4 +1,4 @@
-"""What a user could lose: results that are replaced too early, by mistake, or by an interrupt at the wrong moment."""
+"""Results that a user could lose: replaced too early, by mistake, or by an interrupt at the wrong moment."""
 
 import json
 import re

@@ -33,7 +33,7 @@ def start(dataset, out, workers=2):
 
 
 def started_for(dataset, folder, moments):
-    """A command that still works after a random time; a moment after the end is no try, and another one is drawn."""
+    """A command that still works after a random time; another moment is drawn if it ended before."""
     for i in range(20):
         out = folder / f"run{i}"
         started, moment = start(dataset, out), next(moments)

@@ -1,6 +1,6 @@
-"""What a run makes of a folder whose ledger is lost, that was killed, that is old, or that may not be written.
+"""Runs in a folder whose ledger is lost, that was killed, or that may not be written.
 
-The tables are the truth: what they tell of themselves is enough to go on.
+The tables are the source of truth: their footers are enough to resume.
 """
 
 import io
@@ -73,7 +73,7 @@ def test_a_run_without_its_ledger_makes_nothing_and_touches_no_table(again, fini
     before = json.loads((finished / "run.json").read_text())
     for part in ("summary", "findings", "inputs", "pairs"):
         assert outcome.record.as_dict()[part] == before[part]
-    assert pd.read_parquet(again / "timings.parquet").empty  # seconds stood in the lost ledger
+    assert pd.read_parquet(again / "timings.parquet").empty  # seconds were in the lost ledger
     assert run(dataset, again).n_made == 0
 
 

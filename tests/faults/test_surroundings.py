@@ -1,4 +1,4 @@
-"""What changes around a run: its dataset, the clock, a second run, the scheduler, a disk that is full or read-only."""
+"""Changes around a run: its dataset, the clock, a disk that is full or read-only."""
 
 import os
 import re
@@ -42,7 +42,7 @@ def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(dataset, tm
     harm, reason = CHANGES[change]
     started = Started("run", data, "--out", out, "--workers", 1)
     assert started.wait_for((out / "ground" / "000.real.parquet").exists)
-    started.process.send_signal(signal.SIGSTOP)  # so that it changes in the middle, whatever else the machine does
+    started.process.send_signal(signal.SIGSTOP)  # so that it changes in the middle, regardless of the machine's load
     harm(data / "sim" / "003.bin")
     started.process.send_signal(signal.SIGCONT)
     code, errors = started.end()
@@ -101,7 +101,7 @@ def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(dataset
 
 @pytest.fixture
 def file_system(tmp_path):
-    """A file system of its own that can be made read-only; skipped where nothing may be mounted."""
+    """A separate file system that can be made read-only; skipped where nothing may be mounted."""
     folder = tmp_path / "disk"
     folder.mkdir()
     words = ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", folder]
@@ -131,7 +131,7 @@ def test_a_file_system_that_becomes_read_only_ends_a_run_with_a_line(dataset, fi
 
 
 def fill(disk, free):
-    """Leaves so many bytes on a disk."""
+    """Fill a disk except for `free` bytes."""
     left = shutil.disk_usage(disk).free - free
     (disk / "ballast").write_bytes(bytes(max(0, left)))
 

@@ -1,4 +1,4 @@
-"""Scan files made to break a reader: each is refused at once with one line, or read."""
+"""Scan files made to break a reader: each is rejected at once with one line, or read."""
 
 import io
 import os
@@ -23,7 +23,7 @@ from seeds import POINTS, scan_files
 from targets import TARGETS
 
 PACKAGE = Path(fidpipe.__file__).parent
-#: Inputs a reader in the short form, fewer where one takes long; `make fuzz` has the long form.
+#: Inputs per reader in the short form, fewer for slow readers; `make fuzz` has the long form.
 N_INPUTS, SLOW = 100, {"run folder": 20}
 #: Those in `make test`: a parser of text and one of bytes, tables, a manifest, and what the command itself reads.
 FEW = ["pcd", "laz", "parquet", "pairs.csv", "run folder", "recipe"]
@@ -78,7 +78,7 @@ def test_an_array_longer_than_its_file_is_refused(tmp_path):
 
 
 class Rude:
-    """What runs code where a pickle of it is loaded."""
+    """An object that runs code when its pickle is loaded."""
 
     def __reduce__(self):
         return os.mkdir, ("was-run",)

@@ -1,4 +1,4 @@
-"""Honest extremes: files that are large, empty of variety or oddly shaped are read, or it is said what to do."""
+"""Honest extremes: files that are large, empty of variety or oddly shaped are read, or the message says what to do."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""What holds of any name, number and text: found by hypothesis, which looks for the smallest that breaks it."""
+"""Properties of any name, number and text; hypothesis looks for the smallest one that breaks them."""
 
 import tempfile
 import tomllib

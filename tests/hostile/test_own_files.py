@@ -62,7 +62,7 @@ def test_a_recipe_that_names_files_elsewhere_is_none_of_ours(tmp_path, files):
 
 @pytest.mark.parametrize("side", ["real", "sim"])
 def test_a_side_that_is_a_link_is_not_cleared(tmp_path, side):
-    """What another recipe made is removed: not through a link."""
+    """Files of another recipe are removed, but not through a link."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "0000.bin").write_text("precious")

@@ -14,12 +14,12 @@ from fidpipe.schemas.errors import FidpipeError
 from targets import TARGETS
 
 ROOT = Path(fidpipe.__file__).parent
-#: What opens a file to be read: functions, and methods of whatever.
+#: Functions, and methods of any object, that open a file for reading.
 FUNCTIONS = {"open", "read_content"}
 METHODS = {"read_text", "read_bytes", "open", "fromfile", "loadtxt", "read_csv", "read_parquet", "ParquetFile"}
 OF_MODULES = {("np", "load"), ("pq", "read_table"), ("json", "load"), ("sqlite3", "connect"), ("tomllib", "load")}
 OF_MODULES |= {("np", "memmap"), ("yaml", "safe_load"), ("orjson", "load"), ("pickle", "load"), ("mmap", "mmap")}
-#: Modules that open what nobody else writes, or what another module has read before.
+#: Modules that open only files of their own, or files that another module has read before.
 NOT_ATTACKED = {
     "pipeline.engine.cluster": "its own code and shared file, to be compared with those of the user's other machines",
     "pipeline.engine.worker_start": "/proc/self/statm",
@@ -34,7 +34,7 @@ NOT_ATTACKED = {
 
 
 def opens_files(path):
-    """Whether a module calls what opens files."""
+    """True if a module calls functions that open files."""
     calls = [node.func for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
     names = {call.id for call in calls if isinstance(call, ast.Name)}
     methods = {call.attr for call in calls if isinstance(call, ast.Attribute)}

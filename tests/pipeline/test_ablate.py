@@ -108,7 +108,7 @@ def test_another_run_reuses_everything_and_another_value_of_delta_no_other_graph
     assert (again.n_made, again.n_reused) == (0, done.n_made)
     assert again.rows.equals(done.rows)
     more = ablated(dataset, out, values=VALUES | {"delta_m": (0.5, 3.0, 5.0)})
-    assert more.n_made == 2  # the jobs of the graph in force; those of k = 8 stay
+    assert more.n_made == 2  # the jobs of the current graph; those of k = 8 stay
     assert {row["delta_m"] for row in more.rows.to_pylist()} == {0.5, 3.0, 5.0}
 
 

@@ -58,7 +58,7 @@ def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):
     result = command("run", data, "--workers", 1, "--out", tmp_path / "run")
     assert result.returncode == 3
     assert "1 of 2 pairs failed, as told above; again with: fidpipe show" in result.stdout
-    reason = "sim/001.bin: the file is empty, points are wanted"
+    reason = "sim/001.bin: the file is empty; expected points"
     assert (result.stdout + result.stderr).count(reason) == result.stderr.count(reason) == 1
     shown = command("show", tmp_path / "run").stdout
     assert "1 of 2 pairs failed:\n" in shown

@@ -1,4 +1,4 @@
-"""A cluster of worker processes over TCP: what it gives, whom it refuses, and what becomes of a dying worker."""
+"""A cluster of worker processes over TCP: its results, rejected workers, and workers that die."""
 
 import ctypes
 import json
@@ -44,7 +44,7 @@ NO_VALUES = dict.fromkeys(("k", "tau_m", "delta_m", "t"), ())
 
 
 class Cluster:
-    """A dask scheduler and its workers, each a process of its own; the address is of TCP."""
+    """A dask scheduler and its workers, each a separate process, with a TCP address."""
 
     def __init__(self, folder):
         self._folder, self._file = folder, folder / "scheduler.json"
@@ -55,7 +55,7 @@ class Cluster:
         self.workers = []
 
     def add_workers(self, n, *options, **environment):
-        """Starts workers of one thread, which see the tests' modules, and waits until they are there."""
+        """Start workers of one thread that can import the tests' modules, and wait for them."""
         self.workers += [
             self._start("worker", "--no-dashboard", "--nthreads", "1", *options, **environment) for _ in range(n)
         ]

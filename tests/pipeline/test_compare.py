@@ -1,4 +1,4 @@
-"""Simulator versions on the same real scans: known differences, refusals, and pages that no name can break."""
+"""Simulator versions on the same real scans: known differences, rejected runs, and pages that no name can break."""
 
 import csv
 import io
@@ -174,7 +174,7 @@ def test_pairs_that_are_not_common_are_left_out_with_the_reason(versions, tmp_pa
     assert set(found.lost) == set(HOSTILE) - {HOSTILE[3]}
     assert found.left_out == {
         HOSTILE[0]: "the real scans differ",
-        HOSTILE[1]: f"failed in {tmp_path / 'run'} ({data / 'sim1.bin'}: the file is empty, points are wanted)",
+        HOSTILE[1]: f"failed in {tmp_path / 'run'} ({data / 'sim1.bin'}: the file is empty; expected points)",
         **{HOSTILE[i]: f"not in {tmp_path / 'run'}" for i in (2, 4, 5)},
     }
     assert {score.verdict for score in found.scores} == {"undecided"}

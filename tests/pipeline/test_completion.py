@@ -1,4 +1,4 @@
-"""What the shell offers at Tab: the names themselves, and in a real bash and a real zsh."""
+"""Completion in the shell: the names that are offered, and Tab in a real bash and a real zsh."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ def place(finished, tmp_path_factory):
 
 
 def offered(place, line):
-    """What bash is told to offer for the last word of a line."""
+    """Words that bash offers for the last word of a line."""
     words = line.split(" ")
     asked = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1), "_FIDPIPE_COMPLETE": "complete_bash"}
     answer = command(cwd=place, env=os.environ | asked)
@@ -93,7 +93,7 @@ def test_a_shell_completes_after_install_completion(shell, place, tmp_path):
 
 
 def completes(terminal, line, rest):
-    """Whether Tab appends the rest; tried three times: the first Tab of a zsh only loads typer's functions."""
+    """True if Tab appends the rest; tried three times: the first Tab of a zsh only loads typer's functions."""
     for _ in range(3):
         terminal.send(line)
         terminal.expect_exact(line[-2:])  # a Tab among typed-ahead keys completes nothing in zsh

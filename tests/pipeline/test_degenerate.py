@@ -1,4 +1,4 @@
-"""Scans of which hardly anything can be said: a score within its bounds, a null with a reason, or one line."""
+"""Degenerate scans: a score within its bounds, a null with a reason, or one line."""
 
 import re
 

@@ -19,7 +19,7 @@ N_BASE = 7  # both sides of ground, graph and communities, and matching
 
 
 def probe(takes, make=None, gives="perturb_objects"):
-    """A stage of an experiment that tells how many rows it sees."""
+    """A stage of an experiment that records the number of rows it sees."""
 
     def count(inputs: Inputs) -> JobResult:
         if make is not None:

@@ -1,4 +1,4 @@
-"""What fidpipe export writes, read back by the libraries of others: every value is that of the run's tables."""
+"""Files of fidpipe export, read back by other libraries: every value is that of the run's tables."""
 
 import json
 import shutil

@@ -56,7 +56,7 @@ def files_of(title):
     return [named[0] for item in items if (named := PYTHON_FILE.findall(item))]
 
 
-# Where a block goes into a file that is there already. Each takes the file's text and the block.
+# Places of a block in an existing file. Each function takes the file's text and the block.
 
 
 def last_in(name):
@@ -129,7 +129,7 @@ def statement(text, name):
 
 
 def likeness(node):
-    """What a statement has in common with the one that it takes the place of."""
+    """Key that a statement shares with the one that it replaces."""
     match node:
         case ast.ImportFrom(module=module, level=level):
             return ("from", module, level)
@@ -203,7 +203,7 @@ class Extended(NamedTuple):
         return subprocess.run(call, capture_output=True, text=True, check=False, env=environment, cwd=self.folder)
 
     def breaks_no_layer(self):
-        """Whether imports still go downwards only."""
+        """True if imports go downwards only, else the linter's output."""
         shutil.copy(ROOT / "pyproject.toml", self.folder)
         lint = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
         environment = os.environ | {"PYTHONPATH": str(self.folder)}

@@ -1,4 +1,4 @@
-"""What a perfect simulator scores, and scores over it: by hand, resumed, refused, and where people see them."""
+"""Scores of a perfect simulator, and excess over them: by hand, resumed, rejected, and shown."""
 
 import json
 from dataclasses import replace

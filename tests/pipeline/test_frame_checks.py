@@ -1,4 +1,4 @@
-"""Scans in different frames, equal files and swapped sides: what check, run and gate say of them."""
+"""Scans in different frames, equal files and swapped sides: messages of check, run and gate."""
 
 import html
 import json

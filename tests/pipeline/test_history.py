@@ -1,4 +1,4 @@
-"""Runs in a row: the same scans in all of them, verdicts against the first and the one before, refusals."""
+"""Runs in a row: the same scans in all of them, verdicts against the first and the one before, rejected histories."""
 
 import csv
 import io

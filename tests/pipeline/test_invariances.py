@@ -1,4 +1,4 @@
-"""What must not change a result: order of rows and pairs, rigid motion, number of workers, interruption."""
+"""Results do not depend on these: order of rows and pairs, rigid motion, number of workers, interruption."""
 
 import shutil
 import tempfile
@@ -25,7 +25,7 @@ N_POINTS = 40
 
 
 def tried(n):
-    """So many examples, the same each time, however slow the machine."""
+    """Settings for n examples, the same each time, without a deadline."""
     return settings(
         max_examples=n, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
     )
@@ -132,7 +132,7 @@ def test_the_order_of_pairs_changes_no_table(dataset, finished, order):
 
 
 def stopped_at(n, is_written):
-    """What writes the tables of a job, and at the n-th one is stopped, before or after it has written."""
+    """A writer of tables that is stopped at the n-th job, before or after it has written."""
     write_job, calls = TableFolder.write_job, []
 
     def write(self, record, tables):

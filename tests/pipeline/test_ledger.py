@@ -1,4 +1,4 @@
-"""The ledger: what was put in comes back, from this process and from another; what is damaged is not believed."""
+"""The ledger: entries are read back by this process and by another; a damaged one is not trusted."""
 
 import gc
 import resource

@@ -72,7 +72,7 @@ def labelled(path, points):
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    """A street, a simulation of it that lacks some and has a box more, in a frame of its own; all with labels."""
+    """A street, a simulation of it that lacks some and has a box more, in another frame; all with labels."""
     folder = tmp_path_factory.mktemp("twin") / "street"
     real = np.vstack([street(seed=5), np.repeat(box([6, -4, 1], [1, 1, 1], 10, seed=1), 2, axis=0)])
     sim = np.vstack([drifted(real, seed=6), box([-16, -15, 2], [2, 2, 2], 50)])

@@ -1,4 +1,4 @@
-"""What a newcomer gets wrong, and the one line that says so."""
+"""Mistakes of newcomers, and the one-line message for each."""
 
 import os
 import resource
@@ -157,7 +157,7 @@ def test_a_working_folder_that_may_not_be_written_is_named_in_one_line(dataset, 
 
 
 def drop_search(first):
-    """What a command's process does first: all that `first` does, and no right of root to read and search."""
+    """Function for a command's process to call first: `first`, and no right of root to read and search."""
     import ctypes
 
     def forbid():
@@ -227,7 +227,7 @@ def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(
 
 
 def close_streams():
-    """What a command's process does first where it is started without standard streams."""
+    """Function for a command's process to call first: close the standard streams."""
     for stream in range(3):
         os.close(stream)
 

@@ -1,4 +1,4 @@
-"""The overview of a run against its tables, what a run ends with, and what it says of the run that it replaced."""
+"""The overview of a run against its tables, the last lines of a run, and its line on the run that it replaced."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""`fidpipe perturb`: what is altered, that it can be repeated and resumed, and what the paper says of it."""
+"""`fidpipe perturb`: altered scans, repeating and resuming, and the claims of the paper."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Files of every format: what is read, exactly, and what is said of files that are not whole."""
+"""Files of every format: exact values, and messages on incomplete files."""
 
 import struct
 import subprocess
@@ -64,7 +64,7 @@ def test_a_truncated_raw_file_says_what_was_expected(tmp_path):
         read_scan(path)
 
 
-#: File, content and what is said of it.
+#: File, content and message.
 REFUSED = {
     "a row less": (
         "a.pcd",
@@ -276,7 +276,7 @@ def test_a_projected_scan_is_named_by_check_and_not_cut_silently(tmp_path):
 
 
 def promises(folder):
-    """Files of a few points whose headers speak of a billion or more, by name."""
+    """Write files of a few points whose headers promise a billion or more."""
     n = 10**9
     pcd = ascii_pcd(POINTS, [1, 2, 3]).replace("WIDTH 3", f"WIDTH {n}").replace("POINTS 3", f"POINTS {n}")
     (folder / "a.pcd").write_text(pcd)

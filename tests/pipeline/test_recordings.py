@@ -1,4 +1,4 @@
-"""Frames of bags and captures: which is read, that each way gives the same points, and what is said of broken ones."""
+"""Frames of bags and captures: addresses, equal points from each format, and messages on broken files."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The report of a run: what it reads and refuses, what it says, and that no name can break it."""
+"""The report of a run: input that it reads or rejects, its content, and names that cannot break it."""
 
 import html
 import json
@@ -71,7 +71,7 @@ def close_to(picture, colour):
 
 
 def words(page):
-    """What a reader sees of a page without its scripts."""
+    """Text of a page without its scripts."""
     return page.read_text("utf-8").partition('<script type="application/json"')[0]
 
 

@@ -54,7 +54,7 @@ def page_path(run_folder):
 
 @pytest.fixture(scope="module")
 def opened(browser, page_path):
-    """The page, opened once; what the browser complained of and asked for meanwhile."""
+    """The page, opened once; errors and requests of the browser meanwhile."""
     complaints(browser), requests(browser)
     resize(browser, WIDTHS[0])
     open_page(browser, page_path)
@@ -99,7 +99,7 @@ def complaints(browser):
 
 
 def requests(browser):
-    """Addresses that the browser asked for, but for what lies inside the page."""
+    """Addresses that the browser requested outside the page itself."""
     events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     asked = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
     return [url for url in asked if not url.startswith(("data:", "blob:"))]
@@ -122,7 +122,7 @@ def sort_by(browser, name, title):
 
 
 def address(pair, name=None):
-    """What an address of a page ends in to open a pair, or an object of it."""
+    """Fragment of an address that opens a pair, or an object of it."""
     return f"#pair={quote(pair, safe='')}" + (f"&object={quote(name, safe='')}" if name else "")
 
 
@@ -523,7 +523,7 @@ def test_the_panel_stands_beside_the_view_or_below_it_on_a_phone(page):
 
 
 def filtered(browser, wanted):
-    """The rows of the table of objects under a filter, and what is said of them."""
+    """The rows of the table of objects under a filter, and the note on them."""
     browser.execute_script(
         "const box = document.querySelector('#objects_table input');"
         "box.value = arguments[0]; box.dispatchEvent(new Event('input'))",

@@ -1,4 +1,4 @@
-"""What a report's page holds of one pair, against the run's tables and against scenes by hand."""
+"""Data of one pair in a report's page, against the run's tables and against scenes by hand."""
 
 import numpy as np
 import pandas as pd

@@ -133,7 +133,9 @@ def test_a_broken_pair_fails_alone_with_its_reason(dataset, tmp_path):
     rows = {row["pair_id"]: row for row in outcome.rows}
     assert [rows[name]["status"] for name in ("000", "001", "002")] == ["failed", "failed", "scored"]
     assert "5 bytes found, a multiple of 16 wanted" in rows["000"]["reason"]
-    assert rows["001"]["reason"].startswith("stage ground, sim: 0 object points after ground removal")
+    assert rows["001"]["reason"].startswith(
+        "stage ground, sim: expected at least 8 object points after ground removal, got 0"
+    )
     assert rows["001"]["r_lambda_mean"] is None
     for table in FOLDERS:
         assert set(pd.read_parquet(tmp_path / "run" / table).pair_id) == {"002"}
@@ -237,7 +239,7 @@ def test_each_side_may_have_its_own_columns(dataset, tmp_path):
 
 
 def move_run(out, dataset):
-    """Tells a copied run that its dataset lies elsewhere now."""
+    """Change the path of the dataset in the record of a copied run."""
     record = json.loads((out / "run.json").read_text())
     record["dataset"] = str(dataset)
     (out / "run.json").write_text(json.dumps(record))

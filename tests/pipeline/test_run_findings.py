@@ -1,4 +1,4 @@
-"""What a run says of all its pairs together, against the tables that it wrote."""
+"""Findings of a run over all its pairs, against its tables."""
 
 import json
 import shutil

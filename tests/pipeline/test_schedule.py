@@ -121,7 +121,7 @@ def test_a_job_that_loses_its_worker_alone_too_fails_its_pair_alone(dataset, fin
     assert pool.n_deaths == 2 + 1  # with others, alone
     assert {jobs[0][0] for jobs in pool.batches if len(jobs) == 1} == {"001"}
     assert outcome.n_made == N_JOBS - JOBS_PER_PAIR  # nothing of the failed pair stays
-    assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # what the dead worker wrote is nobody's
+    assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # the dead worker's file is orphaned
     assert run(dataset, tmp_path / "run").n_made == JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
 

@@ -1,4 +1,4 @@
-"""Posed recordings and sensor tables: what is read, and what is refused in one line."""
+"""Posed recordings and sensor tables: valid ones are read, others rejected in one line."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ N = 4
 
 
 def motions(n=N):
-    """Where the sensor was: a metre on and two degrees to the left with each frame."""
+    """Poses of the sensor: a metre ahead and two degrees to the left with each frame."""
     return [rigid(2.0 * i, [1.0 * i, 0.1 * i, 0.02 * i]) for i in range(n)]
 
 

@@ -1,4 +1,4 @@
-"""What check says of a side as a whole: datasets of a sensor that drives through a street, with one fault each."""
+"""Messages of check on a whole side: datasets of a sensor that drives through a street, with one error each."""
 
 import csv
 import json
@@ -17,7 +17,7 @@ NONE_NEARER = "input.min_range_m=0"
 
 
 def scan(i, seed=0, noise_m=0.02):
-    """What is seen after i metres of the street."""
+    """The scan after i metres of the street."""
     rng = np.random.default_rng(seed)
     boxes = [box([x - i, 8 * (-1) ** n, -0.5], [1 + n % 3, 2, 2.4], 250, n) for n, x in enumerate(range(-40, 60, 3))]
     points = np.vstack([*boxes, road(4000, seed=seed)])

@@ -1,4 +1,4 @@
-"""What a stage may ask for; and that its row and job are all that is needed, shown with a toy stage of each grain."""
+"""Inputs of a stage, and proof that its row and job are all that is needed: a toy stage of each grain."""
 
 import ast
 import shutil

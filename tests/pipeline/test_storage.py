@@ -1,4 +1,4 @@
-"""A run's folder: safe names, tables that are whole or not at all, the lock, and what tables tell of their jobs."""
+"""A run's folder: atomic tables, the lock, and jobs read from the footers of tables."""
 
 import random
 from dataclasses import replace

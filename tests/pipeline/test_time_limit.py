@@ -19,7 +19,7 @@ def limit(tmp_path):
 
 @pytest.fixture
 def timer(monkeypatch):
-    """What the timer of the process was set to, in seconds; it is not set."""
+    """Seconds to which the timer of the process would be set."""
     seconds = []
     monkeypatch.setattr(faulthandler, "dump_traceback_later", lambda timeout, **options: seconds.append(timeout))
     return seconds

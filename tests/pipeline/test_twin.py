@@ -66,7 +66,7 @@ def drive(tmp_path_factory):
 
 
 def make(out, drive, *flaws, **options):
-    """Makes twins of the drive, with flaws in words."""
+    """Make twins of the drive, with flaws as text."""
     options = {"sensor": SMALL, **options}
     return twin.make_twins(
         read_recording(drive), out, Reporter(Console(quiet=True)), flaws=parse_flaws(flaws), **options

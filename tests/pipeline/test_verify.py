@@ -232,7 +232,7 @@ def test_a_flipped_bit_is_found_in_any_file(copy, name):
 def test_no_flipped_bit_ends_verify_otherwise(copy):
     file = copy / FILES["matching"]
     whole = file.read_bytes()
-    for place in range(len(whole) - 600, len(whole), 7):  # the footer, which pyarrow would believe
+    for place in range(len(whole) - 600, len(whole), 7):  # the footer, which pyarrow would accept
         file.write_bytes(whole[:place] + bytes([whole[place] ^ 32]) + whole[place + 1 :])
         assert [mismatch.table for mismatch in verify_run(copy, 1).mismatches] == ["files"]
 

@@ -61,7 +61,7 @@ def test_a_heading_has_its_unit_and_a_scale_its_better_end_first():
 
 @pytest.fixture(scope="module")
 def twice():
-    """An object, and its aligned nodes beside itself."""
+    """An object, and its nodes aligned with itself."""
     points = box([5, 3, 0], [4, 2, 1.5], 120)
     edges = build_graph(points, GraphSettings(k=8))
     own = Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))

@@ -10,7 +10,7 @@ from fidpipe.schemas.results import ScoreSummary
 
 @pytest.fixture(scope="module")
 def record(finished):
-    """What `run.json` of a small run holds."""
+    """Content of `run.json` of a small run."""
     return json.loads((finished / "run.json").read_text())
 
 

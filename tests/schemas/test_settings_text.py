@@ -88,7 +88,7 @@ def test_the_example_of_a_setting_that_is_unset_holds(tmp_path, validator):
 )
 def test_the_schema_refuses_what_load_refuses(text, tmp_path, validator):
     assert not validator.is_valid(tomllib.loads(text))
-    if "shared" not in text:  # as a number it is read as true; an editor says that a truth value is wanted
+    if "shared" not in text:  # as a number it is read as true; an editor expects a boolean
         with pytest.raises(SettingsError):
             read_back(text, tmp_path)
 

@@ -256,6 +256,6 @@ def test_a_score_of_noise_makes_the_other_complementary_in_at_most_one_of_twenty
     held = []
     for _ in range(80):
         trait = rng.normal(size=(300, 3))
-        trait[:, 2] = 1.0  # a trait that is the same everywhere tells nothing
+        trait[:, 2] = 1.0  # a constant trait has no information
         held.append(judged_together(trait[:, 0] + rng.normal(size=300), rng.normal(size=300), trait).verdict == HOLDS)
     assert np.mean(held) <= 0.05 + 2.33 * (0.05 * 0.95 / 80) ** 0.5

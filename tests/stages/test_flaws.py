@@ -135,7 +135,7 @@ def test_wrong_beams_look_elsewhere_and_meet_the_same_surfaces():
     np.testing.assert_allclose(altered[is_road, 2], -1.7, atol=1e-6)
     is_wall = (np.abs(scan[:, 0] - 30) < 1e-9) & (np.abs(scan[:, 1]) < 10) & (scan[:, 2] > -1)
     assert np.median(np.abs(altered[is_wall, 0] - 30)) < 1e-6
-    # One error per beam: points of one elevation turn alike.
+    # One error per beam: points of one elevation turn by the same angle.
     ring = np.abs(np.degrees(np.arcsin(scan[:, 2] / np.linalg.norm(scan, axis=1))) + 20) < 0.01
     assert np.ptp(turned_deg[ring]) < 1e-9
 

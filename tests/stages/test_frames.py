@@ -1,4 +1,4 @@
-"""Frames by hand: each fault is found in a street without symmetry, and no alarm raised where there is none."""
+"""Frames by hand: each error is found in a street without symmetry, without false alarms."""
 
 import re
 from itertools import product
@@ -28,7 +28,7 @@ def check(real, sim, T_real_sim=None, settings=(), **others):
 
 
 def recorded(points, frame):
-    """What a recording in this frame has."""
+    """Coordinates of the points in a recording in this frame."""
     return points @ as_ros(np.eye(3), frame).T
 
 

@@ -42,7 +42,7 @@ def test_a_crowd_is_refused_before_its_edges_fill_the_memory(rng, scale):
     crowd = rng.uniform(0, 1, (15_000, 3)) * scale  # 112 million pairs
     with pytest.raises(StageError, match=r"within 0.2 m of each other, got 112492500; lower graph.tau_m \(now 0.2\)"):
         build_graph(crowd, GraphSettings())
-    far = np.vstack([crowd, [[9.0, 0, 0]]])  # beside a crowd, which alone lies within tau
+    far = np.vstack([crowd, [[9.0, 0, 0]]])  # next to a crowd, which alone lies within tau
     with pytest.raises(StageError, match="got 112492500"):
         build_graph(far, GraphSettings(k=1))
 

@@ -82,7 +82,7 @@ HARD = {
 
 
 def most_eps(n):
-    """What is allowed: n eps |A|, the usual bound of Householder's method (the largest error met is 0.7 n)."""
+    """Bound of the error: n eps |A|, the usual bound of Householder's method (the largest error met is 0.7 n)."""
     return n
 
 

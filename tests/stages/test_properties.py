@@ -1,4 +1,4 @@
-"""What holds for any small cloud: of few distinct coordinates, on a line, doubled, huge, tiny, at two scales."""
+"""Properties of any small cloud: of few distinct coordinates, on a line, doubled, huge, tiny, at two scales."""
 
 import numpy as np
 import pytest

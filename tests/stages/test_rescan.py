@@ -16,7 +16,7 @@ def seeded(seed=3):
 
 
 def plane(normal, distance_m, half_m=9.0, step_m=0.15):
-    """Points of a plane at so many metres in the direction of its normal, evenly spread."""
+    """Evenly spread points of a plane at a distance along its normal."""
     n = np.asarray(normal, dtype=float) / np.linalg.norm(normal)
     u = np.cross(n, [0.0, 0.0, 1.0] if abs(n[2]) < 0.9 else [1.0, 0.0, 0.0])
     u /= np.linalg.norm(u)

@@ -35,7 +35,7 @@ VLP32A = """
 
 
 def room(sensor, step_deg=STEP_DEG, lost_share=None):
-    """What a sensor sees that stands tilted in the room, in its own frame; noise, quantum, losses as its model has."""
+    """Scan of a sensor tilted in the room, in its own frame, with the noise, quantum and losses of its model."""
     rng = np.random.default_rng(0)
     if sensor.column_deg and step_deg:
         step_deg = sensor.column_deg * round(step_deg / sensor.column_deg)

@@ -28,7 +28,7 @@ def world():
 
 
 def drive(n=6, step_m=STEP_M, seed=0, noise_m=0.02, extra=None):
-    """What a sensor sees that drives ahead by a step from scan to scan; `extra` goes with it."""
+    """Scans of a sensor that moves ahead by a step from scan to scan; `extra` moves with it."""
     rng, boxes = np.random.default_rng(seed), world()
     scans = []
     for i in range(n):

@@ -1,4 +1,4 @@
-"""What perturbation sweeps say, on means written by hand."""
+"""Claims on perturbation sweeps, from means written by hand."""
 
 import pytest
 
