@@ -81,7 +81,7 @@ def _in_worker(libraries: dict[str, str], function: Callable[..., Any], *args: A
 
 
 class DaskPool:
-    """Runs tasks on the workers of a dask scheduler.
+    """A pool on the workers of a dask scheduler.
 
     Parameters
     ----------
@@ -144,12 +144,12 @@ class DaskPool:
 
     @property
     def n_workers(self) -> int:
-        """Threads of all workers that are there now, at least 1."""
+        """Threads of all current workers, at least 1."""
         return max(1, sum(int(worker["nthreads"]) for worker in self._workers_now().values()))
 
     @property
     def memory(self) -> Memory:
-        """See `Pool`: of the workers that are there now."""
+        """See `Pool`: of the current workers."""
         if self._given_memory is not None or self._address is None:
             memory = self._given_memory or machine_memory()
             return Memory(memory, memory)
@@ -204,7 +204,7 @@ class DaskPool:
                 self._cluster.close(timeout=_STOP_S)
 
     def _start(self, n_workers: int, address: str | None) -> None:
-        """The cluster and its first worker; Ctrl-C waits while there are processes that nobody could end yet."""
+        """Start the cluster and wait for its first worker; Ctrl-C is delayed until its processes can be ended."""
         import distributed
 
         if address is None:
@@ -220,7 +220,7 @@ class DaskPool:
             raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
 
     def _start_cluster(self, n_workers: int) -> None:
-        """Starts a cluster on this machine; one whose worker is killed while it starts is started again.
+        """Start a cluster on this machine; it is restarted if a worker is killed during the start.
 
         Raises
         ------

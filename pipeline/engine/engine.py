@@ -72,7 +72,7 @@ class Survey:
 
 
 class RunEngine:
-    """Hashes files, plans, removes stale results, runs jobs and keeps the ledger of a run's folder.
+    """Engine of one folder: hashes files, plans, removes stale results, runs jobs and keeps the ledger.
 
     A context, at whose end the pool is ended.
 

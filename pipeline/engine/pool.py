@@ -53,21 +53,21 @@ class Pool(Protocol):
         """The address at which a browser shows the cluster at work; "" if there is none."""
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
-        """Starts a task; those of higher priority first. With `keep` the result stays where it is made.
+        """Start a task; those of higher priority first. With `keep` the result stays where it is made.
 
         A list of handles among the arguments becomes the list of their results.
         """
 
     def next_done(self) -> tuple[Handle, Any]:
-        """Waits for a task to end: its result (None with `keep`), or `WorkerDied`."""
+        """Wait for a task to end: its result (None with `keep`), or `WorkerDied`."""
 
     def close(self, *, now: bool = False) -> None:
-        """Ends the pool; `now` does not wait for running tasks."""
+        """End the pool; `now` does not wait for running tasks."""
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Within it numeric libraries use one thread: two processes of two threads are slower, and sums would differ."""
+    """Context in which numeric libraries use one thread: two processes of two threads are slower, and sums differ."""
     import scipy.linalg  # noqa: F401  (brings the libraries whose threads are to be limited)
     from threadpoolctl import threadpool_limits
 
@@ -76,7 +76,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 class InProcess:
-    """Runs each task in this process when its outcome is requested."""
+    """A pool that runs each task in this process when its outcome is requested."""
 
     n_workers = 1
     dashboard = ""

@@ -1,8 +1,8 @@
 """The process that the workers of this machine are forked from: it imports once what each of them needs.
 
 It is started before the command imports the same modules, so that both are ready at the same time. Without it each
-worker imports them itself, also one that replaces a dead one: 2.5 s of CPU per worker. So it is on Windows, which cannot
-fork.
+worker imports them itself, also one that replaces a dead one: 2.5 s of CPU per worker. Windows cannot fork and does the
+latter.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def start(modules: Iterable[str] = ()) -> None:
 
 @contextmanager
 def interrupts_afterwards() -> Iterator[None]:
-    """Within it Ctrl-C and an end by a batch system wait: what is being started can then be ended in order.
+    """Context that delays Ctrl-C and SIGTERM until the processes being started can be ended in order.
 
-    They wait for some seconds and no longer: a worker may never be ready.
+    The delay is limited to some seconds, because a worker may never be ready.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -85,7 +85,7 @@ def interrupts_afterwards() -> Iterator[None]:
 
 
 def kill_workers() -> None:
-    """Ends workers of a cluster that was never there as a whole: the end of this process would wait for them."""
+    """End the workers of a cluster that never started completely: this process would wait for them at its end."""
     for process in multiprocessing.active_children():
         if process.name.startswith("Dask Worker"):
             process.kill()

@@ -12,7 +12,7 @@ _PACE_OVER_S = 600.0  # the time left follows the pace of this period
 
 
 class Reporter:
-    """Reports progress on stderr.
+    """Progress on stderr.
 
     Parameters
     ----------

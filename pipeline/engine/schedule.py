@@ -113,7 +113,7 @@ class _Batch:
 
 
 class Schedule:
-    """Works off the jobs of many pairs.
+    """Order of the jobs of many pairs.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Schedule:
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
     n_pairs : number of plans
     watcher : receives the results
-    policy : how work is divided into batches
+    policy : rules for cutting work into batches
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class Schedule:
         self._is_alone = False
 
     def run(self) -> None:
-        """Works until every pair has ended."""
+        """Work until every pair has ended."""
         self._fill()
         while self._running:
             handle, outcome = self._pool.next_done()
@@ -157,7 +157,7 @@ class Schedule:
             raise RuntimeError(f"{n_left} pairs were left over though nothing ran any more")
 
     def _fill(self) -> None:
-        """Begins pairs while the window has room for them, and hands to the pool what the memory admits."""
+        """Begin pairs while the window has room, and submit batches that fit into the memory."""
         if not self._is_alone:
             per_worker = self._policy.few_pairs_per_worker if self._few_left() else self._policy.pairs_per_worker
             window = per_worker * self._pool.n_workers
@@ -188,7 +188,7 @@ class Schedule:
             pair.failures.extend(result.failures)
 
     def _go_on(self, pair: _Pair) -> None:
-        """Submits what comes next for a pair of which nothing is running."""
+        """Submit the next batches of a pair of which nothing is running."""
         if pair.is_lost:
             pair.is_lost = False
             pair.n_losses += 1
@@ -331,7 +331,7 @@ class Schedule:
             self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, []), priority=_FIRST))
 
     def _submit(self, batch: _Batch) -> None:
-        """Queues a batch of one pair for `_admit`."""
+        """Queue a batch of one pair for `_admit`."""
         batch.pairs[0].n_waiting += 1
         self._queue(batch)
 
@@ -339,7 +339,7 @@ class Schedule:
         heapq.heappush(self._waiting, (-batch.priority, next(self._count), batch))
 
     def _admit(self) -> None:
-        """Hands batches to the pool, first come first, as long as those that may run at once fit into the memory."""
+        """Submit queued batches in their order, as long as those that may run at once fit into the memory."""
         while self._waiting:
             batch = self._waiting[0][2]
             if not self._budget.admits(batch.need, [running.need for running in self._running.values()]):

@@ -40,7 +40,7 @@ class OutOfTimeError(StageError):
 
 
 class Clock:
-    """Within it this thread works on a pair, until the pair's time is over: then the process ends.
+    """Context in which this thread works on a pair; the process ends if the pair's time is over.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Clock:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stops it, and notes what was used."""
+        """Stop the clock and store the seconds used."""
         if self._note is not None:
             _watch(None, self._note)
             self._note.close()
@@ -82,7 +82,7 @@ class Clock:
             path.unlink(missing_ok=True)
 
     def begin(self, work: str) -> None:
-        """Notes what is begun, for the case that it does not end."""
+        """Store the name of the work that begins, for the case that it does not end."""
         if self._note is not None:
             self._note.write(f"{work}\n")
 
@@ -113,7 +113,7 @@ _LOCK = threading.Lock()
 
 
 def _watch(deadline: float | None, note: TextIO) -> None:
-    """Sets this thread's deadline, or takes it away; the process has one timer, for the earliest of its threads."""
+    """Set or remove this thread's deadline; the process has one timer, for the earliest of its threads."""
     with _LOCK:
         if deadline is None:
             _DEADLINES.pop(threading.get_ident(), None)

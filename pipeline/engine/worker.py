@@ -311,7 +311,7 @@ def _make_rows(
 
 
 def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[str, list[pa.Table]]) -> JobRecord:
-    """Keeps and writes the rows of all objects, in the order of the table's keys."""
+    """Keep and write the rows of all objects, in the order of the table's keys."""
     whole = {}
     for name, parts in made.items():
         schema = TABLES[name]

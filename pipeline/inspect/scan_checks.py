@@ -35,7 +35,7 @@ class ScanCheck:
     dropped : points dropped by cleaning, by reason
     low, high : corners of the axis-aligned box of the clean points, metres
     inspection : None if the file cannot be read
-    fault : reason why the file cannot be used, or None
+    `fault` : reason why the file cannot be used, or None
     """
 
     sha256: str = ""
@@ -59,7 +59,7 @@ class PairCheck:
 
     sides : by side; a missing file is left out
     frames : of both scans together; None if one is missing or too little can be compared
-    fault : reason why the pair cannot be evaluated, besides those of its files
+    `fault` : reason why the pair could not be checked; the sides have those of their files
     """
 
     sides: dict[str, ScanCheck] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class DatasetCheck:
     pairs : each with the results of its sides; a missing file has none
     sensors : of the two sides
     notes : of each side as a whole, one line each, that is nothing wrong
-    faults, warnings : one line each, with the name of the pair
+    `faults`, warnings : one line each, with the name of the pair
     """
 
     folder: Path
@@ -86,7 +86,7 @@ class DatasetCheck:
 
 
 def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
-    """Read every file of a dataset once and name every fault; computes no score.
+    """Read every file of a dataset once and name every problem; computes no score.
 
     If a reader may end its process, files are read in worker processes.
 
@@ -180,7 +180,7 @@ def _check_pairs(pairs: tuple[ScanPair, ...], settings: InputSettings, label_nam
 
 
 def _read(pair: ScanPair, side: str, check: ScanCheck, settings: InputSettings, label_names: dict[int, str]) -> Scan:
-    """A scan that was read before without a fault; one without points if it cannot be read."""
+    """A scan that was read before without an error; one without points if it cannot be read."""
     path = pair.path(side)
     if path is None or check.inspection is None:
         return Scan(np.empty((0, 3)))

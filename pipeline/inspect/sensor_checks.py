@@ -30,7 +30,7 @@ class SensorCheck:
 
 
 class SensorSamples:
-    """Describes the sensors of some pairs while all are read.
+    """Sensors of a sample of pairs.
 
     Scans are neither cleaned nor moved, only their axes are converted: beams are those of a sensor only in its frame.
 
@@ -42,14 +42,14 @@ class SensorSamples:
         self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
-        """Describes the scans of a pair, if it is one of the sample."""
+        """Describe the scans of a pair, if it is in the sample."""
         for side, scan in scans.items():
             if pair.pair_id in self._pair_ids and len(scan.points):
                 points = as_ros(scan.points, self._settings.frame_of(side))
                 self._sensors[side][pair.pair_id] = describe_sensor(points, scan.rings, scan.times_s is not None)
 
     def check(self) -> SensorCheck:
-        """Compares the sensors of both sides, and those of each side among its pairs."""
+        """Compare the sensors of both sides, and those of each side among its pairs."""
         sides, unlike = {}, []
         for side, sensors in self._sensors.items():
             if sensors:

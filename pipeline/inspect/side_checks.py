@@ -34,7 +34,7 @@ _NAMES = {"real": "real", "sim": "simulated"}
 
 
 class SideSamples:
-    """Collects samples from the scans of a few pairs and checks both sides with them.
+    """Samples from the scans of a few pairs, and the checks of both sides with them.
 
     pairs : all of the dataset
     """
