@@ -17,7 +17,7 @@ from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import load
 from fidpipe.stages.clean import clean_scan
-from fidpipe.stages.generate.perturbations import measure_again
+from fidpipe.stages.generate.perturbations import remeasure
 from fidpipe.stages.ground import remove_ground
 
 SCANS = (
@@ -50,9 +50,9 @@ def main() -> None:
             points, errors_m, angles_deg, jumped = change(scan), [], [], None
             for seed in range(5):
                 rng = np.random.default_rng(seed)
-                again = measure_again(points, 0.03, 0.03, rng)[0]
+                again = remeasure(points, 0.03, 0.03, rng)[0]
                 is_first = rng.random(len(points)) < 0.5
-                half, other = points[is_first], measure_again(points[~is_first], 0.03, 0.03, rng)[0]
+                half, other = points[is_first], remeasure(points[~is_first], 0.03, 0.03, rng)[0]
                 pairs = [(points, again, 0.0), *((half, other + np.array([0, 0, lift]), lift) for lift in LIFTS_M)]
                 for real, sim, lift_m in pairs:
                     cut = remove_ground(real, with_peak["own"])

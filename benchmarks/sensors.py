@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
-from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor import beams_text, describe_sensor
 from fidpipe.stages.inspect.sensor_models import SENSORS
 

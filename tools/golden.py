@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from fidpipe.pipeline.jobs import STAGES
-from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor import describe_sensor, sensor_row
 from fidpipe.stages.inspect.sensor_models import SENSORS
 

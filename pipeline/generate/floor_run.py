@@ -1,6 +1,6 @@
-"""`fidpipe floor`: the scores of a perfect simulator: each real scan against itself re-measured.
+"""`fidpipe floor`: scores of a perfect simulator: each real scan against a simulated second measurement of itself.
 
-The second measurements are a dataset of their own in the run's folder. A measurement depends on the recipe, the real
+The second measurements are a dataset in the run's folder. A measurement depends on the recipe, the real
 scan and the pair's name alone; the manifest is written last.
 """
 
@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from ...schemas.errors import DatasetError, RunError, ScanError
 from ...schemas.settings import FARTHEST_M, FrameName, InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
-from ...stages.generate.perturbations import measure_again
+from ...stages.generate.perturbations import remeasure
 from ...stages.inspect.sensor import describe_sensor
 from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
@@ -34,13 +34,13 @@ from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import Ledger
 from ..storage.record import has_ended, read_run
 from ..storage.tables import file_stem
-from .dataset import write_table
+from .dataset_folder import write_table
 
-RECIPE_VERSION = 2  # to be raised when the same recipe gives other measurements
-USUAL_NOISE_M, USUAL_LOST_SHARE = 0.03, 0.03  # where a scan does not show its own
+RECIPE_VERSION = 2  # increase it when the same recipe results in other measurements
+DEFAULT_NOISE_M, DEFAULT_LOST_SHARE = 0.03, 0.03  # if they cannot be measured on a scan
 _KEY, _NOISE_M, _LOST_SHARE, _REASON = b"fidpipe.floor", b"noise_m", b"lost_share", b"reason"
 _AMOUNTS = (_NOISE_M, _LOST_SHARE, _REASON)
-#: All that was measured, once each: the settings of the run cut both sides alike.
+#: Every measured point: the settings of the run crop both sides in the same way.
 _ALL = InputSettings(min_range_m=0.0, max_range_m=FARTHEST_M)
 
 
@@ -72,18 +72,18 @@ def run_floor(
     machines: Machines | None = None,
     replace: bool = False,
 ) -> RunOutcome:
-    """Evaluate each real scan against itself re-measured; measurements that are still right are reused.
+    """Evaluate each real scan against a second measurement of itself; up-to-date measurements are reused.
 
     Parameters
     ----------
-    settings : of all stages; those of the simulated side do not count
+    settings : of all stages; those of the simulated side are ignored
     noise_m : standard deviation of the noise along the ray; None for that of each scan (`describe_sensor`)
     lost_share : share of the points that the second measurement lacks; None for that of each scan
     seed : of noise and losses
-    neighbours : take the next real scan as the second measurement, put into place by the poses
-    pattern : only pairs whose name matches are worked on (shell style)
-    machines : where work is done
-    replace : whether a finished floor of another recipe or other settings may be replaced
+    neighbours : use the next real scan as the second measurement, transformed by the poses
+    pattern : only pairs whose name matches (shell style)
+    machines : workers
+    replace : allow a finished floor of another recipe or other settings to be replaced
 
     Raises
     ------
@@ -94,17 +94,9 @@ def run_floor(
     machines = machines or Machines()
     if machines.scheduler:  # workers of a cluster may run in other folders
         dataset, out = dataset.absolute(), out.absolute()
-    if neighbours:
-        recipe = FloorRecipe(RECIPE_VERSION, "neighbours", 0.0, 0.0, 0, str(dataset.resolve()))
-    else:
-        recipe = FloorRecipe(
-            RECIPE_VERSION,
-            "again",
-            AS_MEASURED if noise_m is None else noise_m,
-            AS_MEASURED if lost_share is None else lost_share,
-            seed,
-            str(dataset.resolve()),
-        )
+    noise, lost = (AS_MEASURED if value is None else value for value in (noise_m, lost_share))
+    amounts = ("neighbours", 0.0, 0.0, 0) if neighbours else ("again", noise, lost, seed)
+    recipe = FloorRecipe(RECIPE_VERSION, *amounts, str(dataset.resolve()))
     source = read_dataset(dataset)
     selected = {pair.pair_id for pair in select_pairs(source, pattern)}
     partners = _neighbours(source) if neighbours else {pair.pair_id: pair for pair in source.pairs}
@@ -128,7 +120,7 @@ def run_floor(
 
 
 def _neighbours(dataset: Dataset) -> dict[str, ScanPair]:
-    """The next real scan of each, by time if known, else by name; for the last one the one before it."""
+    """The next real scan of each pair, by time if known, else by name; the previous one for the last pair."""
     frames = [pair for pair in dataset.pairs if pair.real is not None]
     unposed = next((pair.pair_id for pair in frames if pair.T_world_sensor is None), None)
     if unposed is not None:
@@ -154,7 +146,7 @@ def _refuse_other_recipe(out: Path, recipe: FloorRecipe, *, replace: bool) -> No
     if before.dataset != recipe.dataset and path_exists(Path(before.dataset)):
         raise RunError(f"run {out}: holds the floor of {before.dataset}, not of {recipe.dataset}; give another --out")
     if before.words != recipe.words and has_ended(record) and not replace:
-        refuse_overwrite(f"run {out}", "its scans", [before.words, f"asked for: {recipe.words}"])
+        refuse_overwrite(f"run {out}", "its scans", [before.words, f"requested: {recipe.words}"])
 
 
 def _write_dataset(
@@ -166,7 +158,7 @@ def _write_dataset(
     settings: InputSettings,
     reporter: Reporter,
 ) -> None:
-    """Write the dataset: first remove what another recipe or another real scan left, then add what is missing."""
+    """Write the dataset: remove files of another recipe or of other real scans, then add the missing ones."""
     folder = run.folder / FLOOR_DATASET
     refuse_link(folder / "sim")
     (folder / MANIFEST).unlink(missing_ok=True)
@@ -186,7 +178,7 @@ def _write_dataset(
     else:
         (folder / LABEL_NAMES).unlink(missing_ok=True)
     missing = {name: task for name, task in tasks.items() if name in selected - current}
-    _, failures = map_tasks(_measure_again, missing, reporter)  # here: it takes a hundredth of what their run does
+    _, failures = map_tasks(_remeasure, missing, reporter)  # in this process: a hundredth of the run's time
     if failures:
         raise RunError(next(iter(failures.values())))
     names = {name: f"sim/{task.path.name}" for name, task in tasks.items() if task.path.exists()}
@@ -198,7 +190,7 @@ def _write_dataset(
 
 
 def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, reporter: Reporter) -> None:
-    """Write and show noise and losses of the second measurements, and warn of scans that do not show theirs."""
+    """Write and show noise and losses of the second measurements; warn of scans where they cannot be measured."""
     rows = ([pair_id, *(own[name].decode() for name in _AMOUNTS)] for pair_id, own in by_pair.items())
     write_table(folder / FLOOR_AMOUNTS, ["pair_id", *(name.decode() for name in _AMOUNTS)], rows)
     amounts = list(by_pair.values())
@@ -209,8 +201,8 @@ def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, report
     unknown = [own[_REASON].decode() for own in amounts if own[_REASON]]
     if unknown:
         reporter.warn(
-            f"{len(unknown)} of {len(amounts)} real scans do not show their noise or losses ({unknown[0]}): "
-            f"{USUAL_NOISE_M:g} m and {USUAL_LOST_SHARE:.0%} were used; set --noise-m and --dropout"
+            f"{len(unknown)} of {len(amounts)} real scans: noise or losses cannot be measured ({unknown[0]}); "
+            f"used {DEFAULT_NOISE_M:g} m and {DEFAULT_LOST_SHARE:.0%}; set --noise-m and --dropout"
         )
 
 
@@ -227,7 +219,7 @@ def _task(
     if pair.real is None or source.real is None:
         return None
     hashes = ("", "")
-    with suppress(ScanError):  # the run that follows reports it
+    with suppress(ScanError):  # reported by the run that follows
         content = scan_content(source.real, ledger.input_hash)
         hashes = content.sha256, content.label_sha256
     columns, frame, names = settings.columns_of("real"), settings.frame_of("real"), dataset.label_names
@@ -243,16 +235,16 @@ def _metadata(path: Path) -> dict[bytes, bytes]:
         return {}
 
 
-def _measure_again(task: _Task) -> None:
+def _remeasure(task: _Task) -> None:
     """Write one measurement: x, y, z, and labels and instances of the points if the scan has them."""
     try:
         scan = read_scan(task.source, task.columns, task.label_names)
-    except ScanError:  # the run reads it too, and reports it
+    except ScanError:  # reported by the run, which reads it too
         return
     clean, recipe = clean_scan(scan.points, _ALL), task.recipe
     rng = np.random.default_rng([recipe.seed, *task.pair_id.encode()])
     noise_m, lost_share, reason = _amounts(task, scan)
-    points, kept = measure_again(clean.points, noise_m, lost_share, rng)
+    points, kept = remeasure(clean.points, noise_m, lost_share, rng)
     rows = clean.point_ids[kept]
     columns = dict(zip("xyz", points.T, strict=True))
     columns |= {} if scan.labels is None else {"label": scan.labels[rows]}
@@ -265,23 +257,24 @@ def _measure_again(task: _Task) -> None:
 
 
 def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str]:
-    """Noise and losses of a measurement, and the reason if the scan does not show one of them."""
+    """Noise and losses of a measurement, and the reason if one of them cannot be measured."""
     noise_m, lost_share = task.recipe.noise_m, task.recipe.lost_share
     if AS_MEASURED not in (noise_m, lost_share):
         return float(noise_m), float(lost_share), ""
     sensor = describe_sensor(as_ros(scan.points, task.frame), scan.rings)
-    reasons = []
-    if noise_m == AS_MEASURED:
-        reasons += [sensor.untold["range_noise_m"]] if sensor.range_noise_m is None else []
-        noise_m = USUAL_NOISE_M if sensor.range_noise_m is None else sensor.range_noise_m
-    if lost_share == AS_MEASURED:
-        reasons += [sensor.untold["lost_share"]] if sensor.lost_in_all is None else []
-        lost_share = USUAL_LOST_SHARE if sensor.lost_in_all is None else sensor.lost_in_all
-    return float(noise_m), float(lost_share), "; ".join(dict.fromkeys(reasons))
+    reasons, amounts = [], []
+    for name, amount, measured, default in (
+        ("range_noise_m", noise_m, sensor.range_noise_m, DEFAULT_NOISE_M),
+        ("lost_share", lost_share, sensor.lost_in_all, DEFAULT_LOST_SHARE),
+    ):
+        reasons += [sensor.untold[name]] if amount == AS_MEASURED and measured is None else []
+        usual = default if measured is None else measured
+        amounts.append(float(usual if amount == AS_MEASURED else amount))
+    return amounts[0], amounts[1], "; ".join(dict.fromkeys(reasons))
 
 
 def _row(pair: ScanPair, source: ScanPair, names: dict[str, str]) -> tuple[str, ...]:
-    """The row of a pair in the manifest; a scan that cannot be read appears on both sides."""
+    """The row of a pair in the manifest; an unreadable scan appears on both sides."""
     real = str(pair.real.absolute()) if pair.real else ""
     time_s = "" if pair.timestamp_s is None else repr(pair.timestamp_s)
     own, other, motion = pair.T_world_sensor, source.T_world_sensor, ""

@@ -1,4 +1,4 @@
-"""Sensor models by name, or from a table of beams in a file."""
+"""Sensor models by name or from a table of beams."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _TABLES = (".csv", ".toml")
 _ANGLES = ("elevation_deg", "azimuth_offset_deg")
 _UNIFORM = ("channels", "upper_deg", "lower_deg")
 _BOUNDS = {"azimuth_step_deg": (0.01, 10.0), "lost_share": (0.0, 1.0)}
-#: What a table need not say.
-_USUAL = replace(SENSORS["hdl64"], name="table", title="", source="", azimuth_step_deg=0.2, range_quantum_m=0.0)
+#: Defaults of values that a table may omit.
+_DEFAULTS = replace(SENSORS["hdl64"], name="table", title="", source="", azimuth_step_deg=0.2, range_quantum_m=0.0)
 _NUMBERS = tuple(
     field.name
     for field in fields(SensorModel)
@@ -28,16 +28,16 @@ _NUMBERS = tuple(
 
 
 def read_sensor(name: str) -> SensorModel:
-    """The sensor of a name in `SENSORS`, the one that is known by its recording alone, or that of a table.
+    """The sensor of a name in `SENSORS`, `RECORDED`, or the sensor described by a table.
 
-    A `.csv` has a column elevation_deg and perhaps azimuth_offset_deg, a row per laser. A `.toml` has elevation_deg
-    (and azimuth_offset_deg) as lists, or channels, upper_deg and lower_deg for uniform ones; and perhaps
-    azimuth_step_deg, min_range_m, max_range_m, range_noise_m, range_quantum_m, lost_share.
+    A `.csv` has a column elevation_deg and optionally azimuth_offset_deg, one row per laser. A `.toml` has
+    elevation_deg (and azimuth_offset_deg) as lists, or channels, upper_deg and lower_deg for uniform ones; and
+    optionally azimuth_step_deg, min_range_m, max_range_m, range_noise_m, range_quantum_m, lost_share.
 
     Raises
     ------
     FidpipeError
-        There is no such sensor or file, or the file does not hold that.
+        No such sensor or file exists, or the file has another content.
     """
     known = {RECORDED.name: RECORDED, **SENSORS}
     if name in known:
@@ -65,10 +65,10 @@ def _columns(text: str) -> dict[str, Any]:
 
 
 def _sensor(path: Path, values: dict[str, Any]) -> SensorModel:
-    wanted = (*_ANGLES, *_UNIFORM, *_NUMBERS)
+    known = (*_ANGLES, *_UNIFORM, *_NUMBERS)
     for name in values:
-        if name not in wanted:
-            raise FidpipeError(f"sensor {path}: {cause_of(name)} is not known; {suggestion(name, wanted)}")
+        if name not in known:
+            raise FidpipeError(f"sensor {path}: unknown entry {cause_of(name)}; {suggestion(name, known)}")
     if "elevation_deg" in values:
         elevation = _numbers(path, "elevation_deg", values["elevation_deg"], -90, 90)
     elif all(name in values for name in _UNIFORM):
@@ -86,7 +86,7 @@ def _sensor(path: Path, values: dict[str, Any]) -> SensorModel:
     numbers: dict[str, Any] = {
         name: _number(path, name, values[name], *_BOUNDS.get(name, (0.0, 1e4))) for name in _NUMBERS if name in values
     }
-    sensor = replace(_USUAL, elevation_deg=elevation, azimuth_offset_deg=offset, **numbers)
+    sensor = replace(_DEFAULTS, elevation_deg=elevation, azimuth_offset_deg=offset, **numbers)
     if sensor.min_range_m >= sensor.max_range_m:
         raise FidpipeError(f"sensor {path}: min_range_m: expected less than max_range_m, got {sensor.min_range_m:g}")
     return sensor

@@ -1,4 +1,4 @@
-"""`fidpipe synth`: a dataset of ray-cast streets and their flawed twins."""
+"""`fidpipe synth`: a synthetic dataset of ray-cast streets and their flawed twins."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
-from ...stages.generate.ray_casting import need_ray_caster
-from ...stages.generate.scans import make_pair
-from ...stages.generate.things import KINDS
+from ...stages.generate.ray_casting import require_ray_caster
+from ...stages.generate.street_objects import KINDS
+from ...stages.generate.street_scans import make_pair
 from ...stages.inspect.sensor_models import SENSORS
 from ..datasets.pairs import MANIFEST
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..storage.files import write_whole
-from .dataset import Recipe, prepare_folder, write_table, writing
+from .dataset_folder import Recipe, prepare_folder, write_table, writing
 
 RECIPE = "synth.toml"
-RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
+RECIPE_VERSION = 1  # increase it when the same recipe results in other scans
 SECONDS_APART = 75.0
 _SUFFIXES = (".bin", ".label")
-#: The files of pairs, and what a killed process left of one that it was writing.
+#: Files of pairs, and temporary files of a killed process.
 _OWN_FILE = re.compile(r"\d{4,}\.(bin|label)|\.\d{4,}\.(bin|label)\.[0-9a-f]{8}")
 
 
@@ -38,22 +38,23 @@ def make_dataset(
     workers: int = 1,
     replace: bool = False,
 ) -> None:
-    """Write the dataset; pairs that already exist by the same recipe are left as they are.
+    """Write the dataset; existing pairs of the same recipe are kept.
 
     Parameters
     ----------
-    n_pairs, seed : how many streets, and which
+    n_pairs : number of streets
+    seed : of the streets
     sensor : a name in `SENSORS`
-    n_points : about how many points a real scan has; by default what the sensor gives
-    workers : processes; they change nothing but the time
-    replace : whether pairs of a finished dataset may be removed
+    n_points : approximate size of a real scan; by default that of the sensor
+    workers : processes; they affect only the time
+    replace : allow pairs of a finished dataset to be removed
 
     Raises
     ------
     FidpipeError
-        embreex is missing, or the folder holds something else, or a finished dataset whose pairs would be removed.
+        embreex is missing, or the folder holds something else or a finished dataset whose pairs would be removed.
     """
-    need_ray_caster()
+    require_ray_caster()
     recipe = recipe_of(seed, sensor, n_points)
     indices = {pair_name(index): index for index in range(n_pairs)}
     with writing(out):
@@ -79,19 +80,19 @@ def make_dataset(
 
 
 def recipe_of(seed: int, sensor: str, n_points: int | None) -> Recipe:
-    """All that the scans of a pair depend on, besides its index."""
+    """Everything that the scans of a pair depend on, except its index."""
     points = {} if n_points is None else {"points": n_points}
     return {"version": RECIPE_VERSION, "seed": seed, "sensor": sensor, **points}
 
 
 def write_pair(task: tuple[Path, Recipe, int]) -> None:
-    """Write the four files of one pair, by folder, recipe and index; they depend on the latter two alone."""
+    """Write the four files of a pair, given folder, recipe and index; their content depends on the latter two alone."""
     out, recipe, index = task
     pair = make_pair(recipe["seed"], index, SENSORS[recipe["sensor"]], recipe.get("points"))
     numbers = np.array([KINDS.index(kind) for kind in pair.kinds], dtype="<u4")
     for side, scan in (("real", pair.real), ("sim", pair.sim)):
         stem = out / side / pair_name(index)
-        write_whole(stem.with_suffix(".label"), numbers[scan.thing_ids].tobytes())
+        write_whole(stem.with_suffix(".label"), numbers[scan.object_ids].tobytes())
         write_whole(stem.with_suffix(".bin"), scan.rows.astype("<f4").tobytes())
 
 
@@ -111,6 +112,6 @@ def _own_files(out: Path, recipe: Recipe) -> set[Path] | None:
 
 
 def _time_s(seed: int, index: int) -> float:
-    """When a frame was taken: 70 to 80 s after the one before."""
+    """Time of a frame: 70 to 80 s after the previous one."""
     rng = np.random.default_rng(np.random.SeedSequence((seed, index), spawn_key=(99,)))
     return SECONDS_APART * (index + 1) + float(rng.uniform(-2.5, 2.5))

@@ -1,7 +1,7 @@
-"""`fidpipe twin`: a dataset of posed real scans and their twins: each place scanned again in a model of the others.
+"""`fidpipe twin`: a dataset of posed real scans and their twins: each place re-scanned in a model of the other scans.
 
-A scan's own points never enter its model. A twin depends on the recipe and its frame alone; it is whole or not there,
-and the manifest comes last, so that what was interrupted goes on with the twins that are missing.
+A scan's own points never enter its model. A twin depends on the recipe and its frame alone. It is written atomically,
+and the manifest comes last, so that an interrupted command resumes with the missing twins.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ...schemas.settings import FRAME_AXES, InputSettings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, ChosenFlaw, lose_foliage
-from ...stages.generate.ray_casting import fire, need_ray_caster
+from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
 from ...stages.inspect.sensor_models import SensorModel
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
@@ -31,17 +31,17 @@ from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..storage.files import hash_file, key_of, path_exists, write_whole
 from ..storage.record import library_versions
-from .dataset import Recipe, prepare_folder, write_table, writing
+from .dataset_folder import Recipe, prepare_folder, write_table, writing
 
 RECIPE = "twin.toml"
-RECIPE_VERSION = 1  # to be raised when the same recipe gives other scans
+RECIPE_VERSION = 1  # increase it when the same recipe results in other scans
 _LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
-_FEWEST_OTHERS = 2
+_LEAST_OTHERS = 2
 
 
 @dataclass(frozen=True)
 class TwinOutcome:
-    """Number of pairs in the dataset, and why others are not in it, by name."""
+    """Number of pairs in the dataset, and reasons for missing pairs by name."""
 
     n_pairs: int
     failures: dict[str, str]
@@ -49,7 +49,7 @@ class TwinOutcome:
 
 @dataclass(frozen=True)
 class _Task:
-    """One frame to be scanned again; see `make_twins`. The other frames come nearest first."""
+    """One frame to be re-scanned, see `make_twins`; the other frames are sorted by distance in time."""
 
     frame: Frame
     others: tuple[Frame, ...]
@@ -77,31 +77,31 @@ def make_twins(
     workers: int = 1,
     replace: bool = False,
 ) -> TwinOutcome:
-    """Write the dataset; twins that already exist by the same recipe are left as they are.
+    """Write the dataset; existing twins of the same recipe are kept.
 
     Parameters
     ----------
-    sensor : that scans again, with its range noise and share of lost pulses
+    sensor : of the re-scan, with its range noise and share of lost pulses
     flaws : in the order in which they are applied
-    n_others : at most this many other frames, the nearest in time, make the model of each
-    foliage : labels that the flaw of that name takes for foliage; none: what is scattered
-    pattern : only frames whose name matches (shell style) are scanned again; all of them make models
+    n_others : largest number of other frames, the nearest in time, used for the model of a frame
+    foliage : labels of foliage for the flaw of that name; by default scattered points
+    pattern : only frames whose name matches (shell style) are re-scanned; all frames are used for models
     seed : of noise, losses and flaws
-    settings : how scans are read and cleaned
-    workers : processes; they change nothing but the time
-    replace : whether a dataset of another recipe may be replaced
+    settings : for reading and cleaning scans
+    workers : processes; they affect only the time
+    replace : allow a dataset of another recipe to be replaced
 
     Raises
     ------
     FidpipeError
-        embreex is missing, no frame matches, or the folder holds something else than what this recipe gives.
+        embreex is missing, no frame matches, or the folder holds something else than a dataset of this recipe.
     """
     settings = settings or InputSettings()
-    need_ray_caster()
+    require_ray_caster()
     if settings.real_frame != "ros":
         raise FidpipeError(
-            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a recording are '
-            f"those of a sensor with {FRAME_AXES['ros']}; turn its scans and poses first"
+            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a recording require '
+            f"{FRAME_AXES['ros']}; convert its scans and poses first"
         )
     known = list(recording.label_names.values())
     for label in foliage if known else ():
@@ -109,7 +109,7 @@ def make_twins(
             raise FidpipeError(f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}")
     frames = _selected(recording.frames, pattern)
     if out.resolve() == recording.folder.resolve():
-        raise FidpipeError(f"dataset {out}: is the recording; give the name of a new or empty folder")
+        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
     recipe = _inputs(recording) | {
         "seed": seed,
         "others": n_others,
@@ -128,13 +128,13 @@ def make_twins(
             out, RECIPE, recipe, lambda before: _own_files(out, before), files, recording.label_names, replace=replace
         )
         tasks = {frame.name: _Task(frame, _nearest(recording.frames, frame, n_others), *same) for frame in frames}
-        missing = {name: task for name, task in tasks.items() if not _is_made(task)}
+        missing = {name: task for name, task in tasks.items() if not _is_done(task)}
         if 0 < len(missing) < len(tasks):
             reporter.say(f"{len(tasks) - len(missing)} of {len(tasks)} twins already exist")
         _, failures = map_tasks(_write_twin, missing, reporter, n_workers=workers)
-        made = [task.frame for task in tasks.values() if _is_made(task)]
-        write_table(out / MANIFEST, ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"], map(_row, made))
-    return TwinOutcome(len(made), failures)
+        done = [task.frame for task in tasks.values() if _is_done(task)]
+        write_table(out / MANIFEST, ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"], map(_row, done))
+    return TwinOutcome(len(done), failures)
 
 
 def _selected(frames: Sequence[Frame], pattern: str | None) -> list[Frame]:
@@ -146,7 +146,7 @@ def _selected(frames: Sequence[Frame], pattern: str | None) -> list[Frame]:
 
 
 def _inputs(recording: Recording) -> Recipe:
-    """What of a recipe is of the recording and of fidpipe; where the recording lies changes no file."""
+    """The entries of a recipe about the recording and fidpipe."""
     from ... import __version__
 
     inputs = [[frame.path.name, hash_file(frame.path), frame.T_world_sensor] for frame in recording.frames]
@@ -160,7 +160,7 @@ def _inputs(recording: Recording) -> Recipe:
 
 
 def _own_files(out: Path, recipe: Recipe) -> set[Path] | None:
-    """Existing files that a recipe gave; None if it is not a recipe of twins."""
+    """Existing files of a recipe; None if it is not a recipe of twins."""
     names = recipe.get("files")
     is_ours = isinstance(names, list) and all(isinstance(name, str) and Path(name).name == name for name in names)
     if not is_ours or not {"version", "seed", "sensor", "inputs_sha256"} <= recipe.keys():
@@ -176,7 +176,7 @@ def _nearest(frames: Sequence[Frame], frame: Frame, n: int) -> tuple[Frame, ...]
 
 
 def _names(frame: Frame) -> tuple[str, str, str]:
-    """Names of the files of a pair: the real scan, the simulated one, the labels of the former."""
+    """Names of the files of a pair: real scan, simulated scan, labels of the real scan."""
     return frame.path.name, f"{stem_of(frame.path)}.bin", label_path_of(frame.path, stem_of(frame.path)).name
 
 
@@ -186,7 +186,7 @@ def _files(task: _Task) -> tuple[Path, Path]:
     return task.out / "real" / real, task.out / "sim" / sim
 
 
-def _is_made(task: _Task) -> bool:
+def _is_done(task: _Task) -> bool:
     return all(path.exists() for path in _files(task))
 
 
@@ -200,8 +200,8 @@ def _row(frame: Frame) -> tuple[str, ...]:
 def _write_twin(task: _Task) -> None:
     """Write the scans of a pair, and the labels of the real one."""
     real, sim = _files(task)
-    points = _scan_again(task)
-    gc.collect()  # a surface of trimesh refers to itself: 80 MB a frame would wait for the collector
+    points = _rescan(task)
+    gc.collect()  # trimesh surfaces are cyclic: otherwise 80 MB per frame wait for the collector
     labels = label_path_of(task.frame.path, stem_of(task.frame.path))
     if labels.exists():
         write_whole(real.with_name(labels.name), labels.read_bytes())
@@ -211,15 +211,15 @@ def _write_twin(task: _Task) -> None:
     write_whole(sim, rows.tobytes())
 
 
-def _scan_again(task: _Task) -> FloatArray:
-    """The twin of a scan, (n, 3) float64, metres, in its frame, with its flaws.
+def _rescan(task: _Task) -> FloatArray:
+    """The twin of a scan with its flaws, (n, 3) float64, metres, in its frame.
 
     Raises
     ------
     ScanError
         The scan cannot be read.
     StageError
-        Fewer than two of the other scans can be read, or no ray meets anything.
+        Fewer than two of the other scans can be read, or no point remains.
     """
     from threadpoolctl import threadpool_limits
 
@@ -235,10 +235,8 @@ def _scan_again(task: _Task) -> FloatArray:
             motion = T_sensor_world @ _square(frame)
             voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], is_foliage)
             others.append(points)
-        if len(others) < _FEWEST_OTHERS:
-            raise StageError(
-                f"expected at least {_FEWEST_OTHERS} other scans that can be read, for a model; got {len(others)}"
-            )
+        if len(others) < _LEAST_OTHERS:
+            raise StageError(f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}")
         rng = _rng(task, task.frame.name)
         if task.sensor.name == RECORDED.name:
             directions = recorded_directions(own, np.concatenate(others))
@@ -249,22 +247,26 @@ def _scan_again(task: _Task) -> FloatArray:
         for flaw in task.flaws:
             rng = _rng(task, flaw.name if FLAWS[flaw.name].is_systematic else f"{task.frame.name}/{flaw.name}")
             if flaw.name == "foliage" and task.foliage:
-                points = lose_foliage(points, flaw.amount, rng, rescan.is_foliage)  # the first flaw: all rows are there
+                points = lose_foliage(
+                    points, flaw.amount, rng, rescan.is_foliage
+                )  # the first flaw: no rows are lost yet
             else:
                 points = FLAWS[flaw.name](points, flaw.amount, rng, flaw.at_m)
     if not len(points):
-        raise StageError("no ray of the sensor meets the model, or flaws leave nothing; see the poses and the amounts")
+        raise StageError(
+            "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts"
+        )
     return points
 
 
 def _read(task: _Task, frame: Frame) -> tuple[FloatArray, BoolArray | None]:
-    """The measurements of a frame, and which of them have a label of foliage, if the recipe names some."""
+    """The cleaned points of a frame, and a mask of those labelled as foliage if the recipe names such labels."""
     scan = read_scan(frame.path, task.settings.columns_of("real"), dict(task.label_names))
     clean = clean_scan(scan.points, task.settings)
     if not task.foliage:
         return clean.points, None
     if scan.labels is None:
-        raise ScanError(f"{frame.path}: has no labels; foliage needs them ({', '.join(task.foliage)})")
+        raise ScanError(f"{frame.path}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})")
     return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage)
 
 
@@ -274,5 +276,5 @@ def _square(frame: Frame) -> FloatArray:
 
 
 def _rng(task: _Task, purpose: str) -> np.random.Generator:
-    """Random numbers for a purpose, regardless of what else is made."""
+    """Random generator for a purpose, independent of all others."""
     return np.random.default_rng([task.seed, *purpose.encode()])

@@ -1,7 +1,7 @@
-"""Controlled perturbations of a scan of known kind and amount (paper, section "Controlled Perturbation Analysis").
+"""Perturbations of known kind and amount (paper, section "Controlled Perturbation Analysis").
 
-Noise, dropout and rigid motion are defined by the paper; it names hallucination and local density change without
-sweeping them, so their definitions here are by fidpipe.
+Noise, dropout and rigid motion are the paper's; it names hallucination and local density change but does not sweep
+them, so their definitions are ours.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from numpy.random import Generator
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-
-KINDS = ("noise", "dropout", "rigid", "hallucination", "density", "null")
 
 CLUSTER_POINTS = 20
 CLUSTER_STD_M = 0.15
@@ -29,9 +27,9 @@ class Perturbation:
     """Kind and amount of a perturbation.
 
     kind : one of `KINDS`
-    amount : null: number of points lost, the others are reordered; noise: standard deviation in metres; dropout: share
-        of points lost; rigid: angle in degrees; hallucination: spurious points over true ones; density: factor of the
-        local density
+    amount : null: number of points lost, the others in another order; noise: standard deviation in metres; dropout:
+        share of points lost; rigid: angle in degrees; hallucination: ratio of spurious to true points; density: factor
+        of the local density
     shift_m : rigid only, length of the translation
     """
 
@@ -41,18 +39,13 @@ class Perturbation:
 
 
 def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> FloatArray:
-    """Apply a perturbation, (m, 3): the kept points in their order (except for `null`), then new ones.
+    """The altered points, (m, 3); remaining points keep their order (except for `null`), new ones follow.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, sensor at the origin
     perturbation : kind and amount
-    rng : source of all random numbers
-
-    Raises
-    ------
-    ValueError
-        The kind is unknown.
+    rng : source of all randomness
 
     Examples
     --------
@@ -61,62 +54,49 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
     >>> len(perturb(line, Perturbation("dropout", 0.4), np.random.default_rng(0)))
     7
     """
-    amount = perturbation.amount
-    if perturbation.kind == "null":
-        return reorder(points, round(amount), rng)
-    if perturbation.kind == "noise":
-        return add_noise(points, amount, rng)
-    if perturbation.kind == "dropout":
-        return drop_points(points, amount, rng)
     if perturbation.kind == "rigid":
-        return move_rigidly(points, amount, perturbation.shift_m, rng)
-    if perturbation.kind == "hallucination":
-        return add_clusters(points, amount, rng)
-    if perturbation.kind == "density":
-        return change_density(points, amount, rng)
-    raise ValueError(f"perturbation {perturbation.kind!r}: unknown kind; known are {', '.join(KINDS)}")
+        return move_rigidly(points, perturbation.amount, perturbation.shift_m, rng)
+    return _ALTER[perturbation.kind](points, perturbation.amount, rng)
 
 
-def reorder(points: FloatArray, n_lost: int, rng: Generator) -> FloatArray:
-    """Reorder all points at random except a few that are lost; Louvain visits nodes in the order of the points."""
-    return points[rng.permutation(len(points))[n_lost:]]
+def reorder(points: FloatArray, n_lost: float, rng: Generator) -> FloatArray:
+    """All points except a few, in a random order: the scene is the same, but Louvain visits nodes in their order."""
+    return points[rng.permutation(len(points))[round(n_lost) :]]
 
 
 def add_noise(points: FloatArray, std_m: float, rng: Generator) -> FloatArray:
-    """Add independent Gaussian noise to each coordinate."""
+    """Points with independent Gaussian noise on each coordinate."""
     return points + rng.normal(0.0, std_m, points.shape)
 
 
 def drop_points(points: FloatArray, share: float, rng: Generator) -> FloatArray:
-    """Remove each point independently with the same probability."""
+    """The points without those lost, each independently with the same probability."""
     return points[rng.random(len(points)) >= share]
 
 
-def measure_again(
-    points: FloatArray, noise_m: float, lost_share: float, rng: Generator
-) -> tuple[FloatArray, IndexArray]:
-    """Simulate a second measurement by the same beams.
+def remeasure(points: FloatArray, noise_m: float, lost_share: float, rng: Generator) -> tuple[FloatArray, IndexArray]:
+    """A simulated second measurement of the points by the same beams.
 
-    p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray only; then each point is lost independently with
-    the probability `lost_share`. For a given seed the noise of a point is proportional to `noise_m`, and points lost at
-    one share are also lost at each larger one. Without noise the coordinates do not change.
+    p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray alone; then each is lost independently with the
+    probability `lost_share`. Under one seed the noise of a point is proportional to `noise_m`, and points lost at a
+    share are lost at each larger one. Without noise the coordinates stay equal to the last bit.
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, sensor at the origin, finite, not at the origin
+    points : (n, 3) float64, metres, sensor at the origin; finite and not zero
     noise_m : standard deviation of the difference of two measured ranges, 0 or more
     lost_share : 0 to 1
-    rng : source of all random numbers
+    rng : source of all randomness
 
     Returns
     -------
     points : (m, 3) float64
-    rows : (m,) intp, rows of the input, ascending
+    rows : (m,) intp, of the input, ascending
 
     Examples
     --------
     >>> import numpy as np
-    >>> again, rows = measure_again(np.array([[3.0, 4.0, 0.0]]), 0.5, 0.0, np.random.default_rng(0))
+    >>> again, rows = remeasure(np.array([[3.0, 4.0, 0.0]]), 0.5, 0.0, np.random.default_rng(0))
     >>> bool(np.isclose(again[0, 1] / again[0, 0], 4 / 3)), rows.tolist()
     (True, [0])
     """
@@ -127,7 +107,7 @@ def measure_again(
 
 
 def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Generator) -> FloatArray:
-    """Rotate the points about +Z through the sensor, then move them in a random horizontal direction."""
+    """Points rotated about +Z through the sensor, then moved in a random horizontal direction."""
     angle, heading = np.radians(angle_deg), rng.uniform(0.0, 2 * np.pi)
     cos, sin = np.cos(angle), np.sin(angle)
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -136,9 +116,9 @@ def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Gene
 
 
 def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray:
-    """Add round(share n) spurious points in clusters of 20 (the last one smaller).
+    """The points and round(share n) spurious ones, in clusters of 20 (the last one smaller).
 
-    The centre of a cluster is 0.5 m from a random point in a random direction; its points are Gaussian around the
+    The centre of a cluster is 0.5 m from a random point in a random direction, its points are Gaussian about the
     centre with 0.15 m on each coordinate: a blob of foliage or mesh in empty space.
     """
     n_new = round(share * len(points))
@@ -153,12 +133,12 @@ def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray
 
 
 def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatArray:
-    """Change the density in regions that together contain 30 % of the points.
+    """The points with another density in regions that together hold 30 % of them.
 
-    Regions grow around random points: each adds the nearest points within 2 m that are still free, until the share is
-    reached. Below 1, a point of a region is kept with probability `factor`. Above 1, a region of m points gets
-    round((factor - 1) m) more, each on the line from a random point of the region to a random one of its 5 nearest
-    neighbours in the scan, so that they are on the surface.
+    Regions grow about random points: each takes the nearest free points within 2 m until the share is reached.
+    Below 1, a point of a region stays with probability `factor`. Above 1, a region of m points gets
+    round((factor - 1) m) more, each on the line from a random point of the region to a random one of its 5
+    nearest neighbours in the scan, so that they lie on the surface.
     """
     chosen = grow_regions(points, round(REGION_SHARE * len(points)), rng)
     if factor <= 1:
@@ -174,7 +154,7 @@ def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatAr
 
 
 def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray:
-    """Choose points in regions of 2 m around random points, (n,) bool with exactly `n_chosen` True."""
+    """Mask of `n_chosen` points in regions of 2 m about random points, (n,) bool."""
     chosen = np.zeros(len(points), dtype=np.bool_)
     tree = cKDTree(points)
     n_left = n_chosen
@@ -187,3 +167,13 @@ def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray
         chosen[taken] = True
         n_left -= len(taken)
     return chosen
+
+
+_ALTER = {
+    "noise": add_noise,
+    "dropout": drop_points,
+    "hallucination": add_clusters,
+    "density": change_density,
+    "null": reorder,
+}
+KINDS = ("noise", "dropout", "rigid", "hallucination", "density", "null")

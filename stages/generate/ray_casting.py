@@ -1,6 +1,6 @@
-"""Ray casting: directions of a sensor's beams, the surfaces they hit first, and the measured ranges.
+"""Ray casting: directions of a sensor's beams, their first hits, and the measurements of these.
 
-The scene is static, the sensor does not move during a revolution, and a pulse has one return.
+A static scene, a sensor that does not move during its revolution, one return per pulse.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..inspect.sensor_models import SensorModel
 
 @dataclass(frozen=True)
 class Beams:
-    """Rays of one revolution, by firing, then by laser.
+    """The rays of one revolution, firing by firing, in each firing laser by laser.
 
     azimuth_rad : (n,) float64, from x (forward) towards y (left)
     elevation_rad : (n,) float64
@@ -26,7 +26,7 @@ class Beams:
     elevation_rad: FloatArray
 
     def directions(self) -> FloatArray:
-        """Unit vectors, (n, 3) float64."""
+        """(n, 3) float64, unit vectors."""
         level = np.cos(self.elevation_rad)
         return np.column_stack(
             [level * np.cos(self.azimuth_rad), level * np.sin(self.azimuth_rad), np.sin(self.elevation_rad)]
@@ -37,9 +37,9 @@ class Beams:
 class Hits:
     """First hits of rays; rays without a hit have no row.
 
-    ray_ids, face_ids : (m,) intp, ray and triangle; ray_ids ascend
-    range_m : (m,) float64, distance from the sensor
-    cos_incidence : (m,) float64, 1 if the surface faces the sensor, 0 for a grazing ray
+    ray_ids, face_ids : (m,) intp, the ray and the triangle; ray_ids ascend
+    range_m : (m,) float64, from the sensor
+    cos_incidence : (m,) float64, 1 where the surface faces the sensor, 0 where the ray grazes it
     """
 
     ray_ids: IndexArray
@@ -49,16 +49,16 @@ class Hits:
 
 
 def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> Beams:
-    """Beams of one revolution, clockwise seen from above.
+    """The beams of one revolution, clockwise seen from above.
 
-    Firing c has the azimuth start - c step; the azimuth of laser i is that plus its azimuth offset. The number of
+    Firing c has the azimuth start - c step; laser i has that plus its azimuth offset, and its elevation. The number of
     firings is the largest that fits into 360 degrees.
 
     Parameters
     ----------
-    sensor : elevations and offsets by laser
+    sensor : elevations and offsets, by laser
     start_deg : azimuth of the first firing
-    step_deg : angle between firings; by default that of the sensor
+    step_deg : by default the sensor's own
 
     Examples
     --------
@@ -74,24 +74,24 @@ def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = N
     return Beams(np.radians(azimuth_deg.ravel()), np.radians(elevation_deg.ravel()))
 
 
-def need_ray_caster() -> None:
-    """Raise an error if the library that casts rays is not installed.
+def require_ray_caster() -> None:
+    """Check that rays can be cast.
 
     Raises
     ------
     FidpipeError
-        embreex is not installed.
+        embreex, the ray casting library, is not installed.
     """
     try:
         import embreex  # noqa: F401
     except ImportError as error:
         raise FidpipeError(
-            'casting rays needs embreex, which is not installed; install it with: pip install "fidpipe[synth]"'
+            'ray casting requires embreex, which is not installed; install it with: pip install "fidpipe[synth]"'
         ) from error
 
 
 class RayTarget:
-    """Surface as a target for rays from the origin.
+    """A surface at which rays from the origin are cast.
 
     Parameters
     ----------
@@ -111,13 +111,13 @@ class RayTarget:
     """
 
     def __init__(self, vertices: FloatArray, faces: IndexArray) -> None:
-        need_ray_caster()
+        require_ray_caster()
         from trimesh import Trimesh
 
         self._mesh = Trimesh(vertices, faces, process=False)
 
     def first_hits(self, directions: FloatArray) -> Hits:
-        """First hit of each ray, on the front or the back of a triangle.
+        """The first hit of each ray, on the front or the back of a triangle.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class RayTarget:
 def return_probability(
     sensor: SensorModel, range_m: FloatArray, cos_incidence: FloatArray, reflectivity: FloatArray
 ) -> FloatArray:
-    """Probability of a return from a surface; it decreases with the range.
+    """The probability that a pulse that hits a surface is detected; it never rises with the range.
 
     P = (1 - lost_share) (1 - exp(-s)), s = reflectivity sqrt(cos_incidence) (signal_range_m / range_m)^2: the signal of
     a surface that fills the beam (LiDAR equation) against a threshold that fluctuates exponentially. The root models
@@ -154,12 +154,12 @@ def return_probability(
 
 
 def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Ranges reported by the sensor: with Gaussian noise along the ray, then rounded to the quantum, if it has one.
+    """Measured ranges: with Gaussian noise along the ray, then rounded to the sensor's quantum, if it has one.
 
     Parameters
     ----------
     range_m : (n,) float64, true ranges
-    rng : source of the noise
+    rng : of the noise
     """
     noisy: FloatArray = range_m + rng.normal(0.0, sensor.range_noise_m, len(range_m))
     if not sensor.range_quantum_m:

@@ -1,6 +1,6 @@
-"""Re-scanning of a recording: posed scans become a map of surfels (small discs), at which rays are cast.
+"""Re-scan of a recording: posed scans become a map of surfels (small discs), at which rays are cast.
 
-Objects that moved during the recording leave a trail in the map: later rays through a surface do not remove it.
+Moving objects leave a trail in the map: later rays that pass through do not remove points.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LEAF = 0.5
 _AZIMUTH_CELL_DEG, _ELEVATION_CELL_DEG = 0.2, 0.4
 _DIRECTION_CELLS = (1800, 451)  # the last row is straight up
 
-#: A sensor of unknown model; its beams come from the recording, see `recorded_directions`.
+#: A sensor known only by its recording; see `recorded_directions`.
 RECORDED = SensorModel(
     name="recorded",
     elevation_deg=(),
@@ -47,8 +47,8 @@ class VoxelMap:
     """Scans in one frame of reference, downsampled to one point per voxel.
 
     points : (n, 3) float64, metres, mean of the points in each voxel
-    n_points : (n,) float64, number of these points
-    foliage : (n,) float64, share of these points that is labelled as foliage
+    n_points : (n,) float64, their number
+    foliage : (n,) float64, share of them that is labelled as foliage
     """
 
     points: FloatArray
@@ -61,10 +61,10 @@ EMPTY_MAP = VoxelMap(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 @dataclass(frozen=True)
 class Rescan:
-    """Scan of a surfel map.
+    """Points measured by the sensor.
 
     points : (n, 3) float64, metres, sensor frame, in the order of the rays
-    is_foliage : (n,) bool, from the labels of the map
+    is_foliage : (n,) bool, by the labels of the map
     """
 
     points: FloatArray
@@ -72,41 +72,41 @@ class Rescan:
 
 
 def extend_map(voxels: VoxelMap, points: FloatArray, is_foliage: BoolArray | None = None) -> VoxelMap:
-    """Add the points of a further scan to the map; the surface limits its size, not the number of scans.
+    """Add the points of a scan to a map; its size is bounded by the surface, not by the number of scans.
 
-    Voxels have an edge of 0.1 m within 15 m of the sensor, twice that up to 30 m, and so on: about the distance of
+    Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the distance of
     neighbouring beams, so that distant rings become as even as near ones.
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, in the frame of the sensor of the new scan
-    is_foliage : (n,) bool, from labels; by default all False
+    points : (n, 3) float64, metres, in the frame of the new scan
+    is_foliage : (n,) bool, by label; by default no point is
     """
-    everything = np.concatenate([voxels.points, points])
+    merged = np.concatenate([voxels.points, points])
     weight = np.concatenate([voxels.n_points, np.ones(len(points))])
     foliage = np.concatenate([voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage])
-    band = _bands(everything)
+    band = _bands(merged)
     parts = []
     for number in range(_BANDS):
         rows = np.flatnonzero(band == number)
-        _, ids = np.unique(voxel_ids(everything[rows], VOXEL_M * 2.0**number), return_inverse=True)
+        _, ids = np.unique(voxel_ids(merged[rows], VOXEL_M * 2.0**number), return_inverse=True)
         own = weight[rows]
         total = np.bincount(ids, own)
-        columns = (*everything[rows].T, foliage[rows])
+        columns = (*merged[rows].T, foliage[rows])
         parts.append(np.column_stack([*(np.bincount(ids, own * column) / total for column in columns), total]))
-    merged = np.concatenate(parts)
-    return VoxelMap(merged[:, :3], merged[:, 4], merged[:, 3])
+    means = np.concatenate(parts)
+    return VoxelMap(means[:, :3], means[:, 4], means[:, 3])
 
 
 class SurfelModel:
-    """Map as a surface of discs, a target for rays from the origin.
+    """A map as a surface at which rays from the origin are cast.
 
-    Each point of the map becomes a square disc in the plane of its 20 nearest points, out to its fourth nearest one,
-    but not beyond two voxels; in foliage (l3 / l1 of 0.1 or more) half as wide, because of the gaps between leaves.
+    Each point of the map becomes a square in the plane of its 20 nearest points, of the area of a disc out to its
+    fourth nearest one, at most two voxels; in foliage (l3 / l1 of 0.1 or more) half as wide, since leaves leave gaps.
 
     Parameters
     ----------
-    voxels : map in the frame of the sensor of the new scan
+    voxels : in the frame of the new scan
     """
 
     def __init__(self, voxels: VoxelMap) -> None:
@@ -123,50 +123,50 @@ class SurfelModel:
             self._target = RayTarget(vertices, faces)
 
     def scan(self, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator) -> Rescan:
-        """Scan the surface by a sensor at the origin.
+        """The scan of a sensor at the origin.
 
         The first disc that a ray hits selects the surface; the range is that of the plane through the 20 nearest points
-        of the map, unless it differs by more than two voxels (discs overlap, and the first of them is too near). A
-        pulse is then lost with the probability `lost_share`, ranges get noise and quantum, and returns outside the
-        sensor's range are dropped.
+        of the map, unless it differs by more than two voxels: discs overlap, and the first one is too near. A pulse is
+        then lost with the probability `lost_share`, ranges get noise and quantum, and points outside the sensor's range
+        are dropped.
 
         Parameters
         ----------
         directions : (n, 3) float64, unit vectors
-        rng : source of noise and losses
+        rng : noise and losses
         """
         if not len(self._voxels.points):
             return Rescan(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
         hits = self._target.first_hits(directions)
         rays = directions[hits.ray_ids]
         surfels = hits.face_ids // 2
-        range_m = self._settle(rays, hits.range_m, surfels)
-        is_answered = rng.random(len(range_m)) >= sensor.lost_share
+        range_m = self._onto_planes(rays, hits.range_m, surfels)
+        is_detected = rng.random(len(range_m)) >= sensor.lost_share
         range_m = measure_ranges(sensor, range_m, rng)
-        is_answered &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
-        points: FloatArray = (rays * range_m[:, None])[is_answered]
-        return Rescan(points, self._voxels.foliage[surfels[is_answered]] > 0.5)
+        is_detected &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
+        points: FloatArray = (rays * range_m[:, None])[is_detected]
+        return Rescan(points, self._voxels.foliage[surfels[is_detected]] > 0.5)
 
-    def _settle(self, rays: FloatArray, range_m: FloatArray, surfels: IndexArray) -> FloatArray:
+    def _onto_planes(self, rays: FloatArray, range_m: FloatArray, surfels: IndexArray) -> FloatArray:
         """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""
         planes = fit_planes(self._voxels.points, rays * range_m[:, None], _PLANE_NEIGHBOURS)
         with np.errstate(divide="ignore", invalid="ignore"):
-            settled_m = (planes.normal * planes.mean).sum(axis=1) / (planes.normal * rays).sum(axis=1)
-        is_near = np.abs(settled_m - range_m) <= _WIDEST * self._voxel_m[surfels]
-        return np.where(is_near, settled_m, range_m)
+            plane_m = (planes.normal * planes.mean).sum(axis=1) / (planes.normal * rays).sum(axis=1)
+        is_near = np.abs(plane_m - range_m) <= _WIDEST * self._voxel_m[surfels]
+        return np.where(is_near, plane_m, range_m)
 
 
 def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
-    """Beams of a sensor estimated from its recording, (n, 3) unit vectors.
+    """The beams of a recorded scan, (n, 3) unit vectors.
 
-    These are the directions of all returns of the scan, and those returns of other scans of the same sensor that are in
-    directions without a return in this scan: its beams without a hit. Directions are cells of 0.2 degrees of azimuth
-    and 0.4 degrees of elevation; a cell is added if neither it nor one of its eight neighbours contains a return of the
-    scan, with the first return of the other scans in it.
+    The directions of all its returns, and those of returns of other scans of the same sensor in directions without a
+    return here: beams that hit nothing. Directions are cells of 0.2 degrees of azimuth and 0.4 degrees of elevation; a
+    cell is added if neither it nor one of its eight neighbours holds a return of the scan, with the first return of the
+    other scans in it.
 
     Parameters
     ----------
-    own, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; not at the origin
+    own, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
 
     Examples
     --------
@@ -194,7 +194,7 @@ def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
 
 
 def _bands(points: FloatArray) -> IndexArray:
-    """Range band of each point, (n,) intp: 0 up to 15 m, 1 up to 30 m, 2 up to 60 m, 3 beyond."""
+    """The band of range of each point, (n,) intp: 0 within 15 m, 1 to 30 m, 2 to 60 m, 3 beyond."""
     range_m = np.sqrt((points**2).sum(axis=1))
     limits = _FULL_DETAIL_M * 2.0 ** np.arange(_BANDS - 1)
     bands: IndexArray = np.searchsorted(limits, range_m, side="left")
@@ -202,7 +202,7 @@ def _bands(points: FloatArray) -> IndexArray:
 
 
 def _discs(centre: FloatArray, normal: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Vertices and faces of squares with the area of a disc, two triangles each."""
+    """Vertices and faces of squares, two triangles each, of the area of a disc."""
     upright = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(normal, upright)
     u /= np.sqrt((u**2).sum(axis=1))[:, None]

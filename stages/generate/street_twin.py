@@ -1,20 +1,20 @@
-"""A flawed digital twin of a street: geometry and point density for the ray casting of a simulator.
+"""A flawed digital twin of a street: the geometry of a simulator, and the density of its points.
 
-A twin as in the paper (sections "Data Collection" and "Real experiments"): a mesh of the street from registered scans.
-Its flaws: displaced and rounded surfaces, thickened thin objects, foliage merged into lumps or missing at a distance,
-missing distant objects, invented surface near foliage and between distant objects, and objects with more or fewer
-points than the real sensor measures.
+The paper's twin (sections "Data Collection" and "Real experiments") is a mesh of the street made from registered scans.
+Its flaws: surfaces displaced and rounded, thin objects thickened, foliage merged into lumps or missing at a distance,
+distant objects missing, surfaces invented near foliage and between distant objects, and densities above or below
+those of the real sensor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from .things import EMPTY_MESH, Mesh, Thing, build_grid, join_meshes
+from .street_objects import EMPTY_MESH, Mesh, StreetObject, build_grid, join_meshes
 
 DENSITY_BOUNDS = (0.1, 8.0)
 GROUND_REACH_M = 45.0
@@ -34,123 +34,117 @@ _SQUARES = np.array(
 
 
 @dataclass(frozen=True)
-class TwinObject:
-    """Copy of an object in a twin, or surface invented near it.
+class TwinSurface:
+    """Surface of an object in the twin, or invented surface next to it.
 
-    thing_id : index of the object in the scene
-    mesh : surface
+    object_id : index of the object in the scene
+    mesh : its surface
     density : points per beam of the sensor that hits it
     """
 
-    thing_id: int
+    object_id: int
     mesh: Mesh
     density: float
 
 
-def build_twin(things: Sequence[Thing], rng: np.random.Generator) -> tuple[TwinObject, ...]:
-    """Build flawed copies of the objects of a scene; objects missing in the twin have none.
+def build_twin(objects: Sequence[StreetObject], rng: np.random.Generator) -> tuple[TwinSurface, ...]:
+    """The flawed surfaces of a scene's objects; objects missing in the twin have none.
 
     Parameters
     ----------
-    things : objects of the scene, sensor frame
-    rng : source of all random numbers of the flaws
+    objects : the scene, sensor frame
+    rng : source of all flaws
     """
-    copies = []
-    for thing_id, thing in enumerate(things):
-        mesh = _remesh(thing, rng)
+    surfaces = []
+    for object_id, each in enumerate(objects):
+        mesh = _remesh(each, rng)
         if len(mesh.faces):
-            copies.append(TwinObject(thing_id, mesh, _draw_density(thing, rng)))
-    copies += _invent_sheets(things, copies, rng)
-    return _displace(things, copies, rng)
+            surfaces.append(TwinSurface(object_id, mesh, _draw_density(each, rng)))
+    surfaces += _invent_sheets(objects, surfaces, rng)
+    return _displace(objects, surfaces, rng)
 
 
-def _draw_density(thing: Thing, rng: np.random.Generator) -> float:
-    """Random number of points per beam: mostly too few near the sensor, and more variable at a distance."""
-    if thing.kind == "ground":
+def _draw_density(item: StreetObject, rng: np.random.Generator) -> float:
+    """Points per beam: mostly too few nearby, and the more variable the farther away the object is."""
+    if item.kind == "ground":
         return 0.8
-    far = min(thing.range_m() / 40.0, 1.0)
+    far = min(item.range_m() / 40.0, 1.0)
     return float(np.clip(rng.lognormal(-0.6, 0.4 + 0.8 * far), *DENSITY_BOUNDS))
 
 
-def _remesh(thing: Thing, rng: np.random.Generator) -> Mesh:
-    """Mesh of an object after reconstruction from scans; empty if it is lost."""
-    if thing.kind == "ground":
-        return crop(thing.solid, GROUND_REACH_M)
-    range_m = thing.range_m()
+def _remesh(item: StreetObject, rng: np.random.Generator) -> Mesh:
+    """The object after meshing; empty if it is lost."""
+    if item.kind == "ground":
+        return crop(item.solid, GROUND_REACH_M)
+    range_m = item.range_m()
     is_lost = rng.uniform() < np.clip((range_m - 25.0) / 80.0, 0.0, 0.5)
     is_bare = rng.uniform() < np.clip((range_m - 12.0) / 35.0, 0.0, 0.9)
-    is_lost |= is_bare and thing.kind == "tree" and rng.uniform() < 0.5
-    if is_lost or (is_bare and thing.kind == "vegetation"):
+    is_lost |= is_bare and item.kind == "tree" and rng.uniform() < 0.5
+    if is_lost or (is_bare and item.kind == "vegetation"):
         return EMPTY_MESH
     parts = []
-    if len(thing.solid.faces):
-        is_thin = thing.kind in ("pole", "tree")
-        solid = thicken(thing.solid, 0.04 + 0.002 * range_m) if is_thin else smooth_mesh(thing.solid)
+    if len(item.solid.faces):
+        is_thin = item.kind in ("pole", "tree")
+        solid = thicken(item.solid, 0.04 + 0.002 * range_m) if is_thin else smooth_mesh(item.solid)
         parts.append(tear_holes(solid, float(np.clip(0.03 + 0.003 * range_m, 0.0, 0.25)), rng))
     if not is_bare:
-        parts.append(merge_leaves(thing.leaves, 0.28 + 0.005 * range_m, 0.25, rng.spawn(1)[0]))
+        parts.append(merge_leaves(item.leaves, 0.28 + 0.005 * range_m, 0.25, rng.spawn(1)[0]))
     return join_meshes(parts)
 
 
 def _invent_sheets(
-    things: Sequence[Thing], copies: Sequence[TwinObject], rng: np.random.Generator
-) -> Iterator[TwinObject]:
-    """Sheets that hang from foliage, and sheets between neighbours far from the sensor."""
-    objects = [copy for copy in copies if things[copy.thing_id].kind != "ground"]
-    middles = np.array([copy.mesh.vertices.mean(axis=0) for copy in objects]).reshape(-1, 3)
-    for copy, middle in zip(objects, middles, strict=True):
+    objects: Sequence[StreetObject], surfaces: Sequence[TwinSurface], rng: np.random.Generator
+) -> Iterator[TwinSurface]:
+    """Sheets hanging from foliage, and sheets between neighbours far from the sensor."""
+    upright = [part for part in surfaces if objects[part.object_id].kind != "ground"]
+    middles = np.array([part.mesh.vertices.mean(axis=0) for part in upright]).reshape(-1, 3)
+    for part, middle in zip(upright, middles, strict=True):
         range_m = float(np.linalg.norm(middle))
-        if things[copy.thing_id].kind in _FOLIAGE and rng.uniform() < 0.5:
-            upper = _draw_edge(copy.mesh, rng)
+        if objects[part.object_id].kind in _FOLIAGE and rng.uniform() < 0.5:
+            upper = _draw_edge(part.mesh, rng)
             lower = upper + rng.normal(0.0, 0.5, 3) - [0.0, 0.0, rng.uniform(0.6, 2.0)]
-            yield TwinObject(copy.thing_id, _span_sheet(upper, lower), rng.uniform(0.5, 2.0))
+            yield TwinSurface(part.object_id, _span_sheet(upper, lower), rng.uniform(0.5, 2.0))
         apart = np.linalg.norm(middles - middle, axis=1)
         near = np.flatnonzero((apart > 0) & (apart < 8.0))
         if len(near) and rng.uniform() < np.clip((range_m - 12.0) / 60.0, 0.0, 0.5):
-            other = objects[int(rng.choice(near))]
-            yield TwinObject(
-                copy.thing_id,
-                _span_sheet(_draw_edge(copy.mesh, rng), _draw_edge(other.mesh, rng)),
+            other = upright[int(rng.choice(near))]
+            yield TwinSurface(
+                part.object_id,
+                _span_sheet(_draw_edge(part.mesh, rng), _draw_edge(other.mesh, rng)),
                 rng.uniform(0.5, 2.0),
             )
 
 
 def _draw_edge(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
-    """Two random vertices of a mesh, (2, 3) float64."""
+    """(2, 3) float64, two random vertices of a mesh."""
     return mesh.vertices[rng.integers(len(mesh.vertices), size=2)]
 
 
 def _span_sheet(start: FloatArray, end: FloatArray) -> Mesh:
-    """Surface between two edges, subdivided so that it can be bent."""
+    """The surface spanned by two edges, subdivided so that it can be bent."""
     share = np.linspace(0.0, 1.0, 6)
     rails = [edge[0] + share[:, None] * (edge[1] - edge[0]) for edge in (start, end)]
     return build_grid(rails[0] + share[:, None, None] * (rails[1] - rails[0]), 0.3)
 
 
 def _displace(
-    things: Sequence[Thing], copies: Sequence[TwinObject], rng: np.random.Generator
-) -> tuple[TwinObject, ...]:
-    """Displace all surfaces by one smooth random field: centimetres near the sensor, decimetres at a distance.
+    objects: Sequence[StreetObject], surfaces: Sequence[TwinSurface], rng: np.random.Generator
+) -> tuple[TwinSurface, ...]:
+    """All surfaces shifted by one smooth random field of centimetres near the sensor and decimetres far away.
 
-    The ground, over which the scanner has passed, is displaced by the same few centimetres everywhere.
+    The ground, which the scanner has passed over, is displaced by the same few centimetres everywhere.
     """
-    vertices = np.concatenate([copy.mesh.vertices for copy in copies])
-    is_passed = np.concatenate([np.full(len(c.mesh.vertices), things[c.thing_id].kind == "ground") for c in copies])
+    vertices = np.concatenate([part.mesh.vertices for part in surfaces])
+    is_passed = np.concatenate([np.full(len(c.mesh.vertices), objects[c.object_id].kind == "ground") for c in surfaces])
     error_m = 0.05 + 0.004 * np.where(is_passed, 0.0, np.linalg.norm(vertices, axis=1))[:, None]
     shifted = vertices + error_m * smooth_field(vertices, rng) * np.array([1.0, 1.0, 0.25])
-    ends = np.cumsum([len(copy.mesh.vertices) for copy in copies])
-    return tuple(
-        TwinObject(
-            copy.thing_id,
-            Mesh(shifted[end - len(copy.mesh.vertices) : end], copy.mesh.faces, copy.mesh.reflectivity),
-            copy.density,
-        )
-        for copy, end in zip(copies, ends, strict=True)
-    )
+    ends = np.cumsum([len(part.mesh.vertices) for part in surfaces])
+    parts = zip(surfaces, np.split(shifted, ends[:-1]), strict=True)
+    return tuple(replace(part, mesh=replace(part.mesh, vertices=own)) for part, own in parts)
 
 
 def smooth_field(places: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Random vector at each place, of unit variance on each axis, that varies over 2 to 30 metres.
+    """A random vector at each place, of unit variance on each axis, that varies over 2 to 30 metres.
 
     F(x) = sqrt(2 / m) sum_k a_k cos(q_k . x + phi_k), m = 24 waves in random directions.
 
@@ -169,7 +163,7 @@ def smooth_field(places: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 def smooth_mesh(mesh: Mesh, times: int = 1) -> Mesh:
-    """Move each vertex half way to the mean of its neighbours, `times` times."""
+    """The mesh with each vertex moved half way to the mean of its neighbours, `times` times."""
     a, b = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]).T
     ends, others = np.concatenate([a, b]), np.concatenate([b, a])
     degree = np.maximum(np.bincount(ends, minlength=len(mesh.vertices)), 1)[:, None]
@@ -180,7 +174,7 @@ def smooth_mesh(mesh: Mesh, times: int = 1) -> Mesh:
 
 
 def thicken(mesh: Mesh, by_m: float) -> Mesh:
-    """Move each vertex outwards along its normal; a vertex without a face does not move."""
+    """The mesh with each vertex pushed out along its normal; a vertex without a face stays."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     face_normals = np.cross(b - a, c - a)
     normals = _sums(mesh.faces.ravel(), np.repeat(face_normals, 3, axis=0), len(mesh.vertices))
@@ -189,9 +183,9 @@ def thicken(mesh: Mesh, by_m: float) -> Mesh:
 
 
 def tear_holes(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
-    """Cut holes, a few metres wide, of about this share of the faces.
+    """The mesh with holes, a few metres wide, that take about this share of its faces.
 
-    The removed faces are those at the highest values of a wave field.
+    Faces are removed at the maxima of a random wave field.
     """
     if not len(mesh.faces):
         return mesh
@@ -201,21 +195,21 @@ def tear_holes(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
 
 
 def crop(mesh: Mesh, range_m: float) -> Mesh:
-    """Keep only the faces whose centre is within `range_m` of the sensor."""
+    """The faces whose centre is within `range_m` of the sensor."""
     near = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1) <= range_m
     return Mesh(mesh.vertices, mesh.faces[near], mesh.reflectivity[near])
 
 
 def merge_leaves(leaves: Mesh, cell_m: float, swollen: float, rng: np.random.Generator) -> Mesh:
-    """Closed, lumpy surface around loose triangles: the smoothed border of the cells that they occupy.
+    """A closed, lumpy surface around loose triangles: the border of the cells that they occupy, smoothed.
 
-    It is empty without triangles.
+    Empty without triangles.
 
     Parameters
     ----------
     leaves : loose triangles
     cell_m : edge of a cell
-    swollen : share of the occupied cells to which a random neighbour is added
+    swollen : share of the occupied cells that also take in a random neighbour
     """
     if not len(leaves.faces):
         return EMPTY_MESH
@@ -242,5 +236,5 @@ def merge_leaves(leaves: Mesh, cell_m: float, swollen: float, rng: np.random.Gen
 
 
 def _sums(ids: IndexArray, rows: FloatArray, n: int) -> FloatArray:
-    """Sum of the rows of each id, (n, 3) float64."""
+    """(n, 3) float64, sum of the rows of each id."""
     return np.column_stack([np.bincount(ids, rows[:, axis], n) for axis in range(3)])

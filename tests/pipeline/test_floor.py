@@ -27,7 +27,7 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.metrics import COVERAGE_SCORES, OBJECT_METRICS
 from fidpipe.schemas.settings import Settings, load
-from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor import describe_sensor
 from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import assert_same_tables, command, run
@@ -79,7 +79,7 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
     assert (used.noise_m["cast"], used.lost_share["cast"]) == (own.range_noise_m, own.lost_in_all)
     assert (used.noise_m["street"], used.lost_share["street"]) == (0.03, 0.03)
     shown_text = text.export_text()
-    assert "1 of 2 real scans do not show their noise or losses" in shown_text and "--noise-m" in shown_text
+    assert "1 of 2 real scans: noise or losses cannot be measured" in shown_text and "--noise-m" in shown_text
     again = read_scan(tmp_path / "floor" / "dataset" / "sim" / "cast.parquet").points
     assert len(again) == pytest.approx(len(rows) * (1 - own.lost_in_all), rel=0.02)
 
@@ -130,7 +130,7 @@ def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
 def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
     data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "floor"
     n_made = floor(data, out).n_made
-    with pytest.raises(RunError, match=r"range noise as measured, .*; asked for: range noise 0.1 m, .*; add --replace"):
+    with pytest.raises(RunError, match=r"range noise as measured, .*; requested: range noise 0.1 m, .*; add --replace"):
         floor(data, out, noise_m=0.1)
     with pytest.raises(RunError, match="is finished, and .* would be replaced"):
         floor(data, out, settings=load(assignments=["graph.k=20"]))

@@ -7,7 +7,7 @@ import pytest
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.report.results import PairTables, read_results
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.generate.scans import make_pair
+from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import run
 

@@ -193,7 +193,7 @@ def test_a_table_of_elevations_is_a_sensor(tmp_path):
     ("text", "words"),
     [
         ("elevation_deg = [1, 2", "not a table of beams"),
-        ("elevation = [1, 2]", "elevation is not known; did you mean elevation_deg"),
+        ("elevation = [1, 2]", "unknown entry elevation; did you mean elevation_deg"),
         ("channels = 32", "expected elevation_deg, or channels, upper_deg, lower_deg"),
         ("elevation_deg = [1, 200]", "elevation_deg: expected a number from -90 to 90, got 200"),
         (

@@ -18,8 +18,8 @@ from fidpipe.pipeline.generate import synth
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
-from fidpipe.stages.generate.scans import make_pair
-from fidpipe.stages.generate.things import KINDS
+from fidpipe.stages.generate.street_objects import KINDS
+from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.ground import remove_ground
 from fidpipe.stages.inspect.sensor_models import SENSORS
 
@@ -57,8 +57,8 @@ def counts(pair):
     """Points on each thing, real and simulated, and what the things are."""
     n = len(pair.kinds)
     return (
-        np.bincount(pair.real.thing_ids, minlength=n),
-        np.bincount(pair.sim.thing_ids, minlength=n),
+        np.bincount(pair.real.object_ids, minlength=n),
+        np.bincount(pair.sim.object_ids, minlength=n),
         np.array(pair.kinds),
     )
 
@@ -67,8 +67,8 @@ def distances(pair):
     """Distance of each thing from the sensor: that of the middle of its real points, nan without any."""
     n = len(pair.kinds)
     points = pair.real.rows[:, :3].astype(np.float64)
-    number = np.bincount(pair.real.thing_ids, minlength=n)
-    sums = [np.bincount(pair.real.thing_ids, points[:, axis], minlength=n) for axis in range(3)]
+    number = np.bincount(pair.real.object_ids, minlength=n)
+    sums = [np.bincount(pair.real.object_ids, points[:, axis], minlength=n) for axis in range(3)]
     with np.errstate(invalid="ignore"):
         return np.linalg.norm(np.stack(sums) / number, axis=0)
 
@@ -193,7 +193,7 @@ def test_all_classes_are_seen_on_both_sides(pairs):
     for kind in KINDS:
         for scans in ([pair.real for pair in pairs], [pair.sim for pair in pairs]):
             seen = sum(
-                int((np.array(pair.kinds)[scan.thing_ids] == kind).sum())
+                int((np.array(pair.kinds)[scan.object_ids] == kind).sum())
                 for pair, scan in zip(pairs, scans, strict=True)
             )
             assert seen > 500, kind
@@ -226,7 +226,7 @@ def test_far_foliage_is_missing_more_often_than_near(pairs):
 def test_the_twin_stands_where_the_street_stands(pairs):
     for pair in pairs:
         walls = [
-            scan.rows[np.array(pair.kinds)[scan.thing_ids] == "wall", :3].astype(np.float64)
+            scan.rows[np.array(pair.kinds)[scan.object_ids] == "wall", :3].astype(np.float64)
             for scan in (pair.real, pair.sim)
         ]
         near = [points[np.linalg.norm(points, axis=1) < 25] for points in walls]
@@ -240,7 +240,7 @@ def test_the_ground_stage_takes_most_of_the_road_and_few_object_points(pairs):
     for pair in pairs:
         clean = clean_scan(pair.real.rows[:, :3].astype(np.float64), InputSettings())
         cut = remove_ground(clean.points, GroundSettings())
-        is_road = np.array(pair.kinds)[pair.real.thing_ids[clean.point_ids]] == "ground"
+        is_road = np.array(pair.kinds)[pair.real.object_ids[clean.point_ids]] == "ground"
         assert cut.is_ground[is_road].mean() > 0.7
         assert cut.is_ground[~is_road].mean() < 0.2
         assert -2.1 < cut.peak_m < -1.5

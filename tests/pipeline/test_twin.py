@@ -170,8 +170,8 @@ def test_what_was_interrupted_goes_on_with_the_twins_that_are_missing(twins, dri
     (out / "sim" / "001.bin").unlink()
     (out / "pairs.csv").unlink()
     made = []
-    scan_again = twin._scan_again
-    monkeypatch.setattr(twin, "_scan_again", lambda task: made.append(task.frame.name) or scan_again(task))
+    rescan = twin._rescan
+    monkeypatch.setattr(twin, "_rescan", lambda task: made.append(task.frame.name) or rescan(task))
     make(out, drive)
     assert made == ["001"]
     assert content(out) == content(twins)
@@ -190,9 +190,7 @@ def test_a_broken_scan_fails_alone(twins, drive, tmp_path):
     for index in (1, 2):
         (broken / f"{NAMES[index]}.bin").write_bytes(b"no scan")
     reasons = make(tmp_path / "out2", broken).failures
-    assert any(
-        "expected at least 2 other scans that can be read, for a model; got 0" in reason for reason in reasons.values()
-    )
+    assert any("expected at least 2 readable other scans for a model, got 0" in reason for reason in reasons.values())
 
 
 def test_flaws_are_those_of_the_functions_and_alike_in_all_frames_where_they_are_systematic(twins, drive, tmp_path):
@@ -263,7 +261,7 @@ def test_a_folder_with_other_things_and_the_recording_itself_are_left_alone(driv
     with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):
         make(tmp_path, drive)
     assert content(tmp_path) == {"thesis.tex": b"years of work"}
-    with pytest.raises(FidpipeError, match="is the recording; give the name of a new or empty folder"):
+    with pytest.raises(FidpipeError, match="is the recording; expected a new or empty folder"):
         make(drive, drive)
     with pytest.raises(FidpipeError, match='input.real_frame: expected "ros", got "nuscenes"'):
         make(tmp_path / "turned", drive, settings=InputSettings(real_frame="nuscenes"))

@@ -150,7 +150,7 @@ def _go_on(folder):
     """Prepares to go on in a folder of this recipe: with what another recipe left there, and then in its place."""
     from fidpipe.pipeline.datasets.sequences import Recording
     from fidpipe.pipeline.generate import floor_run, synth, twin
-    from fidpipe.pipeline.generate.dataset import prepare_folder
+    from fidpipe.pipeline.generate.dataset_folder import prepare_folder
     from fidpipe.pipeline.results.floor import FLOOR_DATASET, FloorRecipe, read_recipe
     from fidpipe.schemas.errors import FidpipeError
 

@@ -1,7 +1,7 @@
-"""Objects of a street as triangle meshes: houses, parked cars, poles, trees, bushes and hedges.
+"""Triangle meshes of the objects of a street: houses, parked cars, poles, trees, bushes and hedges.
 
-First the mesh and its building blocks (grids, tubes, walls), then the objects. Wood is a welded mesh, foliage is loose
-leaves; they are kept separate, because a digital twin treats them differently.
+First meshes and their parts (grids, tubes, walls), then the objects. Wood is a welded mesh, foliage is loose leaves;
+they are kept separate because a digital twin treats them differently.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LEAF_AREA = 0.72  # mean area of a triangle with three random corners on the un
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangle mesh.
+    """Triangles.
 
     vertices : (v, 3) float64, metres
     faces : (f, 3) intp, rows of `vertices`
@@ -52,7 +52,7 @@ EMPTY_MESH = Mesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.intp), np.empty(0)
 
 
 @dataclass(frozen=True)
-class Thing:
+class StreetObject:
     """One object of a scene.
 
     kind : one of `KINDS`
@@ -74,7 +74,7 @@ class Thing:
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Join several meshes into one; vertices and faces keep their order."""
+    """Join meshes into one; vertices and faces keep their order."""
     if not meshes:
         return EMPTY_MESH
     first = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
@@ -86,7 +86,7 @@ def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def build_grid(points: FloatArray, reflectivity: float, *, closed: bool = False) -> Mesh:
-    """Surface through a grid of points, two triangles per cell.
+    """The surface through a grid of points, two triangles per cell.
 
     Parameters
     ----------
@@ -105,13 +105,13 @@ def build_grid(points: FloatArray, reflectivity: float, *, closed: bool = False)
 def build_tube(
     start: FloatArray, end: FloatArray, radii_m: tuple[float, float], reflectivity: float, sides: int = 7
 ) -> Mesh:
-    """Tapered tube, subdivided into segments of about a metre, open at its ends.
+    """A tapered tube in segments of about a metre, open at its ends.
 
     Parameters
     ----------
-    start, end : (3,) float64, metres, not the same
-    radii_m : radii at the start and at the end
-    sides : number of sides of the cross section
+    start, end : (3,) float64, metres, different
+    radii_m : at the start and at the end
+    sides : of the cross section
     """
     along = end - start
     length = float(np.linalg.norm(along))
@@ -127,7 +127,7 @@ def build_tube(
 
 
 def build_wall(line: FloatArray, width_m: float, height_m: float, reflectivity: float) -> Mesh:
-    """Wall of constant height along a line of foot points, with a top and closed ends.
+    """A wall of equal height along a line of feet, with a top and closed ends.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def build_wall(line: FloatArray, width_m: float, height_m: float, reflectivity: 
 
 
 def left_of(line: FloatArray) -> FloatArray:
-    """Horizontal unit vectors to the left of a line, (n, 3) float64.
+    """(n, 3) float64, horizontal unit vectors to the left of a line.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def left_of(line: FloatArray) -> FloatArray:
 
 
 def build_house(corner: FloatArray, front: FloatArray, size_m: tuple[float, float, float], reflectivity: float) -> Mesh:
-    """House with recessed windows on all sides and a gable roof.
+    """A house with recessed windows on all sides and a gable roof.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def build_house(corner: FloatArray, front: FloatArray, size_m: tuple[float, floa
 
 
 def build_car(foot: FloatArray, heading_rad: float, style: int, reflectivity: float, rng: np.random.Generator) -> Mesh:
-    """Parked car: body, glass and wheels. Styles: 0 saloon, 1 hatchback, 2 estate or off-roader, 3 van."""
+    """A parked car: body, glass and wheels. Styles: 0 saloon, 1 hatchback, 2 estate or off-roader, 3 van."""
     length, width, height = _CAR_SIZES_M[style] * rng.uniform(0.95, 1.05, 3)
     profile = np.array(_CAR_PROFILES[style])
     x, top = (profile[:, 0] - 0.5) * length, profile[:, 1] * height
@@ -216,7 +216,7 @@ def build_car(foot: FloatArray, heading_rad: float, style: int, reflectivity: fl
 
 
 def build_pole(foot: FloatArray, height_m: float, radius_m: float, arm: FloatArray | None, plate_m: float) -> Mesh:
-    """Post, optionally with the arm of a street lamp or the plate of a sign."""
+    """A post, with the arm of a street lamp or the plate of a sign if given."""
     top = foot + height_m * UP
     parts = [build_tube(foot - 0.3 * UP, top, (radius_m, 0.8 * radius_m), 0.4, sides=8)]
     if arm is not None:
@@ -228,7 +228,7 @@ def build_pole(foot: FloatArray, height_m: float, radius_m: float, arm: FloatArr
 
 
 def _build_wheel(hub: FloatArray, side: float) -> Mesh:
-    """Wheel and the disc that closes it outside, two centimetres outside of the body."""
+    """A wheel and the disc that closes it; it protrudes from the body by two centimetres."""
     outside = hub + np.array([0.0, side * 0.22, 0.0])
     tread = build_tube(hub, outside, (0.31, 0.31), 0.08, sides=10)
     rim = tread.vertices[-10:]
@@ -237,7 +237,7 @@ def _build_wheel(hub: FloatArray, side: float) -> Mesh:
 
 
 def _rows(eaves_m: float) -> tuple[FloatArray, BoolArray]:
-    """Heights of the grid lines of a facade, and flags of those inside windows."""
+    """Heights of a facade's grid lines, and True for those inside windows."""
     lines: list[tuple[float, bool]] = [(-0.3, False), (0.4, False)]
     for floor in range(max(1, int(eaves_m / 2.8))):
         sill, head = 2.8 * floor + 1.0, min(2.8 * floor + 2.3, eaves_m - 0.1)
@@ -247,7 +247,7 @@ def _rows(eaves_m: float) -> tuple[FloatArray, BoolArray]:
 
 
 def _columns(length_m: float) -> tuple[FloatArray, BoolArray]:
-    """Positions of the grid lines of a facade from its first corner, without the last corner; flags as above."""
+    """Offsets of a facade's grid lines from its first corner, without the last one, and True for those in windows."""
     n_windows = max(1, int(length_m / 3.2))
     lines: list[tuple[float, bool]] = [(0.0, False)]
     for middle in length_m * (np.arange(n_windows) + 0.5) / n_windows:
@@ -259,7 +259,7 @@ def _columns(length_m: float) -> tuple[FloatArray, BoolArray]:
 
 
 def build_tree(foot: FloatArray, height_m: float, leaf_m: float, rng: np.random.Generator) -> tuple[Mesh, Mesh]:
-    """Tree: trunk, branches and foliage.
+    """A tree: trunk and branches, and the foliage.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def build_tree(foot: FloatArray, height_m: float, leaf_m: float, rng: np.random.
 
 
 def build_bush(foot: FloatArray, radius_m: float, leaf_m: float, rng: np.random.Generator) -> Mesh:
-    """Bush: a rounded clump of leaves, about twice `radius_m` high.
+    """A bush: a rounded clump of leaves, about twice `radius_m` high.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def build_bush(foot: FloatArray, radius_m: float, leaf_m: float, rng: np.random.
 
 
 def build_hedge(line: FloatArray, width_m: float, height_m: float, leaf_m: float, rng: np.random.Generator) -> Mesh:
-    """Clipped hedge along a line of foot points: leaves in its outer layer, opaque inside.
+    """A clipped hedge along a line of feet: leaves in its outer layer, opaque inside.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def build_hedge(line: FloatArray, width_m: float, height_m: float, leaf_m: float
 
 
 def build_crown(centre: FloatArray, radii_m: FloatArray, leaf_m: float, rng: np.random.Generator) -> Mesh:
-    """Foliage in an ellipsoid: clumps of leaves, denser towards the rim, two layers of leaves along a ray.
+    """Foliage in an ellipsoid: clumps of leaves, denser towards the rim, about two leaves deep along a line of sight.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def build_crown(centre: FloatArray, radii_m: FloatArray, leaf_m: float, rng: np.
 
 
 def scatter_leaves(places: FloatArray, size_m: float, reflectivity: float, rng: np.random.Generator) -> Mesh:
-    """One triangle at each place, with corners `size_m` away in random directions.
+    """One triangle at each place, with corners at a distance of `size_m` in random directions.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def scatter_leaves(places: FloatArray, size_m: float, reflectivity: float, rng: 
 
 
 def _in_ball(n: int, power: float, rng: np.random.Generator) -> FloatArray:
-    """Random points in the unit ball, (n, 3) float64; uniform for a power of 1/3, denser at the rim below."""
+    """(n, 3) float64, random points in the unit ball; uniform for a power of 1/3, denser at the rim for less."""
     direction = rng.normal(size=(n, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius: FloatArray = rng.uniform(size=(n, 1)) ** power

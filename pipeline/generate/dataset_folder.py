@@ -1,7 +1,7 @@
 """The folder of a generated dataset: `real/`, `sim/`, its recipe, and a manifest that is written last.
 
-Each file is whole or absent and depends on the recipe alone, so that an interrupted command resumes with what is
-missing.
+Each file is written atomically and depends on the recipe alone, so that an interrupted command resumes with the missing
+files.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from ..storage.files import refuse_link, write_whole
 from ..storage.folder import refuse_other_content, refuse_overwrite
 
 Recipe = dict[str, Any]
-#: Where the recording lies changes no file.
-_NO_MATTER = ("recording",)
+#: Entries of a recipe that do not affect any file.
+_IGNORED = ("recording",)
 
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """Turn errors of the system into a `FidpipeError` that names the dataset."""
+    """Convert system errors into a `FidpipeError` that names the dataset."""
     try:
         yield
     except OSError as error:
@@ -44,15 +44,15 @@ def prepare_folder(
     *,
     replace: bool,
 ) -> None:
-    """Make the folder, write recipe and label names, and remove files of an earlier dataset that are not of this one.
+    """Create the folder, write recipe and label names, and remove files of an earlier dataset that this one lacks.
 
     Parameters
     ----------
-    recipe_name : of the recipe's file
-    recipe : all that the files depend on
-    own_files : existing files of an earlier dataset, by its recipe; None if the recipe is not of the same command
-    files : scans and labels that the dataset will have
-    replace : whether files of a finished dataset may be removed
+    recipe_name : file name of the recipe
+    recipe : everything that the files depend on
+    own_files : returns the existing files of an earlier dataset from its recipe; None if another command wrote that
+    files : scans and labels of the new dataset
+    replace : allow files of a finished dataset to be removed
 
     Raises
     ------
@@ -86,7 +86,7 @@ def prepare_folder(
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file; that of a manifest says that the dataset is finished."""
+    """Write a CSV file; the manifest marks the dataset as finished."""
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -102,16 +102,16 @@ def _read_recipe(path: Path) -> Recipe | None:
 
 
 def _changes(before: Recipe, now: Recipe) -> list[str]:
-    """Values of a recipe that differ, in words; of lists and tables the names alone."""
+    """Human-readable differences between two recipes; only the names of lists and tables."""
     changes = []
     for name in dict.fromkeys([*before, *now]):
         values = [recipe.get(name, "not given") for recipe in (before, now)]
-        if values[0] != values[1] and name not in _NO_MATTER:
+        if values[0] != values[1] and name not in _IGNORED:
             is_long = any(isinstance(value, list | dict) for value in values)
             changes.append(name if is_long else f"{name} was {values[0]}, is {values[1]}")
     return changes
 
 
 def _stems(files: Iterable[Path]) -> set[str]:
-    """Names of the pairs of some files."""
+    """Names of the pairs that files belong to."""
     return {path.stem for path in files if not path.name.startswith(".")}
