@@ -20,6 +20,7 @@ from ..storage.tables import JobName, JobRecord
 from .time_limit import TimeLimit
 
 OUT_OF_DATE = "out of date"  #: the reason for which a result is not wanted that was made from or with something else
+NOT_REQUESTED = "not requested"
 
 JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
@@ -283,7 +284,7 @@ def with_results(
         if not wanted.issuperset(record.reads):
             unwanted[record.name] = OUT_OF_DATE
         elif record.stage in exhaustive:
-            unwanted[record.name] = "not asked for"
+            unwanted[record.name] = NOT_REQUESTED
     return replace(plan, folder=folder.folder, token=folder.token).with_records(whole), unwanted
 
 

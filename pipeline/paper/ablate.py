@@ -1,8 +1,8 @@
-"""`fidpipe ablate`: how match rate and r_lambda depend on k, tau, delta and t (paper, section "Ablation Study").
+"""`fidpipe ablate`: match rate and r_lambda as functions of k, tau, delta and t (paper, section "Ablation Study").
 
-One at a time around the settings in force, or as a grid. A job is one pair under one graph setting: the graph and the
-communities are made once, and matching, selection and scores under all delta and t that are asked for walk over them.
-The paper names its choice (k = 90, tau = 0.2, delta = 5) and no ranges; those here are ours.
+One parameter is varied at a time around the current settings, or all as a grid. A job is one pair under one graph
+setting: graph and communities are computed once, then matching, selection and scores for all requested delta and t. The
+paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here are ours.
 """
 
 from __future__ import annotations
@@ -20,36 +20,76 @@ import pyarrow as pa
 from ...schemas.columns import SIDES
 from ...schemas.errors import SettingsError
 from ...schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
-from ...schemas.metrics import DATASET_SCORES
+from ...schemas.metrics import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...stages.arrays import FloatArray
+from ...stages.method import Memo, compare, n_communities, partition
 from ...stages.paper.parameter_choice import Choice, Influence, ParameterSet, Trial, choose_parameters, influence
 from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
-from .ablate_jobs import STAGE
+from ..jobs import seeds
+from ..jobs.points import ANNOTATED_COLUMNS, annotation, object_points
+from ..stage import Grain, Inputs, JobResult, Stage
 from .experiment import ExperimentOutcome, experimenting, mean_rows, read_source
 
-#: The ablated settings: column of `ablate`, group and name of the setting, and the values that are tried.
+#: The ablated settings: column of `ablate`, group and name of the setting, default values.
 PARAMETERS = {
     "k": ("graph", "k", (30, 60, 90, 120, 150)),
     "tau_m": ("graph", "tau_m", (0.1, 0.2, 0.3, 0.5)),
     "delta_m": ("matching", "delta_m", (1.0, 3.0, 5.0, 7.0, 10.0)),
     "t": ("selection", "t", (0.1, 0.5, 1.0, 2.0, 5.0)),
 }
-
-
 _NAMES = list(PARAMETERS)
-#: The settings that the rule can choose.
+#: The parameters that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
+_SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
+
+
+def make_rows(own: Inputs) -> JobResult:
+    """One row of `ablate` per point (k, tau, delta, t) of the arguments, with k and tau of the settings.
+
+    Graphs and communities of both sides are computed once; an object that is matched under several delta is scored once
+    for each t.
+    """
+    declared = own.settings
+    (points,) = own.arguments
+    real = partition(object_points(own, "real")[1], declared, annotation=annotation(own, "real"))
+    sim = partition(object_points(own, "sim")[1], declared, reference=real.reference)
+    memo: Memo = {}
+    rows = []
+    for point in points:
+        _, _, delta_m, t = point
+        settings = Settings(
+            communities=declared.communities,
+            matching=declared.matching.model_copy(update={"delta_m": delta_m}),
+            selection=declared.selection.model_copy(update={"t": t}),
+        )
+        summary = compare(real, sim, settings, memo=memo).summary
+        scores = n_communities(summary) | {name: summary[name] for name in _SUMMARY}
+        rows.append({"pair_id": own.pair_id, **dict(zip(_NAMES, point, strict=True)), **scores})
+    return JobResult({"ablate": ABLATE.from_rows(rows)})
+
+
+#: Increase its version when the same request results in other numbers.
+STAGE = Stage(
+    name="ablate",
+    takes={"ground": ANNOTATED_COLUMNS},
+    gives=("ablate",),
+    settings=("graph", "communities", "matching", "pieces", "selection"),
+    grain=Grain.PAIR,
+    version=2,
+    make=make_rows,
+    libraries=seeds.STAGE.libraries,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AblateOutcome(ExperimentOutcome):
-    """What has become of the experiment.
+    """Outcome of the experiment.
 
-    base : the settings in force
-    values : by parameter, all that were tried, ascending
+    base : the current settings
+    values : by parameter, all tried values, ascending
     rows : of `ablate`, one row per pair and parameter set
     """
 
@@ -59,15 +99,24 @@ class AblateOutcome(ExperimentOutcome):
     rows: pa.Table
 
     def along(self, name: str) -> list[ParameterSet]:
-        """The parameter sets in which one parameter moves and the others are in force."""
+        """The parameter sets in which one parameter varies and the others have their current values."""
         return [self.base.with_value(name, value) for value in self.values[name]]
 
     def scores(self, metric: str, tried: Sequence[ParameterSet]) -> FloatArray:
-        """(n_pairs, n_sets) values of a column of `ablate`; pairs in which one is missing are left out."""
+        """(n_pairs, n_sets) values of a column of `ablate`, without pairs where one is missing."""
         wide = self.rows.to_pandas().pivot(index="pair_id", columns=_NAMES, values=metric)
-        columns = pd.MultiIndex.from_tuples([tuple(vars(parameters).values()) for parameters in tried])
-        values: FloatArray = wide.reindex(columns=columns).dropna().to_numpy(dtype=np.float64)
+        values: FloatArray = wide.reindex(columns=_index(tried)).dropna().to_numpy(dtype=np.float64)
         return values
+
+    def spreads(self, columns: Sequence[str], tried: Sequence[ParameterSet] | None = None) -> pd.DataFrame:
+        """Mean and std over pairs of some columns, one row per parameter set; by default all that exist, ascending."""
+        spreads: pd.DataFrame = self.rows.to_pandas().groupby(_NAMES)[[*columns]].agg(["mean", "std"])
+        return spreads if tried is None else spreads.reindex(_index(tried))
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of pairs with rows."""
+        return len(self.rows.column("pair_id").unique())
 
 
 def ablate_dataset(
@@ -82,12 +131,12 @@ def ablate_dataset(
     machines: Machines | None = None,
     replace: bool = False,
 ) -> AblateOutcome:
-    """Evaluate the pairs of a dataset under each choice of the settings, and write the tables.
+    """Evaluate the pairs of a dataset under each parameter set and write the tables.
 
     Parameters
     ----------
-    settings : around which one at a time is moved
-    values : by parameter, those to try besides the value in force; by default those of `PARAMETERS`
+    settings : current settings, around which parameters are varied
+    values : by parameter, values to try in addition to the current one; by default those of `PARAMETERS`
     grid : all combinations instead of one at a time
     pattern : only pairs whose name matches (shell style)
     machines, replace : see `experimenting`
@@ -95,18 +144,18 @@ def ablate_dataset(
     Raises
     ------
     FidpipeError
-        The dataset, a setting or the folder is wrong; before any work.
+        The dataset, a setting or the folder is invalid; raised before any work.
     """
-    base, asked = parameters_of(settings), dict(values or {})
+    base, requested = parameters_of(settings), dict(values or {})
     if settings.communities.objects == "reference":
-        if {*asked.get("delta_m", ())} - {base.delta_m}:
-            raise SettingsError("--delta: objects that the real side fixes are not matched by distance; leave it out")
-        asked["delta_m"] = ()
-    tried = {name: _values(name, asked.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES}
+        if {*requested.get("delta_m", ())} - {base.delta_m}:
+            raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
+        requested["delta_m"] = ()
+    tried = {name: _values(name, requested.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES}
     settings_of = {choice: with_parameters(settings, choice) for choice in parameter_sets(base, tried, grid)}
     source = read_source(dataset, pattern, machines=machines)
     if source.is_scan:
-        raise SettingsError(f"{dataset}: is a scan; ablate compares real and simulated scans of a dataset")
+        raise SettingsError(f"{dataset}: is a scan; expected a dataset with real and simulated scans")
     with experimenting(
         "ablate", source, out, settings, reporter, stages=(STAGE,), sides=SIDES, machines=machines, replace=replace
     ) as experiment:
@@ -120,7 +169,7 @@ def ablate_dataset(
 
 
 def choose(outcome: AblateOutcome) -> list[Choice]:
-    """A choice for each parameter that the rule can choose and that has several values, and for the grid."""
+    """A choice for each parameter with several values that the rule covers, and for the grid."""
     tried = {name: outcome.along(name) for name in CHOSEN if len(outcome.values[name]) > 1}
     if outcome.grid:
         rows = outcome.rows.to_pandas()[_NAMES].drop_duplicates()
@@ -141,7 +190,7 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
 
 
 def influences(outcome: AblateOutcome) -> list[Influence]:
-    """How far match rate and r_lambda move with each parameter; needs two pairs and two values of it."""
+    """The influence of each parameter on match rate and r_lambda; requires two pairs and two values of it."""
     moves = (
         influence(name, metric, outcome.scores(metric, tried), tried.index(outcome.base))
         for name in PARAMETERS
@@ -152,12 +201,12 @@ def influences(outcome: AblateOutcome) -> list[Influence]:
 
 
 def parameters_of(settings: Settings) -> ParameterSet:
-    """The four settings in force."""
+    """The current values of the four parameters."""
     return ParameterSet(settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t)
 
 
 def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], grid: bool) -> list[ParameterSet]:
-    """The choices to try: one parameter moved at a time, or all combinations.
+    """The parameter sets to try: one parameter varied at a time, or all combinations.
 
     Examples
     --------
@@ -172,12 +221,12 @@ def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], gri
 
 
 def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
-    """The settings with the four values of a parameter set.
+    """The settings with the values of a parameter set.
 
     Raises
     ------
     SettingsError
-        A value is out of the bounds of its setting.
+        A value is out of bounds.
     """
     plain: dict[str, Any] = settings.model_dump(mode="json")
     for name, (group, setting, _) in PARAMETERS.items():
@@ -185,17 +234,21 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
     return parse(plain)
 
 
-def _values(name: str, asked: Sequence[float], now: float) -> tuple[float, ...]:
-    """The values of a parameter to try, ascending, with the one in force among them."""
+def _index(tried: Sequence[ParameterSet]) -> pd.MultiIndex:
+    return pd.MultiIndex.from_tuples([tuple(vars(parameters).values()) for parameters in tried])
+
+
+def _values(name: str, requested: Sequence[float], current: float) -> tuple[float, ...]:
+    """The values of a parameter to try including the current one, ascending."""
     if name != "k":
-        return tuple(sorted({*map(float, asked), now}))
-    if any(value != int(value) for value in asked):
-        raise SettingsError(f"--k {', '.join(f'{value:g}' for value in asked)}: whole numbers are wanted")
-    return tuple(sorted({*map(int, asked), int(now)}))
+        return tuple(sorted({*map(float, requested), current}))
+    if any(value != int(value) for value in requested):
+        raise SettingsError(f"--k: expected whole numbers, got {', '.join(f'{value:g}' for value in requested)}")
+    return tuple(sorted({*map(int, requested), int(current)}))
 
 
 def _parts(settings_of: dict[ParameterSet, Settings]) -> list[Part]:
-    """The wanted parts of a pair: one for each distinct setting of the graph."""
+    """The parts of a pair: one for each distinct graph setting."""
     by_graph: dict[tuple[int, float], list[ParameterSet]] = {}
     for parameters in settings_of:
         by_graph.setdefault((parameters.k, parameters.tau_m), []).append(parameters)

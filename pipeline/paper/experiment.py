@@ -1,7 +1,7 @@
-"""What experiments share: the scans that they work on, their folder, and how they say which tasks they want.
+"""Common parts of experiments: their scans, their folder, and the parts of their stages that are requested.
 
-An experiment has stages of its own, of grain PAIR, and wants parts of them: each a task with arguments, one table, made
-once and reused while its key stays. The stages of the pipeline that its own need are made first.
+An experiment has additional stages of grain PAIR and requests parts of them: each part is a task with arguments and one
+table, computed once and reused while its key is the same. The pipeline stages that they depend on are computed first.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..datasets.pairs import ScanPair, read_dataset, read_label_names
 from ..datasets.readers import is_scan_path, stem_of, suffix_of
 from ..datasets.readers.frames import address_of
 from ..engine.engine import Machines, RunEngine, Survey
-from ..engine.plan import OUT_OF_DATE, PairPlan, Part, Planner, with_results
+from ..engine.plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
 from ..inspect.frame_checks import inspection_of, pair_warnings
 from ..jobs import STAGES
@@ -46,19 +46,18 @@ from ..storage.record import (
 )
 from ..storage.tables import JobRecord
 
-_NOT_ASKED_FOR = "not asked for"
-_SEED = "seed"  # any other one is another experiment; of other numbers the larger holds the smaller
+_SEED = "seed"  # another seed is another experiment; for other numbers a larger one includes the smaller
 _VERSIONS = {stage.name: stage.version for stage in STAGES}
 
 
 @dataclass(frozen=True)
 class Source:
-    """Scans to work on.
+    """Scans of an experiment.
 
-    path : as the user named it
-    pairs : from a dataset, or one with a real side alone
+    path : as given by the user
+    pairs : of a dataset, or one pair with a real side only
     label_names : class names by number
-    is_scan : whether one scan file was named
+    is_scan : True for a single scan file
     """
 
     path: Path
@@ -69,10 +68,10 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentOutcome:
-    """What has become of an experiment, whichever it is.
+    """Outcome of any experiment.
 
-    failures : why a task, a pair or a scan failed, by name
-    n_made, n_reused : jobs
+    failures : reasons for failed tasks, pairs and scans, by name
+    n_made, n_reused : numbers of jobs
     """
 
     folder: Path
@@ -91,15 +90,15 @@ def read_source(
     ----------
     path : a scan file or a dataset folder
     pattern : only pairs whose name matches (shell style)
-    first_only : without a pattern the first pair alone
-    machines : workers of a cluster may run in other folders, and get absolute paths
+    first_only : return only the first pair if no pattern is given
+    machines : workers of a cluster may have another working directory, and get absolute paths
 
     Raises
     ------
     DatasetError
-        There is nothing, the dataset is wrong, or no pair matches.
+        No dataset exists, it is invalid, or no pair matches.
     ScanError
-        The file is of no known format.
+        The format of the file is unknown.
     """
     if machines is not None and machines.scheduler:
         path = path.absolute()
@@ -107,7 +106,7 @@ def read_source(
         if suffix_of(path) is None:
             raise ScanError(f"{path}: not a known scan format; expected a scan file or a dataset folder")
         if pattern is not None:
-            raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; --pairs needs a dataset folder")
+            raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; expected a dataset folder")
         folder = address_of(path).file.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
         return Source(path, (ScanPair(stem_of(path), path, None),), names, is_scan=True)
@@ -119,7 +118,7 @@ def read_source(
 
 
 class Experiment:
-    """An experiment while it is worked on; `experimenting` opens one."""
+    """A running experiment; opened by `experimenting`."""
 
     def __init__(
         self,
@@ -143,12 +142,12 @@ class Experiment:
         self._facts: Mapping[str, Any] = {}
 
     def prepare(self) -> list[PairPlan]:
-        """Makes the stages that the experiment's own need; gives the pairs of which all that is done.
+        """Compute the pipeline stages that the experiment needs; returns the pairs for which all of them are done.
 
         Raises
         ------
         ScanError
-            One scan file was named, and it cannot be used.
+            The single scan file of the experiment is unusable.
         """
         self.engine.hash_files(self._source.pairs, sides=self._sides)
         self._make(STAGES)
@@ -160,19 +159,19 @@ class Experiment:
         return [plan for plan in self._plans() if not plan.todo]
 
     def make(self, parts: Mapping[str, Sequence[Part]], facts: Mapping[str, Any]) -> None:
-        """Makes the wanted parts, by pair_id, that are not there under their key; removes all others.
+        """Compute the requested parts that do not exist under their key; remove all others.
 
         Parameters
         ----------
-        parts : wanted, by pair_id
-        facts : what was asked for, as `run.json` keeps it: lists of values, numbers of repeats, a seed
+        parts : requested parts by pair_id
+        facts : the request as stored in `run.json`: lists of values, numbers of repeats, a seed
 
         Raises
         ------
         RunError
-            Results of a finished experiment would go that `facts` do not ask for any more, unasked.
+            Results of a finished experiment that `facts` no longer request would be removed without --replace.
         ValueError
-            Two parts have one name: they would write one file. Nothing is removed or made.
+            Two parts have the same name, and so the same file. Nothing is removed or computed.
         """
         self._parts, self._facts = parts, facts
         self._make(self._own)
@@ -185,7 +184,7 @@ class Experiment:
         return pa.concat_tables([TABLES[table].schema.empty_table(), *parts])
 
     def write_summary(self, table: Table, rows: list[Row]) -> pa.Table:
-        """Writes a table of the whole experiment, and returns it."""
+        """Write a table of the whole experiment and return it."""
         key, path = key_of(sorted(record.key for record in self._records())), f"{table.name}.parquet"
         summary = table.from_rows(rows)
         stored = self.folder.write_at(self.folder.folder / path, table.name, summary, key)
@@ -193,11 +192,11 @@ class Experiment:
         return summary
 
     def finish(self, facts: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """What an `ExperimentOutcome` says of any experiment; writes it into `run.json`.
+        """Write the outcome into `run.json` and return the fields of an `ExperimentOutcome`.
 
         Parameters
         ----------
-        facts : what came out, to stand there besides what was asked for
+        facts : further results for `run.json`
         """
         failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
         n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
@@ -207,7 +206,7 @@ class Experiment:
         return outcome | {f"n_{name}": n for name, n in jobs.items()}
 
     def _write_record(self, facts: Mapping[str, Any]) -> None:
-        """Writes the settings and the record; without facts it is the head of an experiment that has not ended."""
+        """Write the settings and the record; without facts, that of an experiment that has not ended."""
         settings = to_toml(self.engine.settings).encode()
         write_whole(self.folder.folder / SETTINGS_TOML, settings, before_rename=self.folder.check_token)
         header = {"experiment": self._name, **run_header(self._source.path, self.engine.settings, _VERSIONS).as_dict()}
@@ -221,24 +220,25 @@ class Experiment:
         return self._planner.plan(pair, self.engine.contents[pair.pair_id], self._parts.get(pair.pair_id, ()))
 
     def _plans(self) -> Iterator[PairPlan]:
-        """The pairs that can be used, knowing what is done."""
+        """The plans of the usable pairs with their existing results."""
         for pair in self._source.pairs:
             if pair.pair_id in self.engine.contents and pair.pair_id not in self.engine.failures:
                 yield with_results(self._plan(pair), self.folder)[0]
 
     def _make(self, stages: Sequence[Stage]) -> None:
-        """Makes what is wanted and not there; of these stages nothing else stays."""
+        """Compute the missing results of some stages and remove their other results."""
         survey = self.engine.survey(
             self._source.pairs,
             self._plan,
             selected={pair.pair_id for pair in self._source.pairs},
             exhaustive=frozenset(stage.name for stage in stages),
-            why_absent=_NOT_ASKED_FOR,
+            why_absent=NOT_REQUESTED,
         )
         self._refuse_replacing(survey)
         if survey.todo:
             self.engine.start(survey.todo)
-        only_adds = stages is STAGES and self._finished and not survey.stale  # what stays is still as it was asked
+        # If results are only added, the record of the finished experiment stays valid.
+        only_adds = stages is STAGES and self._finished and not survey.stale
         if (survey.todo or survey.stale) and not only_adds:
             self._write_record({})
         self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
@@ -247,25 +247,20 @@ class Experiment:
                 schedule.run()
 
     def _refuse_replacing(self, survey: Survey) -> None:
-        """Refuses to replace or remove results of a finished experiment because something else is asked for.
+        """Raise `RunError` if another request would replace or remove results of a finished experiment.
 
-        Results that only grow, by further values, repeats or pairs, are no such thing; nor is what other input files,
-        libraries or a newer fidpipe make anew.
-
-        Raises
-        ------
-        RunError
-            They would be replaced; says which, and by what.
+        Further values, repeats or pairs only add results. Results that are recomputed because of other input files,
+        libraries or a newer fidpipe are replaced too.
         """
         if not self._finished:
             return
         changed = changed_settings(self._finished, self.engine.settings)
         groups = {group for stage in (*self._base, *self._own) for group in stage.settings}
         why = [text for group, texts in changed.items() if group in groups for text in texts]
-        why += _dropped(self._finished, self._facts)
-        left_out = sorted({pair_id for _, pair_id, _ in survey.stale} - {pair.pair_id for pair in self._source.pairs})
-        why += [f"pair{'s' * (len(left_out) > 1)} {', '.join(left_out[:5])} not asked for"] if left_out else []
-        lost = [name for name, reason in survey.stale.items() if reason in (OUT_OF_DATE, _NOT_ASKED_FOR)]
+        existing = sorted({pair_id for _, pair_id, _ in survey.stale})
+        requested = [pair.pair_id for pair in self._source.pairs]
+        why += _reductions(self._finished | {"pairs": existing}, {**self._facts, "pairs": requested})
+        lost = [name for name, reason in survey.stale.items() if reason in (OUT_OF_DATE, NOT_REQUESTED)]
         if not lost or not why:
             return
         stages, pairs = dict.fromkeys(stage for stage, _, _ in lost), {pair_id for _, pair_id, _ in lost}
@@ -286,18 +281,18 @@ def experimenting(
     machines: Machines | None = None,
     replace: bool = False,
 ) -> Iterator[Experiment]:
-    """The folder of an experiment, locked.
+    """Open and lock the folder of an experiment.
 
     Parameters
     ----------
-    name : of the experiment, as the command has it
+    name : of the experiment, equal to the command
     source : the scans
     out : the folder
-    settings : in force
-    stages : of the experiment
-    sides : of the pairs that it needs
-    machines : where work is done
-    replace : whether results of a finished experiment may be replaced because something else is requested
+    settings : effective settings
+    stages : stages of the experiment
+    sides : sides of the pairs that it needs
+    machines : workers
+    replace : allow results of a finished experiment to be replaced by another request
 
     Raises
     ------
@@ -311,31 +306,31 @@ def experimenting(
 
 
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
-    """Of each group of rows with the same keys, nulls among them too: keys, n, mean and std (n - 1) of `value`."""
+    """Keys, n, mean and std (n - 1) of `value` for each group of rows with equal keys, null keys included."""
     for names, values in scores.groupby(keys, dropna=False, sort=False)["value"]:
         mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
         yield dict(zip(keys, names, strict=True)) | {"n": int(values.notna().sum()), "mean": mean, "std": std}
 
 
-def _dropped(before: Mapping[str, Any], now: Mapping[str, Any], name: str = "") -> Iterator[str]:
-    """In words, what was asked for before and is not now: values of a list, a number that was larger, another seed."""
+def _reductions(before: Mapping[str, Any], now: Mapping[str, Any], name: str = "") -> Iterator[str]:
+    """Human-readable reductions of a request: values missing from a list, a smaller number, another seed."""
     for key in (key for key in now if key in before):
         own, (old, new) = f"{name}.{key}".lstrip("."), (before[key], now[key])
         if isinstance(new, Mapping):
-            yield from _dropped(old, new, own)
+            yield from _reductions(old, new, own)
         elif isinstance(new, Sequence):
             gone = [each for each in old if each not in new]
-            words = [
+            texts = [
                 " ".join(map(str, [*each.values()][:2])) if isinstance(each, Mapping) else str(each) for each in gone
             ]
             if gone:
-                yield f"{own} {', '.join(words[:5])}{' ...' * (len(words) > 5)} not asked for"
+                yield f"{own} {', '.join(texts[:5])}{' ...' * (len(texts) > 5)} {NOT_REQUESTED}"
         elif new != old if key == _SEED else new < old:
             yield f"{own} was {old}, is {new}"
 
 
 def _needed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-    """The stages of the pipeline that make what these take, and what those take in turn; in their order."""
+    """The pipeline stages that produce the inputs of these, directly or indirectly, in their order."""
     wanted = {table for stage in stages for table in stage.takes}
     needed = []
     for stage in reversed(STAGES):

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from ...schemas.metrics import metric_of
 from ...stages.arrays import FloatArray, IntArray
@@ -30,7 +29,7 @@ from .ablate import PARAMETERS, AblateOutcome
 from .perturb import PerturbOutcome, object_points
 
 _TOP_IN, _ROW_IN = 3.0, 2.3
-_MOST_DRAWN = 4
+_MAX_OBJECTS = 4
 _ALTERATIONS = {
     "noise": "noise, standard deviation (m)",
     "dropout": "dropout, share of points lost",
@@ -46,12 +45,12 @@ _SCORES = {"r_lambda_mean": (BLUE, "o"), "match_rate": (GREEN, "s")}
 
 
 def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
-    """Writes `perturb.png` into the folder; None where nothing was done that can be drawn."""
+    """Write `perturb.png` into the folder; returns None if there is nothing to draw."""
     if not outcome.objects:
         return None
     curves = [kind for kind in _ALTERATIONS if any(level.kind == kind for level in outcome.levels)]
     scan = outcome.objects[0].pair_id
-    drawn = [chosen for chosen in outcome.objects if chosen.pair_id == scan][:_MOST_DRAWN]
+    shown = [chosen for chosen in outcome.objects if chosen.pair_id == scan][:_MAX_OBJECTS]
     points, community = object_points(outcome.folder, scan)
     names = list(dict.fromkeys(chosen.name for chosen in outcome.objects))
     colours = {name: _OBJECT_COLOURS.get(name, _OTHER_COLOURS[i % len(_OTHER_COLOURS)]) for i, name in enumerate(names)}
@@ -59,10 +58,10 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     with new_figure(11, _TOP_IN + _ROW_IN * n_rows) as figure:
         top, bottom = figure.subfigures(2, 1, height_ratios=(_TOP_IN, max(_ROW_IN * n_rows, 0.1)))
         top.suptitle(f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats")
-        grid = top.add_gridspec(1, 1 + len(drawn), width_ratios=(1.3, *[1] * len(drawn)))
-        chosen_colours = {chosen.community_id: colours[chosen.name] for chosen in drawn}
+        grid = top.add_gridspec(1, 1 + len(shown), width_ratios=(1.3, *[1] * len(shown)))
+        chosen_colours = {chosen.community_id: colours[chosen.name] for chosen in shown}
         _draw_scene(top.add_subplot(grid[0]), points, community, chosen_colours)
-        for place, chosen in enumerate(drawn, start=1):
+        for place, chosen in enumerate(shown, start=1):
             axis = top.add_subplot(grid[place], projection="3d", **VIEW)
             own = points[community == chosen.community_id]
             corner, size = box_of(own)
@@ -78,36 +77,34 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
 
 
 def draw_ablation(outcome: AblateOutcome) -> Path | None:
-    """Writes `ablate.png` into the folder; None where there is nothing to draw."""
+    """Write `ablate.png` into the folder; returns None if there is nothing to draw."""
     names = [name for name in PARAMETERS if len(outcome.values[name]) > 1]
     if not names or not outcome.rows.num_rows:
         return None
-    rows = outcome.rows.to_pandas()
-    n_pairs = rows.pair_id.nunique()
-    spreads = rows.groupby(list(PARAMETERS))[list(_SCORES)].agg(["mean", "std"])
+    n_pairs = outcome.n_pairs
     has_maps = outcome.grid and len(outcome.values["k"]) > 1 and len(outcome.values["tau_m"]) > 1
-    title = f"mean over {n_pairs} pair{'s' * (n_pairs > 1)}, bands: one standard deviation; dashed: in force"
+    title = f"mean over {n_pairs} pair{'s' * (n_pairs > 1)}, bands: one standard deviation; dashed: current"
     with new_figure(2.75 * max(len(names), 2), 2.7 + 2.8 * has_maps, title) as figure:
         top, *below = figure.subfigures(2, 1) if has_maps else [figure]
         for axis, name in zip(top.subplots(1, len(names), sharey=True, squeeze=False)[0], names, strict=True):
-            _draw_scores(axis, spreads, outcome, name)
+            _draw_scores(axis, outcome, name)
         top.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         for maps in below:
-            _draw_maps(maps, spreads, outcome)
+            _draw_maps(maps, outcome)
         path = outcome.folder / "ablate.png"
         figure.savefig(path, dpi=120)
     return path
 
 
 def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], colours: dict[str, str]) -> None:
-    """Two panels for each kind of alteration; those of one metric have the same scale."""
+    """Two panels for each kind of perturbation; those of one metric share a scale."""
     means = outcome.means
     panels = [(kind, metric) for kind in curves for metric in ("r_lambda", "r_gap")]
     axes = figure.subplots((len(panels) + 3) // 4, 4, squeeze=False).ravel()
     for i, (axis, (kind, metric)) in enumerate(zip(axes, panels, strict=False)):
         if i > 1:
             axis.sharey(axes[i % 2])
-        _draw_answers(axis, means, [level for level in outcome.levels if level.kind == kind], metric, colours)
+        _draw_curves(axis, means, [level for level in outcome.levels if level.kind == kind], metric, colours)
         axis.set_title(f"({'bcdefghi'[i]})", loc="left")
     for axis in axes[:2]:
         axis.set_ylim(bottom=0)
@@ -117,8 +114,8 @@ def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], co
 
 
 def _draw_scene(axis: Any, points: FloatArray, community: IntArray, colour_of: dict[int, str]) -> None:
-    """All objects from above, the chosen ones in their colours."""
-    greys = 0.62 + 0.25 * (np.arange(int(community.max()) + 1) * 0.618 % 1)  # neighbours in number differ
+    """All objects from above, the chosen ones in colour."""
+    greys = 0.62 + 0.25 * (np.arange(int(community.max()) + 1) * 0.618 % 1)  # consecutive numbers differ
     dots(axis, points, 0.8, np.repeat(greys[community, None], 3, axis=1))
     for chosen, colour in colour_of.items():
         dots(axis, points[community == chosen], 1.6, colour)
@@ -126,13 +123,11 @@ def _draw_scene(axis: Any, points: FloatArray, community: IntArray, colour_of: d
     axis.set_title(f"(a) {int(community.max()) + 1} objects from above,\n{len(colour_of)} of them chosen", fontsize=8.5)
 
 
-def _draw_answers(
-    axis: Any, means: Means, levels: Sequence[Perturbation], metric: str, colours: dict[str, str]
-) -> None:
+def _draw_curves(axis: Any, means: Means, levels: Sequence[Perturbation], metric: str, colours: dict[str, str]) -> None:
     levels = sorted(levels, key=lambda level: level.amount)
     for marker, (name, colour) in zip(_MARKERS * len(colours), colours.items(), strict=False):
-        answers = [(level.amount, means.get(name, level, metric)) for level in levels]
-        known = [(amount, answer.mean, answer.std or 0.0) for amount, answer in answers if answer.mean is not None]
+        curve = [(level.amount, means.get(name, level, metric)) for level in levels]
+        known = [(amount, score.mean, score.std or 0.0) for amount, score in curve if score.mean is not None]
         if known:
             draw_band(axis, *np.array(known).T, marker=marker, color=colour, label=shown_name(name))
     kind = levels[0].kind
@@ -142,10 +137,10 @@ def _draw_answers(
     axis.set(xlabel=_ALTERATIONS[kind], ylabel=metric)
 
 
-def _draw_scores(axis: Any, spreads: pd.DataFrame, outcome: AblateOutcome, name: str) -> None:
-    """Mean and deviation over pairs of both scores while one setting moves."""
+def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:
+    """Mean and deviation over pairs of both scores at each value of a parameter."""
     values = np.array(outcome.values[name], dtype=float)
-    own = spreads.reindex(pd.MultiIndex.from_tuples([tuple(vars(point).values()) for point in outcome.along(name)]))
+    own = outcome.spreads([*_SCORES], outcome.along(name))
     for score, (colour, marker) in _SCORES.items():
         mean, std = own[score, "mean"].to_numpy(), own[score, "std"].fillna(0).to_numpy()
         draw_band(axis, values, mean, std, marker=marker, color=colour, label=metric_of(score).label)
@@ -156,9 +151,9 @@ def _draw_scores(axis: Any, spreads: pd.DataFrame, outcome: AblateOutcome, name:
     axis.set(ylim=(0, 1), xlabel=_SETTINGS[name])
 
 
-def _draw_maps(figure: Any, spreads: pd.DataFrame, outcome: AblateOutcome) -> None:
-    """Both scores over k and tau, delta and t as in force."""
-    own = spreads.xs((outcome.base.delta_m, outcome.base.t), level=("delta_m", "t"))
+def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
+    """Both scores over k and tau at the current delta and t."""
+    own = outcome.spreads([*_SCORES]).xs((outcome.base.delta_m, outcome.base.t), level=("delta_m", "t"))
     for axis, score in zip(figure.subplots(1, 2), _SCORES, strict=True):
         table = own[score, "mean"].unstack("k")
         picture = axis.imshow(table, origin="lower", aspect="auto", cmap="viridis")

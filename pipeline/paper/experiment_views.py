@@ -1,11 +1,9 @@
-"""What the terminal shows of the paper's experiments, `fidpipe perturb` and `fidpipe ablate`, at their end."""
+"""Terminal output of the paper's experiments, `fidpipe perturb` and `fidpipe ablate`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-
-import pandas as pd
 
 from ...schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ...stages.generate.perturbations import Perturbation
@@ -35,22 +33,22 @@ _NARROW_LEVELS = {
     "density": "dens.\nx {:g}",
 }
 _ROUNDING = 1e-12
-#: What r_lambda is made of, and what else moves.
+#: The parts of r_lambda, and other scores.
 _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
 
 _PARAMETERS = {
     "k": "graph.k: nearest neighbours of each point",
-    "tau_m": "graph.tau_m: all points within so many metres are joined",
-    "delta_m": "matching.delta_m: centroids nearer than this match, metres",
+    "tau_m": "graph.tau_m: distance within which all points are connected, metres",
+    "delta_m": "matching.delta_m: largest distance of matched centroids, metres",
     "t": "selection.t: diffusion time of the heat kernel",
 }
 _OBJECT_SCORES = ("r_lambda", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "cdc")
-#: Means over pairs; of the first two also the standard deviation.
+#: Means over pairs; the first two also have a standard deviation.
 _ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_SCORES))
 
 
 def perturb_view(outcome: PerturbOutcome) -> View:
-    """The paper's Table I beside ours, the objects, which metric reacts to what, and the claims."""
+    """The paper's Table I next to ours, the objects, the reactions of the metrics, and the claims."""
     means, levels = outcome.means, outcome.levels
     parts: list[Part] = []
     if outcome.scans:
@@ -64,31 +62,30 @@ def perturb_view(outcome: PerturbOutcome) -> View:
         claims = [(claim.claim, claim.paper, claim.here, claim.verdict) for claim in check_sweep_claims(means, levels)]
         if claims:
             headings = ("claim", "paper", "here", "verdict")
-            parts.append(Table("What the paper says of them", headings, claims, words=range(4)))
+            parts.append(Table("The paper's claims about perturbations", headings, claims, words=range(4)))
     results = "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (one row per repeat), perturb.png"
     return [*parts, *_last_lines(outcome, results)]
 
 
 def ablate_view(outcome: AblateOutcome) -> View:
-    """A table for each setting, what moves the scores, and the choice."""
+    """A table for each parameter, their influences, and the choice."""
     parts: list[Part] = []
     if outcome.rows.num_rows:
-        rows = outcome.rows.to_pandas()
-        parts += [_parameter_table(outcome, rows, name) for name in PARAMETERS if len(outcome.values[name]) > 1]
+        parts += [_parameter_table(outcome, name) for name in PARAMETERS if len(outcome.values[name]) > 1]
         parts += _influence_tables(outcome)
         parts += [Note("The choice", "bold"), Note(f"Rule: {RULE}.")]
         parts += [Note(f"  {choice.name.removesuffix('_m')}: {choice.text}") for choice in choose(outcome)]
-        note = "A small r_lambda can also come of a bad alignment (a large change): read it beside shift and change.\n"
-        parts.append(Note(note))
-    results = "ablate_summary.parquet (means over pairs), ablate/ (one row per pair and choice of settings), ablate.png"
+        note = "A small r_lambda can also result from a poor alignment (a large change): compare shift and change."
+        parts.append(Note(f"{note}\n"))
+    results = "ablate_summary.parquet (means over pairs), ablate/ (one row per pair and parameter set), ablate.png"
     return [*parts, *_last_lines(outcome, results)]
 
 
 def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Note]:
-    """How many failures were told of, jobs, and which files of the folder hold what."""
+    """Number of failures and jobs, and the files of the folder."""
     n_failed = len(outcome.failures)
     return [
-        *([Note(f"{n_failed} failed, as told above; see also failures in run.json", "red")] if n_failed else []),
+        *([Note(f"{n_failed} failed, see the messages above and failures in run.json", "red")] if n_failed else []),
         Note(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
         Note(f"results: {outcome.folder}/{results}"),
     ]
@@ -97,7 +94,7 @@ def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Note]:
 def _level_table(
     title: str, columns: Sequence[str], outcome: PerturbOutcome, cells: Callable[[Perturbation], Sequence[str]]
 ) -> Table:
-    """One row per level, a line after each kind; only the names of the levels are not broken into lines."""
+    """One row per level and a line after each kind; only the names of the levels never break into lines."""
     levels = outcome.levels
     rows = [(_LEVELS[level.kind].format(level), *cells(level)) for level in levels]
     last = {level.kind: i for i, level in enumerate(levels)}
@@ -143,7 +140,7 @@ def _detail_table(outcome: PerturbOutcome, means: Means) -> Table:
         values = ([v for name in means.objects for v in means.series(name, [level], metric)] for metric in _DETAILS)
         return [_number(sum(own) / len(own) if own else None) for own in values]
 
-    title = "What r_lambda is made of (shift / change) and what else moves: means over these objects"
+    title = "The parts of r_lambda (shift / change) and other scores: means over these objects"
     return _level_table(title, labels(_DETAILS), outcome, cells)
 
 
@@ -153,24 +150,22 @@ def _reaction_table(outcome: PerturbOutcome) -> Table:
     for reaction in react(outcome.means, outcome.levels):
         most = _NARROW_LEVELS[reaction.most.kind].partition("\n")[0] if reaction.most else ""
         rows.append((reaction.metric, *map(_number, reaction.values), most))
-    title = "Which metric reacts to what: means over the objects at the strongest level of each kind"
+    title = "Reaction of each metric: means over the objects at the strongest level of each kind"
     words = (0, len(levels) + 1)
     return Table(title, ("metric", *levels, "most to"), rows, words, ruled=(len(OWN_METRICS) - 1,))
 
 
-def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> Table:
-    """Means over pairs at each value of a setting, the others in force."""
+def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
+    """Means over pairs at each value of a parameter, with current values of the others."""
     points, counts = outcome.along(name), ["n_communities_real", "n_communities_sim"]
-    spreads = rows.groupby(list(PARAMETERS))[[*counts, *_ABLATED_SCORES]].agg(["mean", "std"])
-    spreads = spreads.reindex(pd.MultiIndex.from_tuples([tuple(vars(point).values()) for point in points]))
-    n_pairs, cells = rows.pair_id.nunique(), []
+    spreads, n_pairs, cells = outcome.spreads([*counts, *_ABLATED_SCORES], points), outcome.n_pairs, []
     for point, own in zip(points, spreads.to_dict("records"), strict=True):
         values: list[object] = [own[column, "mean"] for column in (*counts, *_ABLATED_SCORES)]
         if n_pairs > 1:
             values[2:4] = [mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]]
         cells.append((f"{'*' if point == outcome.base else ''}{getattr(point, name):g}", *values))
     paper = f"; the paper chose {CHOSEN[name]:g}" if name in CHOSEN else ""
-    title = f"{_PARAMETERS[name]}; mean ± std over {n_pairs} pairs, * in force{paper}"
+    title = f"{_PARAMETERS[name]}; mean ± std over {n_pairs} pairs, * current{paper}"
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
     fixed = (0, *range(3, len(columns)))
     base = points.index(outcome.base)
@@ -178,16 +173,16 @@ def _parameter_table(outcome: AblateOutcome, rows: pd.DataFrame, name: str) -> T
 
 
 def _influence_tables(outcome: AblateOutcome) -> list[Table]:
-    """How far a setting moves a score; no table where too few pairs tell."""
+    """Influence of each parameter on each score; no table if there are too few pairs."""
     rows = []
     for influence in influences(outcome):
         setting, score = influence.name.removesuffix("_m"), metric_of(influence.metric).label
-        verdict = "within the spread" if influence.is_within_spread else "beyond it"
-        verdict = verdict if influence.range_of_means else "does not move"
+        result = "within the spread" if influence.is_within_spread else "beyond the spread"
+        result = result if influence.range_of_means else "no change"
         paper = INFLUENCES.get((influence.name, influence.metric), "")
-        rows.append((setting, score, influence.range_of_means, influence.std_over_pairs, verdict, paper))
-    title = "How far a setting moves a score, beside how far the pairs differ"
-    columns = ("setting", "score", "moved by", "std over pairs", "verdict", "the paper")
+        rows.append((setting, score, influence.range_of_means, influence.std_over_pairs, result, paper))
+    title = "Change of a score over the values of a setting, compared with its spread over pairs"
+    columns = ("setting", "score", "range of means", "std over pairs", "result", "the paper")
     return [Table(title, columns, rows, words=(0, 1, 4, 5))] if rows else []
 
 
@@ -198,7 +193,7 @@ def _spread(score: Mean | PaperMean) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Three digits; a power of ten where they would all be 0, none where the number is large."""
+    """Three digits; a power of ten if they would all be 0, no decimals for large numbers."""
     if value is None or value == 0 or 5e-4 <= abs(value) < 10:
         return number(value)
     return f"{value:.0f}" if abs(value) >= 10 else f"{value:.0e}"

@@ -1,13 +1,13 @@
-"""`fidpipe perturb`: how the scores answer to known alterations of a real scan (paper, Table I and Fig. 3).
+"""`fidpipe perturb`: response of the scores to known alterations of a real scan (paper, Table I and Fig. 3).
 
-What is altered are object points, after cleaning and ground removal. *Global*: all of them, everything from the graph
-on is run again. *Object level*: those of one community, its graph rebuilt from them alone.
+Object points are altered after cleaning and ground removal. *Global*: all of them, with everything from the graph on
+recomputed. *Object level*: those of one community, with its graph rebuilt from them alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +35,10 @@ from .experiment import Experiment, ExperimentOutcome, experimenting, mean_rows,
 from .perturb_jobs import BASELINE, GLOBAL, OBJECT
 from .perturb_objects import choose_objects, read_objects
 
-#: What a scan differs from itself by where nothing has changed: the first row of every table. One point less, rows in
-#: another order, another Louvain seed; noise and rigid motion keep the order, dropout and the others do not.
+#: Difference of a scan from itself without a change, the first row of every table: one point less, rows in another
+#: order, another Louvain seed. Noise and rigid motion keep the order, dropout and the others do not.
 NULL = Perturbation("null", 1.0)
-#: Noise, dropout and rigid motion as in the paper; the null row, hallucination and density are ours.
+#: Noise, dropout and rigid motion are those of the paper; the null row, hallucination and density are ours.
 LEVELS = (
     NULL,
     *(Perturbation("noise", std_m) for std_m in (1e-3, 1e-2, 1e-1)),
@@ -48,7 +48,7 @@ LEVELS = (
     *(Perturbation("density", factor) for factor in (0.25, 0.5, 2.0, 4.0)),
 )
 
-#: Least and largest amount of each kind.
+#: Smallest and largest amount of each kind.
 _BOUNDS = {
     "null": (0, 100),
     "noise": (0, 10),
@@ -61,10 +61,10 @@ _BOUNDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class PerturbOutcome(ExperimentOutcome):
-    """What has become of the experiment.
+    """Outcome of the experiment.
 
-    scans : names of those that were altered
-    objects : the chosen ones of all scans
+    scans : names of the altered scans
+    objects : chosen objects of all scans
     summary : rows of `perturb_summary`
     """
 
@@ -75,7 +75,7 @@ class PerturbOutcome(ExperimentOutcome):
 
     @property
     def means(self) -> Means:
-        """The summary, to be looked up."""
+        """The summary by object, level and metric."""
         return Means(self.summary.to_pylist())
 
 
@@ -98,23 +98,23 @@ def perturb_source(
 
     Parameters
     ----------
-    path : a scan file, or a dataset's folder; without a pattern the real side of its first pair is taken
-    levels : ways and amounts of altering
-    repeats, global_repeats : of each level at object level and of the whole scan
+    path : a scan file or the folder of a dataset; without a pattern the real side of its first pair is used
+    levels : kinds and amounts of perturbations
+    repeats, global_repeats : number of repeats of each level, per object and for the whole scan
     seed : of the random numbers
-    objects : community ids and labels; None for the classes of the paper, or shapes
+    objects : community ids and labels; by default the classes of the paper, or shapes
     machines, replace : see `experimenting`
 
     Raises
     ------
     FidpipeError
-        The scan, the dataset, a setting or the folder is wrong; before any work.
+        The scan, the dataset, a setting or the folder is invalid; raised before any work.
     """
     source = read_source(path, pattern, first_only=True, machines=machines)
     if objects and any(word.isdigit() for word in objects) and len(source.pairs) > 1:
         raise DatasetError(
-            f"--objects {','.join(objects)}: an object's number belongs to one scan, {len(source.pairs)} are "
-            "chosen; name one with --pairs, or give labels"
+            f"--objects {','.join(objects)}: the number of an object requires one scan, got {len(source.pairs)}; "
+            "select one with --pairs, or give labels"
         )
     stages, sides = (GLOBAL, OBJECT, BASELINE), ("real",)
     with experimenting(
@@ -144,7 +144,7 @@ def perturb_source(
 
 
 def object_points(folder: Path, scan: str) -> tuple[FloatArray, IntArray]:
-    """Object points of an unaltered scan, (n, 3) metres, and the community of each, from the experiment's folder."""
+    """Object points of an unaltered scan, (n, 3) metres, and their communities, from the experiment's folder."""
     run_folder = RunFolder(folder)
     ground = run_folder.read_table("ground", scan, "real", ["x", "y", "z", "is_ground"])
     ground = ground.filter(pc.invert(ground.column("is_ground")))
@@ -153,12 +153,12 @@ def object_points(folder: Path, scan: str) -> tuple[FloatArray, IntArray]:
 
 
 def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
-    """Levels from words: `dropout` (those of the paper), `dropout=0.1,0.3`, `rigid=0:0.5,0.05:2` (metres:degrees).
+    """Parse levels: `dropout` (the default levels), `dropout=0.1,0.3`, `rigid=0:0.5,0.05:2` (metres:degrees).
 
     Raises
     ------
     SettingsError
-        The kind is unknown, or an amount is no number or out of bounds.
+        The kind is unknown, or an amount is not a number or out of bounds.
 
     Examples
     --------
@@ -169,7 +169,7 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
     for word in words:
         kind, equals, amounts = word.partition("=")
         if kind not in KINDS:
-            raise SettingsError(f"--sweep {word!r}: {kind!r} is no perturbation; known are {', '.join(KINDS)}")
+            raise SettingsError(f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}")
         if equals:
             levels |= dict.fromkeys(_level(word, kind, text) for text in amounts.split(","))
         else:
@@ -183,23 +183,24 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
     try:
         level = Perturbation(kind, float(amount), float(shift) if colon else 0.0)
     except ValueError:
-        raise SettingsError(f"--sweep {word!r}: {text!r} found, a number is wanted (rigid: metres:degrees)") from None
+        raise SettingsError(f"--sweep {word!r}: expected a number (rigid: metres:degrees), got {text!r}") from None
     if colon and kind != "rigid":
-        raise SettingsError(f"--sweep {word!r}: metres:degrees is for rigid; {kind} takes one number")
+        raise SettingsError(
+            f"--sweep {word!r}: expected one number for {kind}, got {text!r}; metres:degrees is for rigid"
+        )
     if not low <= level.amount <= high or not 0 <= level.shift_m <= 100:
-        raise SettingsError(f"--sweep {word!r}: {text} is out of bounds, {low:g} to {high:g} are allowed for {kind}")
+        raise SettingsError(f"--sweep {word!r}: expected {low:g} to {high:g} for {kind}, got {text}")
     return level
 
 
 def _parts(
     scan: str, level: Perturbation, objects: Sequence[ChosenObject], stages: Sequence[Stage], facts: Mapping[str, Any]
 ) -> Iterator[Part]:
-    """The parts of one level: the whole scan, and each chosen object."""
-    about = (level.kind, level.amount, level.shift_m)
+    """The parts of one level: the whole scan and each chosen object."""
 
-    def seeds_of(what: int | str, n: int) -> list[int]:
-        """Seeds of n repeats: 60 bits of the hash of what each is about."""
-        return [int(key_of("perturb", facts["seed"], scan, what, *about, i)[:15], 16) for i in range(n)]
+    def seeds_of(scope: int | str, n: int) -> list[int]:
+        """Seeds of n repeats: 60 bits of a hash of scan, scope, level and repeat."""
+        return [int(key_of("perturb", facts["seed"], scan, scope, *astuple(level), i)[:15], 16) for i in range(n)]
 
     if seeds := seeds_of("all", facts["repeats"]["global"]):
         yield Part(GLOBAL, _name(level), (level, seeds))
@@ -211,12 +212,12 @@ def _parts(
 
 
 def _name(level: Perturbation) -> str:
-    """A level as a part's name holds it: amounts in full, since levels may agree to many digits."""
+    """The level in the name of a part, with all digits, since levels may agree to many of them."""
     return f"{level.kind}-{level.amount!r}" + (f"-{level.shift_m!r}" if level.kind == "rigid" else "")
 
 
 def _summary_rows(experiment: Experiment) -> list[Row]:
-    """The rows of `perturb_summary`: mean and standard deviation over the repeats of all scans."""
+    """The rows of `perturb_summary`: means and standard deviations over the repeats of all scans."""
     level = ["kind", "amount", "shift_m"]
     whole, single = (experiment.rows(stage.name).to_pandas() for stage in (GLOBAL, OBJECT))
     baselines = experiment.rows(BASELINE.name).to_pandas().rename(columns={"baseline": "metric"})

@@ -1,4 +1,4 @@
-"""The tasks of `fidpipe perturb`: one way and amount of altering, all its repeats, on a whole scan or on one object."""
+"""The jobs of `fidpipe perturb`: one perturbation with all its repeats on a whole scan or on one object."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SUMMARY = ("n_matched", "n_identical", "n_too_small", "match_rate", *(f"{metric
 
 
 def make_global(own: Inputs) -> JobResult:
-    """One row of `perturb_global` per repeat: all object points altered, everything from the graph on run again.
+    """One row of `perturb_global` per repeat: all object points altered, everything from the graph on recomputed.
 
     Arguments: the perturbation, and the seeds of the repeats.
     """
@@ -41,11 +41,11 @@ def make_global(own: Inputs) -> JobResult:
             "n_communities": len(scan.objects.n_points),
         }
         if len(altered) < MIN_OBJECT_POINTS:
-            row["reason"] = f"{len(altered)} points are left, at least {MIN_OBJECT_POINTS} are needed"
+            row["reason"] = f"expected at least {MIN_OBJECT_POINTS} points, got {len(altered)}"
         else:
             chosen = _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings
             altered_scan = partition(altered, chosen, reference=scan.reference)
-            summary = compare(scan, altered_scan, settings).summary  # the unaltered scan taken as the real side
+            summary = compare(scan, altered_scan, settings).summary  # the unaltered scan is the real side
             row |= {name: summary[name] for name in _SUMMARY}
             row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
         rows.append(row)
@@ -65,7 +65,7 @@ def make_objects(own: Inputs) -> JobResult:
             distance_m = float(np.linalg.norm(altered.mean(axis=0) - points.mean(axis=0)))
             scores = vars(score(before, graph_of(altered, own.settings), own.settings.selection).scores)
         else:
-            reason = f"no point is left, at least {MIN_NODES} are needed for a spectrum"
+            reason = f"expected at least {MIN_NODES} points for a spectrum, got 0"
             scores, distance_m = {"status": "too_small", "reason": reason}, None
         counts = {"n_points": len(points), "n_points_altered": len(altered), "centroid_distance_m": distance_m}
         rows.append(row | counts | scores)
@@ -80,7 +80,7 @@ def make_baselines(own: Inputs) -> JobResult:
     rows = []
     for row, altered in repeats:
         if not len(altered):
-            continue  # perturb_objects says why
+            continue  # perturb_objects has the reason
         after = graph_of(altered, settings)
         nodes = select_nodes(before, after, settings.selection)
         for baseline in compare_objects(before, after, nodes, settings.selection.t, settings.metrics):
@@ -90,7 +90,7 @@ def make_baselines(own: Inputs) -> JobResult:
 
 
 def _with_seed(settings: Settings, seed: int) -> Settings:
-    """The settings with another Louvain seed, drawn from the seed of a repeat."""
+    """The settings with a Louvain seed derived from the seed of a repeat."""
     communities = settings.communities.model_copy(update={"seed": seed % 2**31})
     return Settings(graph=settings.graph, communities=communities, pieces=settings.pieces)
 
@@ -111,7 +111,7 @@ def _read_partition(
 
 
 def _object_repeats(own: Inputs) -> tuple[FloatArray, Iterator[tuple[Row, FloatArray]]]:
-    """The points of the object that the arguments name, and its repeats."""
+    """The points of the object in the arguments, and its repeats."""
     community_id, name, perturbation, random_seeds = own.arguments
     scan = _unaltered_scan(own)
     points = scan.points[scan.labels == community_id]
@@ -122,13 +122,13 @@ def _object_repeats(own: Inputs) -> tuple[FloatArray, Iterator[tuple[Row, FloatA
 def _repeats(
     own: Inputs, points: FloatArray, perturbation: Perturbation, random_seeds: list[int]
 ) -> Iterator[tuple[Row, FloatArray]]:
-    """Of each repeat what its row begins with, and the altered points."""
+    """The first columns of the row of each repeat, and the altered points."""
     for repeat, seed in enumerate(random_seeds):
         row = vars(perturbation) | {"pair_id": own.pair_id, "repeat": repeat, "seed": seed}
         yield row, perturb(points, perturbation, np.random.default_rng(seed))
 
 
-#: Versions are to be raised when the same request gives other numbers.
+#: Increase a version when the same request results in other numbers.
 GLOBAL = Stage(
     name="perturb_global",
     takes={"ground": POINT_COLUMNS, "graph": EDGE_COLUMNS, "communities": ("community_id",)},

@@ -1,4 +1,4 @@
-"""Which objects of a scan are altered: one for each kind, by label, by the user's word, or by shape."""
+"""Choice of the objects to alter in a scan: by label, by number or by shape."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from ..storage.folder import RunFolder
 
 #: The classes of the paper, section "Controlled Perturbation Analysis".
 CLASSES = ("vegetation", "car", "tree", "wall")
-#: An object of at most k + 1 points is a complete graph, whatever is done to it; a typical one has twice as many.
+#: An object of at most k + 1 points remains a complete graph under any alteration; a typical one has twice as many.
 LEAST_POINTS_OVER_K = 2
 
 
 def choose_objects(
-    scan: ScanObjects, wanted: Sequence[str] | None, k: int, say: Callable[[str], None]
+    scan: ScanObjects, names: Sequence[str] | None, k: int, say: Callable[[str], None]
 ) -> list[ChosenObject]:
-    """One object for each word that is wanted; by default for each class of the paper, or else for each shape class.
+    """One object for each given name; by default for each class of the paper, otherwise for each shape class.
 
-    A number is a community id, a label stands for the typical object of the class. Without objects of these classes one
-    is taken for each shape: linear, planar and scattered. No object is chosen twice: a word or a shape that leaves
-    nothing new is left out.
+    A number is a community id, a label stands for the typical object of the class. Without objects of these classes the
+    default is one object per shape: linear, planar and scattered. No object is chosen twice: a name or a shape without
+    a further object is left out.
 
     Parameters
     ----------
-    wanted : community ids and labels, or None
+    names : community ids and labels, or None
     k : neighbours of the graph, `graph.k`; a typical object has at least 2 k points
-    say : told what a user should know about the choice
+    say : called with notes for the user
 
     Raises
     ------
     DatasetError
-        There is no such community, or no object with such a label.
+        A community does not exist, or no object has the label.
     """
     least = LEAST_POINTS_OVER_K * k
-    if wanted is not None:
-        return _by_words(scan, wanted, least, say)
+    if names is not None:
+        return _by_names(scan, names, least, say)
     objects = [chosen for name in CLASSES if (chosen := typical_of_class(scan, name, least)) is not None]
     if objects:
         absent = " or ".join(name for name in CLASSES if name not in {chosen.name for chosen in objects})
@@ -49,16 +49,16 @@ def choose_objects(
             say(f"scan {scan.pair_id} has no object labelled {absent}")
         return objects
     why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
-    say(f"scan {scan.pair_id} {why}: one typical object for each shape instead")
+    say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
     objects = typical_of_shapes(scan, least)
     absent = " or ".join(name for name in SHAPES.values() if name not in {chosen.name for chosen in objects})
     if absent:
-        say(f"scan {scan.pair_id} has no further object that could stand for {absent}")
+        say(f"scan {scan.pair_id} has no further {absent} object")
     return objects
 
 
 def read_objects(folder: RunFolder, scan_id: str) -> ScanObjects:
-    """The objects of a scan whose communities are done."""
+    """The objects of a scan with finished communities."""
     tables = ("objects", "ground", "communities")
     objects, ground, communities = (folder.read_table(name, scan_id, "real") for name in tables)
     labels = objects.column("label").to_pylist()
@@ -76,28 +76,28 @@ def read_objects(folder: RunFolder, scan_id: str) -> ScanObjects:
     )
 
 
-def _by_words(scan: ScanObjects, words: Sequence[str], least: int, say: Callable[[str], None]) -> list[ChosenObject]:
+def _by_names(scan: ScanObjects, names: Sequence[str], least: int, say: Callable[[str], None]) -> list[ChosenObject]:
     chosen: dict[int, ChosenObject] = {}
-    for word in words:
-        candidate = _by_word(scan, word, least)
+    for name in names:
+        candidate = _by_name(scan, name, least)
         first = chosen.setdefault(candidate.community_id, candidate)
         if first is not candidate:
             say(
-                f"--objects {word}: in scan {scan.pair_id} that is object {candidate.community_id}, "
-                f"which is chosen as {first.name} already; left out"
+                f"--objects {name}: object {candidate.community_id} of scan {scan.pair_id} "
+                f"is already chosen as {first.name}; left out"
             )
     return list(chosen.values())
 
 
-def _by_word(scan: ScanObjects, word: str, least: int) -> ChosenObject:
-    if word.isdigit():
-        if int(word) >= len(scan.n_points):
+def _by_name(scan: ScanObjects, name: str, least: int) -> ChosenObject:
+    if name.isdigit():
+        if int(name) >= len(scan.n_points):
             raise DatasetError(
-                f"--objects {word}: scan {scan.pair_id} has no such object; ids are 0 to {len(scan.n_points) - 1}"
+                f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to {len(scan.n_points) - 1}"
             )
-        return scan.chosen(int(word), f"object {word}", "as asked for")
-    chosen = typical_of_class(scan, word, least)
+        return scan.chosen(int(name), f"object {name}", "as requested")
+    chosen = typical_of_class(scan, name, least)
     if chosen is None:
         known = ", ".join(sorted({label for label in scan.labels if label})) or "none: it has no labels"
-        raise DatasetError(f"--objects {word}: scan {scan.pair_id} has no object labelled so; its labels are {known}")
+        raise DatasetError(f"--objects {name}: no object of scan {scan.pair_id} has this label; its labels are {known}")
     return chosen

@@ -58,8 +58,8 @@ def test_a_finished_ablation_takes_further_values_and_pairs_unasked(done, datase
     record = (out / "run.json").read_bytes()
     for options, why in (
         ({}, "grid was True, is False"),
-        ({"values": VALUES | {"k": (12,)}, "grid": True}, r"values\.k 8, 10 not asked for"),
-        ({"pattern": "000", "grid": True}, "pair 001 not asked for"),
+        ({"values": VALUES | {"k": (12,)}, "grid": True}, r"values\.k 8, 10 not requested"),
+        ({"pattern": "000", "grid": True}, "pairs 001 not requested"),
     ):
         with pytest.raises(RunError, match=rf"ablate .*run: is finished, .* would be replaced \(.*{why}"):
             ablated(dataset, out, **({"values": more} | options))
@@ -123,9 +123,9 @@ def test_a_broken_pair_is_listed_and_the_others_are_there(dataset, tmp_path):
 def test_a_wrong_value_is_refused_before_any_work(dataset, tmp_path):
     with pytest.raises(SettingsError, match=r"setting graph.k: 0 found"):
         ablated(dataset, tmp_path / "run", values={"k": (0,)})
-    with pytest.raises(SettingsError, match=r"--k 7.5: whole numbers are wanted"):
+    with pytest.raises(SettingsError, match="--k: expected whole numbers, got 7.5"):
         ablated(dataset, tmp_path / "run", values={"k": (7.5,)})
-    with pytest.raises(SettingsError, match="is a scan"):
+    with pytest.raises(SettingsError, match="is a scan; expected a dataset"):
         ablated(dataset / "real" / "000.bin", tmp_path / "run")
     with pytest.raises(DatasetError, match="matches none"):
         ablated(dataset, tmp_path / "run", pattern="x*")

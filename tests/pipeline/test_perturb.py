@@ -151,7 +151,7 @@ def test_another_run_reuses_everything_takes_more_and_another_seed_gives_other_n
     ("options", "why"),
     [
         ({"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])}, r"graph\.tau_m was 0\.2, is 0\.3"),
-        ({"levels": LEVELS[1:]}, r"levels noise 0\.01 not asked for"),
+        ({"levels": LEVELS[1:]}, r"levels noise 0\.01 not requested"),
         ({"seed": 1}, "seed was 0, is 1"),
         ({"repeats": 2}, r"repeats\.object was 3, is 2"),
     ],
@@ -229,9 +229,11 @@ def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
     outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **options)
     assert [of.name for of in outcome.objects] == ["object 1", "pole"]
     assert outcome.objects[0].community_id == 1
-    with pytest.raises(DatasetError, match="--objects 99: scan street has no such object; ids are 0 to"):
+    with pytest.raises(DatasetError, match="--objects 99: expected an id of scan street from 0 to"):
         perturbed(labelled, tmp_path / "run", objects=("99",), **options)
-    with pytest.raises(DatasetError, match="no object labelled so; its labels are car, pole, road, tree, wall"):
+    with pytest.raises(
+        DatasetError, match="no object of scan street has this label; its labels are car, pole, road, tree, wall"
+    ):
         perturbed(labelled, tmp_path / "run", objects=("bus",), **options)
 
 
@@ -241,7 +243,7 @@ def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labell
     said = Console(record=True, width=200, file=StringIO())
     words = ("car", str(car.community_id))
     assert perturbed(labelled, tmp_path / "run", objects=words, reporter=Reporter(said), **options).objects == (car,)
-    assert f"that is object {car.community_id}, which is chosen as car already; left out" in said.export_text()
+    assert f"object {car.community_id} of scan street is already chosen as car; left out" in said.export_text()
     assert len(rows(tmp_path / "run")) == 1
 
 
@@ -293,7 +295,7 @@ def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(t
     assert outcome.scans == ("001", "002")
     (row,) = [row for row in outcome.summary.to_pylist() if row["metric"] == "match_rate"]
     assert row["n"] == 2
-    with pytest.raises(DatasetError, match="an object's number belongs to one scan, 2 are chosen"):
+    with pytest.raises(DatasetError, match="the number of an object requires one scan, got 2"):
         perturbed(dataset, tmp_path / "two", pattern="00[12]", objects=("1",), **options)
 
 
@@ -316,21 +318,21 @@ def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(scan, tmp_path):
     (row,) = pd.read_parquet(tmp_path / "run" / "perturb_objects").to_dict("records")
     assert np.isnan([row["r_lambda"], row["cdc"]]).all()
     assert (row["status"], row["n_points_altered"]) == ("too_small", 0)
-    assert "no point is left" in row["reason"]
+    assert "points for a spectrum, got 0" in row["reason"]
     (row,) = pd.read_parquet(tmp_path / "run" / "perturb_global").to_dict("records")
     assert np.isnan(row["match_rate"])
-    assert row["reason"] == "0 points are left, at least 8 are needed"
+    assert row["reason"] == "expected at least 8 points, got 0"
     assert not len(pd.read_parquet(tmp_path / "run" / "perturb_baselines"))
 
 
 @pytest.mark.parametrize(
     ("word", "fault"),
     [
-        ("fog", "'fog' is no perturbation; known are noise, dropout"),
-        ("dropout=much", "'much' found, a number is wanted"),
-        ("dropout=1.5", "1.5 is out of bounds, 0 to 0.99 are allowed for dropout"),
-        ("noise=0.1:2", "metres:degrees is for rigid"),
-        ("noise=nan", "nan is out of bounds"),
+        ("fog", "expected one of noise, dropout, .*; got 'fog'"),
+        ("dropout=much", "expected a number .*, got 'much'"),
+        ("dropout=1.5", "expected 0 to 0.99 for dropout, got 1.5"),
+        ("noise=0.1:2", "expected one number for noise, got '0.1:2'; metres:degrees is for rigid"),
+        ("noise=nan", "expected 0 to 10 for noise, got nan"),
     ],
 )
 def test_a_wrong_level_is_one_line(word, fault):
