@@ -159,8 +159,8 @@ def ablate_dataset(
     with experimenting(
         "ablate", source, out, settings, reporter, stages=(STAGE,), sides=SIDES, machines=machines, replace=replace
     ) as experiment:
-        facts = {"values": {name: list(own) for name, own in tried.items()}, "grid": grid}
-        experiment.make({plan.pair_id: _parts(settings_of) for plan in experiment.prepare()}, facts)
+        request = {"values": {name: list(own) for name, own in tried.items()}, "grid": grid}
+        experiment.make({plan.pair_id: _parts(settings_of) for plan in experiment.prepare()}, request)
         rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
         scores = rows.to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
         means = ({"n_pairs": row.pop("n"), **row} for row in mean_rows(scores, [*_NAMES, "metric"]))

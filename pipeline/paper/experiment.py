@@ -139,7 +139,7 @@ class Experiment:
         self._base = _needed(stages)
         self._planner = Planner(self._base, engine.settings, source.label_names, sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
-        self._facts: Mapping[str, Any] = {}
+        self._request: Mapping[str, Any] = {}
 
     def prepare(self) -> list[PairPlan]:
         """Compute the pipeline stages that the experiment needs; returns the pairs for which all of them are done.
@@ -158,22 +158,22 @@ class Experiment:
             self.engine.reporter.warn(*pair_warnings(pair, *inspection_of(jobs)))
         return [plan for plan in self._plans() if not plan.todo]
 
-    def make(self, parts: Mapping[str, Sequence[Part]], facts: Mapping[str, Any]) -> None:
+    def make(self, parts: Mapping[str, Sequence[Part]], request: Mapping[str, Any]) -> None:
         """Compute the requested parts that do not exist under their key; remove all others.
 
         Parameters
         ----------
         parts : requested parts by pair_id
-        facts : the request as stored in `run.json`: lists of values, numbers of repeats, a seed
+        request : the request as stored in `run.json`: lists of values, numbers of repeats, a seed
 
         Raises
         ------
         RunError
-            Results of a finished experiment that `facts` no longer request would be removed without --replace.
+            Results of a finished experiment that `request` no longer request would be removed without --replace.
         ValueError
             Two parts have the same name, and so the same file. Nothing is removed or computed.
         """
-        self._parts, self._facts = parts, facts
+        self._parts, self._request = parts, request
         self._make(self._own)
 
     def rows(self, table: str) -> pa.Table:
@@ -191,26 +191,26 @@ class Experiment:
         self.folder.ledger.put_job(JobRecord(table.name, "", "", key, {path: stored}))
         return summary
 
-    def finish(self, facts: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def finish(self, results: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Write the outcome into `run.json` and return the fields of an `ExperimentOutcome`.
 
         Parameters
         ----------
-        facts : further results for `run.json`
+        results : further results for `run.json`
         """
         failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
         n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
         jobs = {"made": n_made, "reused": n_done - n_made}
-        self._write_record({**self._facts, **(facts or {}), "failures": failures, "jobs": jobs, "wall_s": wall_s})
+        self._write_record({**self._request, **(results or {}), "failures": failures, "jobs": jobs, "wall_s": wall_s})
         outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}
         return outcome | {f"n_{name}": n for name, n in jobs.items()}
 
-    def _write_record(self, facts: Mapping[str, Any]) -> None:
-        """Write the settings and the record; without facts, that of an experiment that has not ended."""
+    def _write_record(self, outcome: Mapping[str, Any]) -> None:
+        """Write the settings and the record; without outcome, that of an experiment that has not ended."""
         settings = to_toml(self.engine.settings).encode()
         write_whole(self.folder.folder / SETTINGS_TOML, settings, before_rename=self.folder.check_token)
         header = {"experiment": self._name, **run_header(self._source.path, self.engine.settings, _VERSIONS).as_dict()}
-        write_record(self.folder.folder, header | dict(facts), self.folder.check_token)
+        write_record(self.folder.folder, header | dict(outcome), self.folder.check_token)
 
     def _records(self) -> Iterator[JobRecord]:
         for pair_id in self.folder.ledger.pair_ids():
@@ -259,7 +259,7 @@ class Experiment:
         why = [text for group, texts in changed.items() if group in groups for text in texts]
         existing = sorted({pair_id for _, pair_id, _ in survey.stale})
         requested = [pair.pair_id for pair in self._source.pairs]
-        why += _reductions(self._finished | {"pairs": existing}, {**self._facts, "pairs": requested})
+        why += _reductions(self._finished | {"pairs": existing}, {**self._request, "pairs": requested})
         lost = [name for name, reason in survey.stale.items() if reason in (OUT_OF_DATE, NOT_REQUESTED)]
         if not lost or not why:
             return

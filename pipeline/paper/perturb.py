@@ -125,7 +125,7 @@ def perturb_source(
             scan = read_objects(experiment.folder, plan.pair_id)
             chosen[plan.pair_id] = choose_objects(scan, objects, settings.graph.k, reporter.say)
         all_chosen = tuple(each for own in chosen.values() for each in own)
-        facts = {
+        request = {
             "seed": seed,
             "repeats": {"global": global_repeats, "object": repeats},
             "levels": [vars(level) for level in levels],
@@ -133,10 +133,10 @@ def perturb_source(
         }
         own_stages = stages if settings.metrics.baselines else stages[:2]
         parts = {
-            name: [part for level in levels for part in _parts(name, level, own, own_stages, facts)]
+            name: [part for level in levels for part in _parts(name, level, own, own_stages, request)]
             for name, own in chosen.items()
         }
-        experiment.make(parts, facts)
+        experiment.make(parts, request)
         summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
         return PerturbOutcome(
             **experiment.finish(), scans=tuple(chosen), objects=all_chosen, levels=tuple(levels), summary=summary
@@ -194,19 +194,19 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
 
 
 def _parts(
-    scan: str, level: Perturbation, objects: Sequence[ChosenObject], stages: Sequence[Stage], facts: Mapping[str, Any]
+    scan: str, level: Perturbation, objects: Sequence[ChosenObject], stages: Sequence[Stage], request: Mapping[str, Any]
 ) -> Iterator[Part]:
     """The parts of one level: the whole scan and each chosen object."""
 
     def seeds_of(scope: int | str, n: int) -> list[int]:
         """Seeds of n repeats: 60 bits of a hash of scan, scope, level and repeat."""
-        return [int(key_of("perturb", facts["seed"], scan, scope, *astuple(level), i)[:15], 16) for i in range(n)]
+        return [int(key_of("perturb", request["seed"], scan, scope, *astuple(level), i)[:15], 16) for i in range(n)]
 
-    if seeds := seeds_of("all", facts["repeats"]["global"]):
+    if seeds := seeds_of("all", request["repeats"]["global"]):
         yield Part(GLOBAL, _name(level), (level, seeds))
     for chosen in objects:
         number = chosen.community_id
-        arguments = (number, chosen.name, level, seeds_of(number, facts["repeats"]["object"]))
+        arguments = (number, chosen.name, level, seeds_of(number, request["repeats"]["object"]))
         for stage in stages[1:]:
             yield Part(stage, f"{number}-{_name(level)}", arguments)
 
