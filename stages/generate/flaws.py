@@ -75,16 +75,16 @@ class Flaw:
     def check(self, amount: float, at_m: float | None = None) -> None:
         """Raise `FidpipeError` if an amount or a second parameter is out of bounds."""
         if not self.low <= amount <= self.high:
-            raise FidpipeError(
-                f"flaw {self.name}: expected an amount from {self.low:g} to {self.high:g} ({self.amount}), "
-                f"got {amount:g}"
-            )
-        if self.is_whole and amount != round(amount):
-            raise FidpipeError(f"flaw {self.name}: expected an integer amount ({self.amount}), got {amount:g}")
-        if at_m is not None and self.at_m is None:
-            raise FidpipeError(f"flaw {self.name}: expected no second number, got {at_m:g}")
-        if at_m is not None and not 0 < at_m < np.inf:
-            raise FidpipeError(f"flaw {self.name}: expected a second number above 0 ({self.at}), got {at_m:g}")
+            expected = f"an amount from {self.low:g} to {self.high:g} ({self.amount}), got {amount:g}"
+        elif self.is_whole and amount != round(amount):
+            expected = f"an integer amount ({self.amount}), got {amount:g}"
+        elif at_m is not None and self.at_m is None:
+            expected = f"no second number, got {at_m:g}"
+        elif at_m is not None and not 0 < at_m < np.inf:
+            expected = f"a second number above 0 ({self.at}), got {at_m:g}"
+        else:
+            return
+        raise FidpipeError(f"flaw {self.name}: expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -198,15 +198,7 @@ def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArra
 _KINDS = (
     Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 0, 1, lose_foliage),
     Flaw("holes", "number of holes", 0, 10_000, _cut_holes, at_m=1.5, at="radius of a hole, metres", is_whole=True),
-    Flaw(
-        "far-dropout",
-        "share lost beyond a range",
-        0,
-        1,
-        _lose_far,
-        at_m=25.0,
-        at="range beyond which points are lost, metres",
-    ),
+    Flaw("far-dropout", "share lost beyond a range", 0, 1, _lose_far, at_m=25.0, at="range, metres"),
     Flaw("dropout", "share of the points lost", 0, 1, drop_points),
     Flaw("density", "factor of the density in regions that hold 30 % of the points", 0, 8, change_density),
     Flaw("beams", "std of each beam's elevation error, degrees", 0, 10, _misalign_beams, is_systematic=True),

@@ -61,7 +61,7 @@ class StreetObject:
     """
 
     kind: str
-    solid: Mesh
+    solid: Mesh = EMPTY_MESH
     leaves: Mesh = EMPTY_MESH
 
     def mesh(self) -> Mesh:

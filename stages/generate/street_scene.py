@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray
 from .street_objects import (
-    EMPTY_MESH,
     Mesh,
     StreetObject,
     build_bush,
@@ -196,10 +195,7 @@ def _plot(street: Street, side: int, start: float, width: float, rng: np.random.
     line_s = np.linspace(start + drive, start + width - 0.3, max(3, int(width - drive)))
     line = street.place(line_s, side * (boundary + 0.4))
     if style < 0.3 * street.planting:
-        foliage = build_hedge(
-            line, rng.uniform(0.7, 1.1), rng.uniform(0.8, 1.7), _leaf_m(street, line), rng.spawn(1)[0]
-        )
-        yield StreetObject("vegetation", EMPTY_MESH, foliage)
+        yield _place_hedge(street, line, rng.uniform(0.7, 1.1), rng.uniform(0.8, 1.7), rng)
     elif style < 0.5:
         yield StreetObject("wall", build_wall(line, 0.25, rng.uniform(0.5, 1.3), rng.uniform(0.3, 0.6)))
     if drive > 2 and rng.uniform() < 0.5:
@@ -228,11 +224,7 @@ def _side_street(street: Street, rng: np.random.Generator) -> Iterator[StreetObj
             s = street.crossing_m + edge * (street.half_road_m + 1.6)
             line = street.place(np.full(9, s), side * np.linspace(first, first + rng.uniform(8, 20), 9))
             if rng.uniform() < 0.5:
-                yield StreetObject(
-                    "vegetation",
-                    EMPTY_MESH,
-                    build_hedge(line, 0.9, rng.uniform(1.2, 2.0), _leaf_m(street, line), rng.spawn(1)[0]),
-                )
+                yield _place_hedge(street, line, 0.9, rng.uniform(1.2, 2.0), rng)
             else:
                 yield StreetObject("wall", build_wall(line, 0.25, rng.uniform(0.9, 1.9), 0.45))
         s = street.crossing_m + rng.uniform(-2.0, 2.0)
@@ -258,9 +250,15 @@ def _place_tree(street: Street, s: float, n: float, height_m: float, rng: np.ran
 
 def _place_bush(street: Street, s: float, n: float, rng: np.random.Generator) -> StreetObject:
     foot = street.place(s, n)
-    return StreetObject(
-        "vegetation", EMPTY_MESH, build_bush(foot, rng.uniform(0.5, 1.2), _leaf_m(street, foot), rng.spawn(1)[0])
-    )
+    bush = build_bush(foot, rng.uniform(0.5, 1.2), _leaf_m(street, foot), rng.spawn(1)[0])
+    return StreetObject("vegetation", leaves=bush)
+
+
+def _place_hedge(
+    street: Street, line: FloatArray, width_m: float, height_m: float, rng: np.random.Generator
+) -> StreetObject:
+    hedge = build_hedge(line, width_m, height_m, _leaf_m(street, line), rng.spawn(1)[0])
+    return StreetObject("vegetation", leaves=hedge)
 
 
 def _leaf_m(street: Street, place: FloatArray) -> float:
