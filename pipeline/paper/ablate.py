@@ -25,6 +25,7 @@ from ...schemas.settings import Settings, parse
 from ...stages.arrays import FloatArray
 from ...stages.method import Memo, compare, n_communities, partition
 from ...stages.paper.parameter_choice import Choice, Influence, ParameterSet, Trial, choose_parameters, influence
+from ..datasets.readers import is_scan_path
 from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
@@ -154,7 +155,7 @@ def ablate_dataset(
     tried = {name: _values(name, requested.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES}
     settings_of = {choice: with_parameters(settings, choice) for choice in parameter_sets(base, tried, grid)}
     source = read_source(dataset, pattern, machines=machines)
-    if source.is_scan:
+    if is_scan_path(dataset):
         raise SettingsError(f"{dataset}: is a scan; expected a dataset with real and simulated scans")
     with experimenting(
         "ablate", source, out, settings, reporter, stages=(STAGE,), sides=SIDES, machines=machines, replace=replace

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from dataclasses import replace as replace_fields
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -23,7 +24,7 @@ from ...schemas.settings import Settings
 from ...schemas.settings_text import to_toml
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
-from ..datasets.pairs import ScanPair, read_dataset, read_label_names
+from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers import is_scan_path, stem_of, suffix_of
 from ..datasets.readers.frames import address_of
 from ..engine.engine import Machines, RunEngine, Survey
@@ -50,22 +51,6 @@ _SEED = "seed"  # another seed is another experiment; for other numbers a larger
 _VERSIONS = {stage.name: stage.version for stage in STAGES}
 
 
-@dataclass(frozen=True)
-class Source:
-    """Scans of an experiment.
-
-    path : as given by the user
-    pairs : of a dataset, or one pair with a real side only
-    label_names : class names by number
-    is_scan : True for a single scan file
-    """
-
-    path: Path
-    pairs: tuple[ScanPair, ...]
-    label_names: dict[int, str]
-    is_scan: bool = False
-
-
 @dataclass(frozen=True, kw_only=True)
 class ExperimentOutcome:
     """Outcome of any experiment.
@@ -83,8 +68,8 @@ class ExperimentOutcome:
 
 def read_source(
     path: Path, pattern: str | None = None, *, first_only: bool = False, machines: Machines | None = None
-) -> Source:
-    """The scan file at a path, or the pairs of the dataset there.
+) -> Dataset:
+    """The pairs of a dataset, or a scan file as a dataset of one pair without a simulated side.
 
     Parameters
     ----------
@@ -109,12 +94,12 @@ def read_source(
             raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; expected a dataset folder")
         folder = address_of(path).file.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
-        return Source(path, (ScanPair(stem_of(path), path, None),), names, is_scan=True)
+        return Dataset(path, (ScanPair(stem_of(path), path, None),), names)
     if not path.exists() and suffix_of(path) is not None:
         raise ScanError(f"{path}: no such file; expected a scan file or a dataset folder")
     dataset = read_dataset(path)
     pairs = select_pairs(dataset, pattern)
-    return Source(path, pairs[:1] if first_only and pattern is None else pairs, dataset.label_names)
+    return replace_fields(dataset, pairs=pairs[:1] if first_only and pattern is None else pairs)
 
 
 class Experiment:
@@ -124,7 +109,7 @@ class Experiment:
         self,
         name: str,
         engine: RunEngine,
-        source: Source,
+        source: Dataset,
         stages: tuple[Stage, ...],
         sides: Sequence[str],
         *,
@@ -151,7 +136,7 @@ class Experiment:
         """
         self.engine.hash_files(self._source.pairs, sides=self._sides)
         self._make(STAGES)
-        if self._source.is_scan and self.engine.failures:
+        if is_scan_path(self._source.folder) and self.engine.failures:
             raise ScanError("; ".join(self.engine.failures.values()))
         for pair in self._source.pairs:
             jobs = self.folder.ledger.jobs(pair.pair_id).values()
@@ -209,7 +194,10 @@ class Experiment:
         """Write the settings and the record; without outcome, that of an experiment that has not ended."""
         settings = to_toml(self.engine.settings).encode()
         write_whole(self.folder.folder / SETTINGS_TOML, settings, before_rename=self.folder.check_token)
-        header = {"experiment": self._name, **run_header(self._source.path, self.engine.settings, _VERSIONS).as_dict()}
+        header = {
+            "experiment": self._name,
+            **run_header(self._source.folder, self.engine.settings, _VERSIONS).as_dict(),
+        }
         write_record(self.folder.folder, header | dict(outcome), self.folder.check_token)
 
     def _records(self) -> Iterator[JobRecord]:
@@ -271,7 +259,7 @@ class Experiment:
 @contextmanager
 def experimenting(
     name: str,
-    source: Source,
+    source: Dataset,
     out: Path,
     settings: Settings,
     reporter: Reporter,
@@ -299,7 +287,7 @@ def experimenting(
     RunError
         The folder holds something else, or is in use.
     """
-    check_folder(out, source.path, name)
+    check_folder(out, source.folder, name)
     folder = RunFolder(out.absolute() if machines and machines.scheduler else out)
     with folder.locked(), RunEngine(folder, settings, machines or Machines(), reporter, (*STAGES, *stages)) as engine:
         yield Experiment(name, engine, source, stages, sides, replace=replace)
@@ -331,10 +319,10 @@ def _reductions(before: Mapping[str, Any], now: Mapping[str, Any], name: str = "
 
 def _needed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
     """The pipeline stages that produce the inputs of these, directly or indirectly, in their order."""
-    wanted = {table for stage in stages for table in stage.takes}
+    tables = {table for stage in stages for table in stage.takes}
     needed = []
     for stage in reversed(STAGES):
-        if wanted.intersection(stage.gives):
+        if tables.intersection(stage.gives):
             needed.append(stage)
-            wanted.update(stage.takes)
+            tables.update(stage.takes)
     return tuple(reversed(needed))
