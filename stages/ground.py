@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings
@@ -174,6 +173,8 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
     the median heights is taken; the road's is the median of the fullest 0.1 m window over these differences. Walls and
     holes change single cells, and a slope changes both sides equally. At least 20 such cells are needed.
     """
+    from scipy import ndimage
+
     near = [side[np.linalg.norm(side, axis=1) <= NEAR_M] for side in (real, sim)]
     cells = np.floor(np.vstack(near)[:, :2] / CELL_M).astype(np.int64)
     cells = np.unique(cells, axis=0, return_inverse=True)[1].ravel()

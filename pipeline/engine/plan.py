@@ -81,6 +81,14 @@ class Job:
         return {source.maker for source in self.sources if source.maker is not None}
 
 
+class _PlannedJob(NamedTuple):
+    """A job that is the same for all pairs with files of the same sides; `method_key` covers stage and settings."""
+
+    part: Part
+    method_key: str
+    sources: tuple[Source, ...]
+
+
 @dataclass(frozen=True)
 class PairPlan:
     """The jobs of a pair: all that a worker needs to know, paths and keys, no points.
@@ -166,6 +174,7 @@ class Planner:
         self.sides = tuple(sides)
         self._parts = [Part(stage, name) for stage in stages for name in stage.parts if name in ("", *self.sides)]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
+        self._layouts: dict[tuple[str, ...], list[_PlannedJob]] = {}
 
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
         """The jobs of a pair with their wanted keys, none of them done yet.
@@ -186,32 +195,41 @@ class Planner:
             Two parts have one name: they would write one file; a stage takes what none before it gives, or names a
             table or a column that `schemas.tables` does not have.
         """
-        makers: dict[tuple[str, str], tuple[str, JobId | None]] = {
-            (SCAN, side): (self._input_key(pair, side, inputs[side]), None) for side in self.sides if side in inputs
-        }
-        jobs: dict[JobId, Job] = {}
+        sides, parts = tuple(side for side in self.sides if side in inputs), tuple(parts)
+        if sides not in self._layouts:
+            self._layouts[sides] = self._layout(sides, ())
+        layout = self._layout(sides, parts) if parts else self._layouts[sides]
+        keys = {(SCAN, side): self._input_key(pair, side, inputs[side]) for side in sides}
+        jobs = []
+        for part, method_key, sources in layout:
+            reads = tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in sources))
+            key = key_of(method_key, part.name, _plain(part.arguments), reads)
+            job = Job(part.stage, part.name, key, part.settings or self.settings, sources, reads, part.arguments)
+            keys[job.name] = key
+            jobs.append(job)
+        return PairPlan(pair, tuple(jobs), inputs, self.label_names)
+
+    def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> list[_PlannedJob]:
+        """The jobs of all pairs that have files of these sides, with what each reads."""
+        makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in sides}
+        jobs: dict[JobId, _PlannedJob] = {}
         for part in (*self._parts, *parts):
             stage, settings = part.stage, part.settings or self.settings
             side = part.name if stage.grain is Grain.SIDE else ""
             known = {table for table, _ in makers}
             if missing := [table for table in stage.takes if table not in known]:
-                raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no stage before it gives")
-            sides = ("", side) if side else ("", *SIDES)
-            declared = [(name, own, columns) for name, columns in stage.takes.items() for own in sides]
+                raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes")
+            own_sides = ("", side) if side else ("", *SIDES)
+            declared = [(name, own, columns) for name, columns in stage.takes.items() for own in own_sides]
             if side == "sim":
                 declared += [(name, "real", columns) for name, columns in stage.takes_real(settings).items()]
             wanted = {(name, own): columns for name, own, columns in declared if (name, own) in makers}
-            reads = tuple(dict.fromkeys(makers[name][0] for name in wanted))
-            sources = tuple(Source(*name, columns, makers[name][1]) for name, columns in wanted.items())
-            key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments), reads)
-            job = Job(stage, part.name, key, settings, sources, reads, part.arguments)
-            if job.name in jobs:
-                raise ValueError(
-                    f"part {stage.name} {pair.pair_id} {part.name} is there twice; each needs its own name"
-                )
-            jobs[job.name] = job
-            makers |= {(table, side): (key, job.name) for table in stage.gives}
-        return PairPlan(pair, tuple(jobs.values()), inputs, self.label_names)
+            sources = tuple(Source(*name, columns, makers[name]) for name, columns in wanted.items())
+            if (stage.name, part.name) in jobs:
+                raise ValueError(f"stage {stage.name} has two parts {part.name}; expected different names")
+            jobs[stage.name, part.name] = _PlannedJob(part, self._method_key(stage, settings), sources)
+            makers |= {(table, side): (stage.name, part.name) for table in stage.gives}
+        return list(jobs.values())
 
     def _method_key(self, stage: Stage, settings: Settings) -> str:
         """A hash of what a stage computes with, which is the same for all pairs."""

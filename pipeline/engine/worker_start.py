@@ -7,7 +7,9 @@ from typing import Any
 import distributed.nanny
 import distributed.worker
 import ot
+import scipy.ndimage
 import scipy.signal
+import scipy.stats
 import sklearn.decomposition
 import sknetwork.clustering
 

@@ -20,6 +20,8 @@ NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 _BLOCK_BYTES = 2**16
 
+_to_canonical_json = json.JSONEncoder(sort_keys=True, allow_nan=False).encode
+
 
 def write_whole(
     path: Path,
@@ -129,7 +131,7 @@ def refuse_link(path: Path) -> None:
 
 def key_of(*parts: Any) -> str:
     """A hash of plain values (numbers, strings, lists, dictionaries): equal if and only if they are."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
+    return hashlib.sha256(_to_canonical_json(parts).encode()).hexdigest()
 
 
 def file_marks(path: Path) -> str:

@@ -12,7 +12,6 @@ import sqlite3
 import weakref
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -143,7 +142,7 @@ class Ledger:
 
     def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
         if records:
-            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, [asdict(record) for record in records])
+            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, [_plain(record) for record in records])
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
 
@@ -231,6 +230,11 @@ class Ledger:
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
                 raise disk_full(self._path, error) from error
             raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
+
+
+def _plain(record: JobRecord) -> dict[str, Any]:
+    """A finished job as plain values; see `job_record`."""
+    return vars(record) | {"files": {name: vars(stored) for name, stored in record.files.items()}}
 
 
 def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:

@@ -33,7 +33,7 @@ SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small
 
 RUN_JSON = "run.json"
 _SEAL = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n}\n\Z')  # of records that others have written anew there is none
-_END = len("\n}\n")
+_END = b"\n}\n"
 SETTINGS_TOML = "settings.toml"
 
 #: Everything whose version can change a number or a file.
@@ -135,31 +135,15 @@ def finished_record(folder: Path) -> dict[str, Any]:
 
 
 def write_record(folder: Path, record: Mapping[str, Any], before_rename: Callable[[], None] | None = None) -> None:
-    """Writes `run.json`, piece by piece: the record of a run has some lines for each pair; the last is its hash."""
-    write_whole(folder / RUN_JSON, _sealed(json_parts(record)), before_rename=before_rename)
-
-
-def _sealed(parts: Iterable[bytes]) -> Iterator[bytes]:
-    """A record as JSON with one more entry: the hash of the text before it."""
-    digest, end = hashlib.sha256(), b""
-    for part in parts:
-        text = end + part
-        text, end = text[:-_END], text[-_END:]
-        digest.update(text)
-        yield text
-    yield f',\n "sha256": "{digest.hexdigest()}"'.encode() + end
+    """Write `run.json`; its last entry is the hash of the text before it."""
+    text = dumps(record).removesuffix(_END)
+    seal = f',\n "sha256": "{hashlib.sha256(text).hexdigest()}"'.encode()
+    write_whole(folder / RUN_JSON, [text, seal, _END], before_rename=before_rename)
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:
     """A record as JSON text."""
-    return b"".join(json_parts(record))
-
-
-def json_parts(record: Mapping[str, Any]) -> Iterator[bytes]:
-    """The same piece by piece: the record of a run has some lines for each pair."""
-    for part in json.JSONEncoder(indent=1, allow_nan=False).iterencode(record):
-        yield part.encode()
-    yield b"\n"
+    return json.dumps(record, indent=1, allow_nan=False).encode() + b"\n"
 
 
 def run_header(

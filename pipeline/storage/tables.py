@@ -6,12 +6,13 @@ wanted key and small metadata, so that the tables are the truth and the ledger n
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
 import stat
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -23,9 +24,10 @@ import pyarrow.parquet as pq
 from ...schemas.columns import CONSTANT
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
-from .files import hash_file, key_of, write_whole
+from .files import key_of, write_whole
 
 _TOKEN = ".writer"
+_READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for whoever writes to a named pipe
 _LONGEST_NAME_BYTES = 120
 
 #: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
@@ -44,7 +46,7 @@ JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, a part of an ex
 
 @dataclass(frozen=True)
 class StoredFile:
-    """A file as it was written: its length and content hash, and the file system's marks of that moment."""
+    """A file as it was written: its length and content hash, and its times in the file system."""
 
     size: int
     sha256: str
@@ -52,40 +54,44 @@ class StoredFile:
     ctime_ns: int
 
     def is_at(self, path: str, *, by_content: bool = False) -> bool:
-        """Whether the file at a path is as it was written, and not a link to another.
+        """True if the file at a path is as it was written, and not a link.
 
         Parameters
         ----------
-        by_content : its content is hashed in any case; else only where length and times are not those of the moment
-            it was written. A disk that loses a bit changes no times
+        by_content : hash its content in any case; otherwise only if its length or times differ. A disk that loses a bit
+            changes no times
         """
-        status = self._status(path)
-        if status is None:
-            return False
-        if not by_content and (status.st_mtime_ns, status.st_ctime_ns) == (self.mtime_ns, self.ctime_ns):
-            return True
         try:
-            return hash_file(path) == self.sha256
-        except OSError:  # the disk cannot read it any more, or it may not be read: it can be made again
+            if not by_content:
+                status = os.lstat(path)
+                marks = (status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+                if stat.S_ISREG(status.st_mode) and marks == (self.size, self.mtime_ns, self.ctime_ns):
+                    return True
+            return self.read(path) is not None
+        except OSError:  # missing, or the disk or the user's rights do not allow to read it: it can be recomputed
             return False
 
-    def read(self, path: Path) -> bytes | None:
-        """What was written; None where the file is gone, another one, or a link. Raises `OSError` as reading does."""
-        if self._status(str(path)) is None:
-            return None
+    def read(self, path: str) -> bytes | None:
+        """The content as it was written; None if the file is missing, a link, or has another content.
+
+        Raises
+        ------
+        OSError
+            The file cannot be read.
+        """
         try:
-            content = path.read_bytes()
-        except FileNotFoundError:
-            return None
+            file = os.open(path, _READ_NO_LINK)  # (a hundred thousand of them: a file object costs more than most)
+        except OSError as error:
+            if error.errno in (errno.ENOENT, errno.ELOOP):
+                return None
+            raise
+        try:
+            content = os.read(file, self.size + 1)
+            while len(content) < self.size and (more := os.read(file, self.size + 1 - len(content))):
+                content += more
+        finally:
+            os.close(file)
         return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
-
-    def _status(self, path: str) -> os.stat_result | None:
-        """Of the file at a path; None where it is gone, a link, or of another length."""
-        try:
-            status = os.lstat(path)  # (a hundred thousand of them; a Path costs more than the call)
-        except FileNotFoundError:
-            return None
-        return status if stat.S_ISREG(status.st_mode) and status.st_size == self.size else None
 
 
 @dataclass(frozen=True)
@@ -110,11 +116,6 @@ class JobRecord:
     metadata: dict[str, Any] = field(default_factory=dict)
     steps: tuple[tuple[str, float], ...] = ()
     made_by: str = ""
-
-    def __post_init__(self) -> None:
-        wrong = [name for name in self.files if not _TABLE_NAME.fullmatch(name)]
-        if wrong:
-            raise ValueError(f"{wrong[0]!r} is no name of a table of a run")
 
     @property
     def name(self) -> JobName:
@@ -246,7 +247,7 @@ class TableFolder:
         path, schema = self.folder / name, TABLES[table]
         wanted = schema.schema if columns is None else pa.schema([schema.schema.field(column) for column in columns])
         try:
-            content = stored.read(path)
+            content = stored.read(str(path))
             if content is None:
                 raise self.damaged(name)
             same = [] if is_plain else [column for column in schema.same if column in wanted.names]
@@ -316,15 +317,23 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         own = orjson.loads(job)
         names = tuple(own["files"])
         stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
-        record = job_record(own | {"key": key, "files": {name: asdict(stored)}})
+        record = job_record(own | {"key": key, "files": {name: vars(stored)}})
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
     return (record, names) if name in names else None
 
 
 def job_record(entry: dict[str, Any]) -> JobRecord:
-    """A finished job from plain values, as `dataclasses.asdict` gives them."""
+    """A finished job from the values that `vars` of it returns, after JSON.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError, AttributeError
+        They are not those of a job, or a file is named that is not a table of a run.
+    """
     files = {name: StoredFile(**stored) for name, stored in entry["files"].items()}
+    if wrong := [name for name in files if not _TABLE_NAME.fullmatch(name)]:
+        raise ValueError(f"{wrong[0]!r} is not the name of a table of a run")
     steps = tuple((name, seconds) for name, seconds in entry.get("steps", ()))
     return JobRecord(**entry | {"files": files, "reads": tuple(entry["reads"]), "steps": steps})
 

@@ -13,7 +13,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
 
 from ..arrays import BoolArray, FloatArray, IntArray
 
@@ -125,6 +124,8 @@ def mean_test(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     ----------
     change : (..., n) float64, n at least 2
     """
+    from scipy.stats import t as student_t
+
     n = change.shape[-1]
     mean, error = change.mean(axis=-1), change.std(axis=-1, ddof=1) / np.sqrt(n)
     degrees = WORTH * (n - 1)

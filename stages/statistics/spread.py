@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student_t
 
 from ...schemas.record import Spread
 from ..arrays import FloatArray
@@ -31,6 +30,8 @@ def spread(values: FloatArray) -> Spread:
     >>> found.mean, round(found.std_pairs, 6), round(found.std_seeds, 6), round(found.least_pair, 6)
     (4.0, 2.828427, 1.414214, 8.605305)
     """
+    from scipy.stats import t as student_t
+
     means = np.array([mean for mean, _ in map(mean_and_std, values) if mean is not None], dtype=np.float64)
     mean, std_pairs = mean_and_std(means)
     repeats = [own for row in values if len(own := row[~np.isnan(row)]) > 1]

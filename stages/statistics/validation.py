@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from ..arrays import FloatArray
 
@@ -41,6 +40,8 @@ def area_validation_metric(real: FloatArray, sim: FloatArray) -> float | None:
     >>> area_validation_metric(np.array([0.0, 1.0]), np.array([1.0, 4.0]))
     2.0
     """
+    from scipy import stats
+
     real, sim = real[~np.isnan(real)], sim[~np.isnan(sim)]
     return float(stats.wasserstein_distance(real, sim)) if len(real) and len(sim) else None
 

@@ -270,7 +270,7 @@ def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan
     part = Part(GLOBAL, "noise-1.0", (Perturbation("noise", 1.0), [1]))
     with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",), machines=Machines(workers=1)) as experiment:
         experiment.prepare()
-        with pytest.raises(ValueError, match=r"perturb_global street noise-1\.0 is there twice"):
+        with pytest.raises(ValueError, match=r"perturb_global has two parts noise-1\.0"):
             experiment.make({"street": [part, replace(part, arguments=(Perturbation("noise", 1.0), [2]))]}, {})
     assert len(rows(out, "perturb_global")) == 2 * len(LEVELS)
 

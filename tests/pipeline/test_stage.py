@@ -296,7 +296,7 @@ def test_a_stage_that_gives_other_tables_than_it_declares_fails(dataset, tmp_pat
 
 
 def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work(dataset, tmp_path):
-    with pytest.raises(ValueError, match="stage ratios takes matching, selection, which no stage before it gives"):
+    with pytest.raises(ValueError, match="stage ratios takes matching, selection, which no earlier stage makes"):
         run(dataset, tmp_path / "run", ToySettings(), stages=(*STAGES[: toys.N_BEFORE_MATCHING], OF_SIDE, OF_PAIR))
     assert not (tmp_path / "run" / "ground").exists()
 
