@@ -71,7 +71,7 @@ class StoredFile:
         except OSError:  # missing, or the disk or the user's rights do not allow to read it: it can be recomputed
             return False
 
-    def read(self, path: str) -> bytes | None:
+    def read(self, path: str | Path) -> bytes | None:
         """The content as it was written; None if the file is missing, a link, or has another content.
 
         Raises
@@ -247,7 +247,7 @@ class TableFolder:
         path, schema = self.folder / name, TABLES[table]
         wanted = schema.schema if columns is None else pa.schema([schema.schema.field(column) for column in columns])
         try:
-            content = stored.read(str(path))
+            content = stored.read(path)
             if content is None:
                 raise self.damaged(name)
             same = [] if is_plain else [column for column in schema.same if column in wanted.names]
