@@ -202,9 +202,8 @@ class Schedule:
         elif pair.n_losses > 1:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
-        elif not pair.plan.is_counted and self._budget.why_too_large(pair.plan):  # perhaps: the size is an estimate
-            reads_file = [job for job in pair.ready if any(source.maker is None for source in job.sources)]
-            self._submit_jobs(pair, reads_file)
+        elif counting := self._jobs_that_count(pair):
+            self._submit_jobs(pair, counting)
         elif pair.scored:
             self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, list(pair.scored)), priority=_FIRST))
             pair.scored.clear()
@@ -212,6 +211,12 @@ class Schedule:
             self._split(pair)
         else:
             self._submit_whole(pair)
+
+    def _jobs_that_count(self, pair: _Pair) -> list[Job]:
+        """Jobs that read input files, if these seem too large and their points have not been counted yet."""
+        if pair.plan.is_counted or not self._budget.why_too_large(pair.plan):
+            return []
+        return [job for job in pair.ready if any(source.maker is None for source in job.sources)]
 
     def _end(self, pair: _Pair) -> None:
         self._is_alone = False

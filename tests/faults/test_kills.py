@@ -61,7 +61,7 @@ def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path
     out = tmp_path / "run"
     words = ["run", str(real_data / "kitti_twin"), "--out", str(out), "--workers", "2", "--pairs", "000002"]
     terminal = pexpect.spawn(FIDPIPE, words, encoding="utf-8", timeout=60, dimensions=(40, 160))
-    terminal.expect("[(]selection 0/1")  # only objects are left
+    wait_for(out / "matching" / "000002.parquet")  # only objects are left
     terminal.sendintr()
     begun = time.monotonic()
     terminal.expect("interrupted; run the same command again to go on")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import pandas as pd
 import pytest
 
+from fidpipe.pipeline.datasets import content
 from fidpipe.pipeline.engine.costs import CostModel
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
@@ -39,11 +40,18 @@ def extras(**makes):
     return (*STAGES, *(replace(stage, make=makes.get(stage.name, stage.make)) for stage in EXTRAS))
 
 
-def test_a_pair_that_cannot_fit_fails_with_size_need_and_setting(dataset, tmp_path):
+@pytest.mark.parametrize("bytes_per_point", [16, 1, 10**6], ids=["known", "fewer points than estimated", "more"])
+def test_a_pair_that_cannot_fit_fails_with_size_need_and_setting(dataset, tmp_path, monkeypatch, bytes_per_point):
+    monkeypatch.setattr(content, "_BYTES_PER_POINT", bytes_per_point)
     outcome = run(dataset, tmp_path / "run", pool=WatchedPool(memory=GIB // 4))
     assert len(outcome.failures) == 3
     for reason in outcome.failures.values():
-        assert "points" in reason and "GiB of memory may be needed" in reason and "machine.memory_gib" in reason
+        assert (
+            "points" in reason
+            and "stage ground" not in reason
+            and "GiB of memory may be needed" in reason
+            and "machine.memory_gib" in reason
+        )
 
 
 def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_path):
