@@ -1,9 +1,9 @@
-"""Exact one-to-one assignment of two point sets of equal size at the least total distance.
+"""Exact one-to-one assignment of two point sets of equal size with the smallest total distance.
 
 Small sets are solved densely. Large ones by column generation: the assignment among a few candidate arcs per node,
 priced by a coarser subsample, is solved exactly by the network simplex; its dual prices show every arc of the full
-problem that could still improve it; these are added until there is none. The result is therefore the optimum of the
-full problem, certified by its duals, though most arcs were never part of it. Memory stays at a few arcs per node.
+problem that could still improve it; these are added until none is left. So the result is the optimum of the full
+problem, certified by its duals, although most arcs were never part of it. Memory stays at a few arcs per node.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ _DENSE_NODES = 400  # up to here the dense solver is the faster one
 _COARSER = 4
 _TIGHT_ARCS_PER_NODE = 16
 _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this to be added
-_MOST_GAP_M = 1e-9  # a whole assignment may cost this much a node above its proven least
+_MOST_GAP_M = 1e-9  # a whole assignment may cost this much per node above its proven minimum
 _ROUNDING = 1e-12  # and this share of its cost
-_OFFSET_STEP_M = 1024.0  # a power of two: the difference is exact, and nearer sets stay as they are
+_OFFSET_STEP_M = 1024.0  # a power of two: the difference is exact, and nearer sets do not change
 _BLOCK_DISTANCES = 2**20
 
-#: Candidates of each node to begin with; few must be completed often, many cost memory.
+#: Initial candidates of each node; few need more rounds of additions, many cost memory.
 ARCS_PER_NODE = 72
 
 Prices = tuple[FloatArray, FloatArray]
 
 
 def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
-    """The permutation p that minimises sum_i |r_i - s_p(i)|, both sides centred on their own mean; exact.
+    """Exact permutation p that minimises sum_i |r_i - s_p(i)|, with each side centred on its mean.
 
     "Hungarian spatial alignment" of the paper (Kuhn 1955). Up to 400 nodes by shortest augmenting paths (Crouse,
     IEEE Trans. AES 2016), above by network simplex on candidate arcs (Bonneel et al., SIGGRAPH Asia 2011), whose
     optimality for all arcs is checked by linear programming duality: u_i + v_j <= |r_i - s_j| everywhere, and
-    sum u + sum v = sum_i |r_i - s_p(i)|, within 1e-9 m a node.
+    sum u + sum v = sum_i |r_i - s_p(i)|, within 1e-9 m per node.
 
     Parameters
     ----------
@@ -55,21 +55,21 @@ def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
 
 
 def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_NODE) -> IndexArray:
-    """The permutation p that minimises sum_i |a_i - b_p(i)| of two sets of equal size as they lie; exact.
+    """Exact permutation p that minimises sum_i |a_i - b_p(i)| for two sets of equal size, without centring.
 
     Parameters
     ----------
     a, b : (n, 3) float64, metres, at least one point each
-    arcs_per_node : candidate arcs of each node to begin with, 1 to 400, where there are more nodes than that; decides
-        the time, not the result
+    arcs_per_node : initial candidate arcs of each node, 1 to 400, for more nodes than that; affects the time, not the
+        result
 
     Raises
     ------
     StageError
-        The network simplex ends without an assignment, or with one that its prices do not prove to be the best.
+        The network simplex ends without an assignment, or with one that its prices do not prove to be optimal.
     """
     offset = np.round(b.mean(axis=0) / _OFFSET_STEP_M) * _OFFSET_STEP_M
-    if offset.any():  # far from the origin (UTM) single precision would not tell the candidates apart
+    if offset.any():  # far from the origin (UTM) single precision would not distinguish the candidates
         a, b = a - offset, b - offset
     if len(a) <= _DENSE_NODES:
         sim_of_real: IndexArray = linear_sum_assignment(cdist(a, b))[1]
@@ -83,14 +83,14 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
         if not len(better):
             _check_certificate(a, b, sim_of_real, prices, promising)
             return sim_of_real
-        if is_first:  # most arcs turned out too dear; what is left out wrongly is found again
+        if is_first:  # most arcs are too expensive; arcs that are wrongly left out are found again
             arcs = _tight_arcs(a, b, arcs, sim_of_real, prices)
             is_first = False
         arcs = np.sort(np.concatenate([arcs, better]), kind="stable")
 
 
 def _coarse_prices(a: FloatArray, b: FloatArray, arcs_per_node: int) -> FloatArray:
-    """Prices of b from those of a quarter of the nodes of each side; these from a quarter of the quarter, and so on."""
+    """Prices of b from those of a quarter of the nodes of each side, recursively."""
     n = len(a)
     m = n // _COARSER
     spread = np.linspace(0, n - 1, m).astype(np.intp)
@@ -104,7 +104,7 @@ def _coarse_prices(a: FloatArray, b: FloatArray, arcs_per_node: int) -> FloatArr
 
 
 def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray, arcs_per_node: int) -> IndexArray:
-    """Ascending codes i * n + j of the arcs that are cheapest for a node of either side, and of a whole assignment."""
+    """Ascending codes i * n + j of the cheapest arcs for each node of either side, and of a whole assignment."""
     n = len(a)
     from_a, price_a = _cheapest(a, b, price_b, arcs_per_node)
     from_b, _ = _cheapest(b, a, price_a, arcs_per_node)
@@ -117,7 +117,7 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray, arcs_per_
 def _cheapest(
     nodes: FloatArray, others: FloatArray, price: FloatArray, arcs_per_node: int
 ) -> tuple[sparse.csr_array, FloatArray]:
-    """The arcs to the others that are cheapest for each node, (n, n), and the least cost, (n,); to single precision."""
+    """Cheapest arcs to the others for each node, (n, n), and the smallest cost, (n,); in single precision."""
     x, y, price_y = (array.astype(np.float32) for array in (nodes, others, price))
     columns, counts, least = [], [], []
     for rows in _blocks(len(x), len(y)):
@@ -143,7 +143,7 @@ def _least(nodes: FloatArray, others: FloatArray, price: FloatArray) -> FloatArr
 
 
 def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, Prices]:
-    """The best assignment along the given arcs, and the dual prices of both sides that prove it."""
+    """Best assignment along the given arcs, and the dual prices of both sides that prove it."""
     import ot
 
     n = len(a)
@@ -160,14 +160,14 @@ def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, 
     )
     chosen = plan.data > 0.5
     if log["warning"] or np.count_nonzero(chosen) != n:
-        raise StageError(f"alignment of {n} nodes: the network simplex gave no assignment ({log['warning']})")
+        raise StageError(f"alignment of {n} nodes: the network simplex found no assignment ({log['warning']})")
     sim_of_real = np.empty(n, dtype=np.intp)
     sim_of_real[plan.row[chosen]] = plan.col[chosen]
     return sim_of_real, (log["u"], log["v"])
 
 
 def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: IndexArray, prices: Prices) -> IndexArray:
-    """Of the arcs those that cost least above the prices of their ends, and those of the assignment."""
+    """Arcs with the smallest cost above the prices of their ends, and those of the assignment."""
     n = len(a)
     i, j = np.divmod(arcs, n)
     slack = np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1)) - prices[0][i] - prices[1][j]
@@ -178,7 +178,7 @@ def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: Ind
 
 
 def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
-    """Codes of all arcs that cost less than the prices of their ends: those that the solution must be tried with."""
+    """Codes of all arcs that cost less than the prices of their ends, and so could improve the solution."""
     n = len(a)
     price_a, price_b = prices
     codes = []
@@ -192,7 +192,7 @@ def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
 def _check_certificate(
     a: FloatArray, b: FloatArray, sim_of_real: IndexArray, prices: Prices, promising: IndexArray
 ) -> None:
-    """Raises `StageError` unless the prices prove that no assignment is shorter.
+    """Raise `StageError` unless the prices prove that no assignment is shorter.
 
     With u_i + v_j <= c_ij + s everywhere, no assignment costs less than sum u + sum v - n s.
 
@@ -202,7 +202,7 @@ def _check_certificate(
     """
     n = len(a)
     if not np.array_equal(np.sort(sim_of_real), np.arange(n)):
-        raise StageError(f"alignment of {n} nodes: the network simplex gave no one-to-one assignment")
+        raise StageError(f"alignment of {n} nodes: the network simplex found no one-to-one assignment")
     i, j = np.divmod(promising, n)
     excess_m = prices[0][i] + prices[1][j] - np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1))
     cost_m = float(np.sqrt(((a - b[sim_of_real]) ** 2).sum(axis=1)).sum())
@@ -215,7 +215,7 @@ def _check_certificate(
 
 
 def _curve(points: FloatArray) -> IndexArray:
-    """The order of points along a space-filling (Morton) curve through their bounding box."""
+    """Order of points along a space-filling (Morton) curve through their bounding box."""
     size = np.maximum(np.ptp(points, axis=0), np.finfo(float).tiny)
     cell = ((points - points.min(axis=0)) / size * 1023).astype(np.int64)
     code = np.zeros(len(points), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Reduces a sparse symmetric matrix to a narrow band with the same eigenvalues.
+"""Reduction of a sparse symmetric matrix to a narrow band with the same eigenvalues.
 
 The nodes of an object, numbered from one end of it to the other, make a band matrix: its neighbours lie near each
 other. Blocks of Householder reflections narrow the band, and what they push out of it is chased down and out at the
@@ -21,22 +21,22 @@ from scipy.sparse.csgraph import breadth_first_order, reverse_cuthill_mckee
 from ..arrays import FloatArray, IndexArray
 
 Kernel = Callable[..., None]
-Kernels = Mapping[str, Kernel]  #: by their names in BLAS and LAPACK
+Kernels = Mapping[str, Kernel]  #: names in BLAS and LAPACK
 _SWEEPS = 3
 
-#: The characters by which BLAS is told left, right, upper, transposed and not, as addresses.
+#: Characters of the BLAS options left, right, upper, transposed and not transposed, as addresses.
 _WORDS = np.frombuffer(b"LRUTN", dtype=np.uint8)
 _L, _R, _U, _T, _N = (_WORDS.ctypes.data + i for i in range(len(_WORDS)))
 
-#: The factors with which BLAS is called, as addresses.
+#: Scalar factors of BLAS calls, as addresses.
 _FACTORS = np.array([0.0, 1.0, -1.0, -0.5])
 _ZERO, _ONE, _MINUS, _MINUS_HALF = (_FACTORS.ctypes.data + _FACTORS.itemsize * i for i in range(len(_FACTORS)))
 
 
 def reduce_to_band(symmetric: sparse.csr_matrix, width: int, kernels: Kernels) -> FloatArray:
-    """A band matrix with the eigenvalues of a symmetric one, in LAPACK's lower band storage, (width + 1, n) float64.
+    """Band matrix with the eigenvalues of a symmetric one, in LAPACK's lower band storage, (width + 1, n) float64.
 
-    For each block of `width` columns, the QR factorisation of what lies below the wanted band gives
+    For each block of `width` columns, the QR factorisation of the part below the target band is
     Q = I - V T V^T, which is applied from both sides; the bulge that this makes below is treated the same way, block
     by block, until it leaves the matrix (Bischof, Lang and Sun, "A framework for symmetric band reduction", ACM TOMS
     26, 2000). Each block is as high as the matrix is wide there, not as its widest place. With b the mean of these
@@ -46,7 +46,7 @@ def reduce_to_band(symmetric: sparse.csr_matrix, width: int, kernels: Kernels) -
     ----------
     symmetric : (n, n) CSR float64; with n <= width there is nothing to reduce
     width : of the band, at least 1
-    kernels : the routines that `scipy_kernels` finds
+    kernels : result of `scipy_kernels`
     """
     lower, reach = _numbered(symmetric)
     blocks, height = _blocks(reach, width)
@@ -61,7 +61,7 @@ def reduce_to_band(symmetric: sparse.csr_matrix, width: int, kernels: Kernels) -
 
 @cache
 def scipy_kernels() -> Kernels | None:
-    """The BLAS and LAPACK routines of the reduction, from the tables that scipy has for C; None if they are others.
+    """BLAS and LAPACK routines of the reduction from scipy's tables for C; None if their signatures differ.
 
     Each takes addresses only. scipy's own wrappers cannot work on a part of a matrix without copying it.
     """
@@ -73,7 +73,7 @@ def scipy_kernels() -> Kernels | None:
 
 
 def kernels_from(capsules: Mapping[str, object]) -> Kernels | None:
-    """Routines that can be called with addresses; None where one takes other integers than 32-bit ones.
+    """Routines that can be called with addresses; None if a routine does not take 32-bit integers.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def _capsule(what: str, result: Any, capsule: object, *more: bytes) -> Any:
 
 
 class _Block(NamedTuple):
-    """A block to be made upper triangular: its first row and column, its rows and columns, the rows below of its rows.
+    """Block to be made upper triangular: first row and column, numbers of rows and columns, and of rows below.
 
     `n_below` rows meet the columns that bear the numbers of this block's rows.
     """
@@ -110,12 +110,12 @@ class _Block(NamedTuple):
 
 
 def _blocks(reach: IndexArray, width: int) -> tuple[list[_Block], int]:
-    """The blocks in their order, and the largest distance from the diagonal that an element has on the way.
+    """Blocks in their order, and the largest distance of an element from the diagonal during the reduction.
 
     Parameters
     ----------
     reach : (n,) last row in which a column, or one before it, has an element
-    width : of the wanted band
+    width : width of the target band
     """
     n, reach = len(reach), reach.copy()
     height = int(np.max(reach - np.arange(n)))
@@ -138,7 +138,7 @@ def _blocks(reach: IndexArray, width: int) -> tuple[list[_Block], int]:
 
 
 class _Work:
-    """A band matrix whose parts are handed to BLAS, and room for what is computed on the way.
+    """Band matrix whose parts are passed to BLAS, and workspace.
 
     In band storage element (i, j) lies i + (ld - 1) j after element (0, 0): a part of the matrix is an ordinary
     column-major matrix of leading dimension ld - 1. BLAS takes a part by the address of its first element, no copy,
@@ -162,21 +162,21 @@ class _Work:
         self.call = kernels
 
     def at(self, row: int, column: int) -> int:
-        """The address of an element."""
+        """Address of an element."""
         return self._first + 8 * (row + self.stride * column)
 
     def number(self, value: int) -> int:
-        """The address of a number from 0 to the largest dimension."""
+        """Address of a number from 0 to the largest dimension."""
         return self._first_number + self._bytes_per_number * value
 
     def part(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """A part of the matrix, (n_rows, n_columns), a view."""
+        """View of a part of the matrix, (n_rows, n_columns)."""
         offset = 8 * (row + self.stride * column)
         return np.ndarray((n_rows, n_columns), np.float64, self.flat, offset, (8, 8 * self.stride))
 
 
 def _eliminate(work: _Work, block: _Block) -> None:
-    """Makes a block upper triangular, by reflections Q of its rows.
+    """Make a block upper triangular by reflections Q of its rows.
 
     Q is applied to all that these rows and, by symmetry, columns meet.
     """
@@ -221,7 +221,7 @@ def _eliminate(work: _Work, block: _Block) -> None:
 
 
 def _numbered(symmetric: sparse.csr_matrix) -> tuple[sparse.coo_matrix, IndexArray]:
-    """The lower triangle with nodes numbered from end to end, and how far down each column reaches.
+    """Lower triangle with nodes numbered from end to end, and the last row of each column.
 
     Of two numberings the one of the narrower band, in the mean.
     """
@@ -232,7 +232,7 @@ def _numbered(symmetric: sparse.csr_matrix) -> tuple[sparse.coo_matrix, IndexArr
 
 
 def _renumbered(pairs: sparse.coo_matrix, order: IndexArray) -> tuple[sparse.coo_matrix, IndexArray]:
-    """The lower triangle when nodes stand in this order, and the last row which each column or one before it meets."""
+    """Lower triangle with nodes in this order, and the last row of an element in each column or one before it."""
     place = np.empty(len(order), dtype=np.intp)
     place[order] = np.arange(len(order))
     row, column = place[pairs.row], place[pairs.col]
@@ -244,7 +244,7 @@ def _renumbered(pairs: sparse.coo_matrix, order: IndexArray) -> tuple[sparse.coo
 
 
 def _from_end(symmetric: sparse.csr_matrix) -> IndexArray:
-    """All nodes in breadth-first order from one that is far from others; parts that hang apart one after the other."""
+    """Nodes in breadth-first order from a peripheral node; connected components one after the other."""
     start = 0
     for _ in range(_SWEEPS):
         order = breadth_first_order(symmetric, start, directed=False, return_predecessors=False)

@@ -1,4 +1,4 @@
-"""The heat kernel exp(-tL) of a graph: its row sums, its trace, and how far those of two graphs are apart.
+"""The heat kernel exp(-tL) of a graph: row sums, trace, and the change between two graphs.
 
 With S = I - L, the normalised adjacency matrix, exp(-tL) v = e^-t sum_k t^k / k! S^k v. No eigenvalue of S is larger
 than 1, so that no term outgrows its weight; the exponential itself, a dense matrix, is never formed for many nodes.
@@ -18,7 +18,7 @@ _DENSE_NODES = 64  # up to here the dense kernel is the faster one
 
 
 def heat_row_sums(laplacian: sparse.csr_matrix, t: float) -> FloatArray:
-    """The row sums exp(-tL) 1 of the heat kernel, (n,) float64 (paper, equations "heat" and "influence").
+    """Row sums exp(-tL) 1 of the heat kernel, (n,) float64 (paper, equations "heat" and "influence").
 
     S has no negative entry and neither has the vector of ones, so that no term of the series cancels another; terms
     are added until they are below the rounding of the sum. An isolated node (L_ii = 0) has the sum 1.
@@ -47,7 +47,7 @@ def heat_row_sums(laplacian: sparse.csr_matrix, t: float) -> FloatArray:
 
 
 def heat_trace(laplacian: sparse.csr_matrix, times: FloatArray) -> FloatArray:
-    """The trace of exp(-tL) over n at each time, (k,) float64: the mean of exp(-t l) over all eigenvalues l.
+    """Trace of exp(-tL) over n at each time, (k,) float64: the mean of exp(-t l) over all eigenvalues l.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def heat_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float) -> fl
     """|exp(-t L_sim) - exp(-t L_real)|_2, the spectral norm of the change of the heat kernel.
 
     The largest absolute eigenvalue by Lanczos iteration, the change being applied to vectors; up to 64 nodes, and
-    where the iteration does not converge, from dense kernels.
+    if the iteration does not converge, from dense kernels.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def heat_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float) -> fl
     operator = LinearOperator((n, n), matvec=apply, dtype=np.float64)
     try:
         return float(abs(eigsh(operator, k=1, which="LM", v0=start, return_eigenvectors=False)[0]))
-    except ArpackNoConvergence:  # a crowded edge of the spectrum; the dense way always ends
+    except ArpackNoConvergence:  # a crowded edge of the spectrum; the dense solver always converges
         return _dense_change(real, sim, t)
 
 
@@ -98,7 +98,7 @@ def _heat(similarity: sparse.csr_matrix, vector: FloatArray, t: float, n_terms: 
 
 
 def _n_terms(t: float) -> int:
-    """How many terms until the weights e^-t t^k / k! are below the rounding of their sum, which is 1."""
+    """Number of terms until the weights e^-t t^k / k! are below the rounding of their sum, which is 1."""
     k, weight = 0, float(np.exp(-t))
     while k <= t or weight > np.finfo(np.float64).eps:
         k += 1

@@ -1,4 +1,4 @@
-"""The normalised Laplacian of a weighted graph, and of the part of it that some nodes induce."""
+"""Normalised Laplacian of a weighted graph, and of the subgraph induced by some nodes."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def normalised_laplacian(weights: sparse.csr_matrix) -> sparse.csr_matrix:
 
 
 def induced_laplacian(graph: Subgraph, nodes: IndexArray) -> sparse.csr_matrix:
-    """The normalised Laplacian of the subgraph on some nodes, (k, k) CSR float64.
+    """Normalised Laplacian of the subgraph on some nodes, (k, k) CSR float64.
 
     Degrees are those of the subgraph, so that a node whose neighbours were all left out is isolated.
 
     Parameters
     ----------
     graph : one object
-    nodes : (k,) indices into it; rows and columns of the result stand in this order
+    nodes : (k,) indices into it; rows and columns of the result are in this order
     """
     return normalised_laplacian(graph.adjacency[nodes][:, nodes])

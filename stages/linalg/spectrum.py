@@ -34,8 +34,8 @@ def eigenvalues(
     ----------
     symmetric : (n, n) CSR float64, n at least 1
     banded_from_nodes : the n from which on the band is taken; the default is where it begins to be faster
-    band_width : of the narrow band; decides the time, not the result
-    find_kernels : gives the BLAS routines of the band reduction; where it gives None all matrices go the dense way
+    band_width : width of the narrow band; affects the time, not the result
+    find_kernels : returns the BLAS routines of the band reduction; if it returns None, the dense solver is used
     """
     kernels = find_kernels() if symmetric.shape[0] >= banded_from_nodes else None
     if kernels is None:
@@ -47,10 +47,10 @@ def eigenvalues(
 
 
 def spectral_norm(symmetric: sparse.csr_matrix) -> float:
-    """The largest absolute eigenvalue, by Lanczos iteration to machine precision; 0 of a matrix of zeros.
+    """Largest absolute eigenvalue, by Lanczos iteration to machine precision; 0 for a matrix of zeros.
 
-    ARPACK judges what is below eps^(2/3) as if it were of that size, so that it is given the matrix times the power of
-    two that makes its largest entry about 1: no digit is lost, however small the entries are.
+    ARPACK treats eigenvalues below eps^(2/3) as if they were of that size. So the matrix is scaled by the power of two
+    that makes its largest entry about 1: no digit is lost even for small entries.
 
     Parameters
     ----------
@@ -68,5 +68,5 @@ def spectral_norm(symmetric: sparse.csr_matrix) -> float:
             largest = eigsh(scaled, k=1, which="LM", v0=start, return_eigenvectors=False)[0]
             return float(np.ldexp(abs(largest), exponent))
         except ArpackNoConvergence:
-            pass  # a crowded edge of the spectrum; the dense way always ends
+            pass  # a crowded edge of the spectrum; the dense solver always converges
     return float(np.max(np.abs(eigvalsh(symmetric.toarray(), check_finite=False))))

@@ -1,4 +1,4 @@
-"""What a graph is in memory: its edges, its adjacency matrix, and the part of it that belongs to one object."""
+"""Graphs in memory: edges, adjacency matrix, connected components, and the subgraph of one object."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Edges:
 
 @dataclass(frozen=True)
 class Subgraph:
-    """One object: its points and the edges among them.
+    """Points of one object and the edges among them.
 
     point_ids : (n,) int32, ascending
     points : (n, 3) float64, metres
@@ -44,19 +44,19 @@ class Subgraph:
 
 
 def adjacency(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
-    """The symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices; all zero without edges."""
+    """Symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices; all zero without edges."""
     half = upper_half(n_nodes, edges)
     return half + half.T.tocsr()
 
 
 def upper_half(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
-    """The part of the adjacency matrix above its diagonal, (n, n) CSR float64."""
+    """Part of the adjacency matrix above its diagonal, (n, n) CSR float64."""
     starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
     return sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
 
 
 def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
-    """The connected piece of each node, (n,), numbered from 0; edges join whatever their length is.
+    """Connected component of each node, (n,), numbered from 0, regardless of the length of edges.
 
     Examples
     --------
@@ -69,7 +69,7 @@ def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
 
 
 def connected_points(points: FloatArray, link_m: float) -> IndexArray:
-    """The connected component of each point, (n,), any numbers, with points at most `link_m` apart linked.
+    """Connected component of each point, (n,), in any numbering, with points at most `link_m` apart linked.
 
     Links to the 16 nearest neighbours give nearly all components. A link that is still missing joins two points that
     both have more neighbours than these. Components of such points are numbered; for each bit of the numbers, those

@@ -1,4 +1,4 @@
-"""What the objects of all pairs say together: the numbers of the paper's section "Real experiments".
+"""Findings over the objects of all pairs: the numbers of the paper's section "Real experiments".
 
 Counts and distributions pool the objects of all pairs. Means over pairs are in `summary`, the claims in `claims`.
 """
@@ -38,7 +38,7 @@ BAND_NAMES = (
 )
 #: Scans of the paper's box plots, and how far apart in time they must be.
 N_SCANS, SCAN_GAP_S = 4, 60.0
-#: Width of the bins whose tallest one tells a sharp peak from a broad one.
+#: Width of the bins whose tallest one distinguishes a sharp peak from a broad one.
 PEAK_BIN = 0.05
 #: The paper: n_sim is from under a quarter to over four times n_real.
 SPARSE_RATIO, DENSE_RATIO = 0.25, 4.0
@@ -47,12 +47,12 @@ _QUANTILES = {"min": 0.0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, 
 
 @dataclass(frozen=True)
 class SideObjects:
-    """The objects of one side of all pairs.
+    """Objects of one side of all pairs.
 
     pair : (n,) index of the pair
     range_m : (n,) distance of the centroid from the sensor
-    label : (n,) class, "" where there is none
-    is_matched : (n,) whether the other side has it too
+    label : (n,) class, "" if the object has none
+    is_matched : (n,) True if the other side has it too
     """
 
     pair: IntArray
@@ -63,12 +63,12 @@ class SideObjects:
 
 @dataclass(frozen=True)
 class MatchedObjects:
-    """The matched objects of all pairs.
+    """Matched objects of all pairs.
 
     pair : (m,) index of the pair
     range_m, label : (m,) of the real object
     n_real, n_sim : (m,) points
-    cdc, r_lambda, r_gap : (m,) scores, NaN where null
+    cdc, r_lambda, r_gap : (m,) scores, NaN for null
     """
 
     pair: IntArray
@@ -88,14 +88,14 @@ def summarise_objects(
     pair_ids: Sequence[str],
     timestamps_s: Sequence[float | None],
 ) -> ObjectFindings:
-    """Distributions, ranges, classes, density ratios, correlation, and the four scans; None for what has no value.
+    """Compute distributions, ranges, classes, density ratios, correlation, and the four scans; None for missing values.
 
     Parameters
     ----------
-    real, sim : the objects of each side
-    matched : those that both sides have
-    pair_ids : by pair, its name
-    timestamps_s : by pair, when the scan was taken; None where unknown
+    real, sim : objects of each side
+    matched : objects of both sides
+    pair_ids : name of each pair
+    timestamps_s : time of the scan of each pair; None if unknown
     """
     median_m = _median(np.concatenate([real.range_m, sim.range_m]))
     unmatched_m = np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
@@ -122,8 +122,8 @@ def summarise_objects(
 def distribution(values: FloatArray) -> Distribution:
     """Number, quantiles, mean, standard deviation (n - 1), coefficient of variation and tallest bin of some values.
 
-    The coefficient of variation is standard deviation / mean: a score that varies more relative to its mean tells
-    objects apart better (the paper, "Real experiments"). NaN is left out; None where too few stay.
+    The coefficient of variation is standard deviation / mean: a score that varies more relative to its mean
+    distinguishes objects better (the paper, "Real experiments"). NaN is left out; None if too few values remain.
 
     Examples
     --------
@@ -168,7 +168,7 @@ def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
 
 
 def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
-    """Quantiles of n_sim / n_real, and the shares below a quarter and above four; None of no object."""
+    """Quantiles of n_sim / n_real, and the shares below a quarter and above four; None without objects."""
     ratio = n_sim / n_real
     return DensityRatio(
         n=len(ratio),
@@ -179,7 +179,7 @@ def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
 
 
 def by_range(real: SideObjects, sim: SideObjects, edges_m: Sequence[float] = BAND_EDGES_M) -> tuple[RangeBand, ...]:
-    """Missing and hallucinated objects by distance from the sensor, each of its own side; the last band has no end."""
+    """Missing and hallucinated objects by distance from the sensor on their side; the last band has no end."""
     bands = []
     for low, high in zip(edges_m, [*edges_m[1:], None], strict=True):
         inside = [(side.range_m >= low) & (side.range_m < (np.inf if high is None else high)) for side in (real, sim)]
@@ -191,8 +191,8 @@ def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> tu
     """Missing, hallucinated and scores by class, the class with most objects first; () without labels.
 
     A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
-    objects. `cdc_excess` is cdc less r_lambda; `r_lambda_near` and `r_lambda_far` are of the matched objects nearer
-    than the median range of the class, and of the others.
+    objects. `cdc_excess` is cdc minus r_lambda; `r_lambda_near` and `r_lambda_far` are means over the matched objects
+    nearer than the median range of the class, and over the others.
     """
     labels, counts = np.unique(np.concatenate([real.label, sim.label]), return_counts=True)
     rows = []
@@ -229,7 +229,7 @@ def _group_mean(values: FloatArray) -> GroupMean:
 
 
 def within_pairs(matched: MatchedObjects, n_pairs: int) -> WithinPairs:
-    """In how many pairs r_lambda varies more than CDC over the objects of the pair (standard deviation)."""
+    """Number of pairs in which r_lambda varies more than CDC over the objects of the pair (standard deviation)."""
     spread = [std_by_pair(scores, matched.pair, n_pairs) for scores in (matched.cdc, matched.r_lambda)]
     both = ~(np.isnan(spread[0]) | np.isnan(spread[1]))
     wider = spread[1][both] > spread[0][both]
@@ -237,7 +237,7 @@ def within_pairs(matched: MatchedObjects, n_pairs: int) -> WithinPairs:
 
 
 def std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
-    """Standard deviation (n - 1) of the values of each pair, NaN where there are fewer than two."""
+    """Standard deviation (n - 1) of the values of each pair, NaN for fewer than two."""
     known = ~np.isnan(values)
     values, pair = values[known], pair[known]
     n = np.bincount(pair, minlength=n_pairs)
@@ -250,7 +250,7 @@ def std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
 def compare_scans(matched: MatchedObjects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
     """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
 
-    Where fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are taken instead, and
+    If fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are used instead, and
     `apart` is false.
     """
     chosen = scans_apart(timestamps_s)
@@ -297,7 +297,7 @@ def _evenly(items: Sequence[int]) -> list[int]:
 
 
 def _unmatched(real: SideObjects, sim: SideObjects, in_real: BoolArray, in_sim: BoolArray) -> Unmatched:
-    """Objects inside a group of each side, and those of them that the other side lacks."""
+    """Objects of each side in a group, and those of them that the other side lacks."""
     n_real, n_sim = int(np.count_nonzero(in_real)), int(np.count_nonzero(in_sim))
     n_missing = int(np.count_nonzero(in_real & ~real.is_matched))
     n_hallucinated = int(np.count_nonzero(in_sim & ~sim.is_matched))

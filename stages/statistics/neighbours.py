@@ -1,4 +1,4 @@
-"""Scans of the same place: recognised by the overlap of what stands on the ground, wherever the sensor has moved."""
+"""Recognition of scans of the same place by the overlap of their object points, also if the sensor has moved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much a score depends on the seed, and how much on the pair: which differences are more than chance."""
+"""Spread of a score over seeds and over pairs, and the smallest difference beyond chance."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ _CONFIDENCE = 0.95
 
 
 def spread(values: FloatArray) -> Spread:
-    """How a score spreads over seeds within a pair, beside how it spreads over pairs.
+    """Spread of a score over seeds within a pair, and over pairs.
 
     With s the standard deviation over seeds within a pair, pooled over P pairs, a pair's score has the noise s, and the
     dataset's mean the noise s / sqrt(P). The difference of two of them is smaller than t sqrt(2) times that in 95 % of
     the cases: the repeatability limit (ISO 5725-6, section 4.1.4), with Student's t of as many degrees of freedom as s
-    was estimated with (seeds less one, summed over the pairs) instead of 1.96, which holds for a known s only.
+    was estimated with (seeds minus one, summed over the pairs) instead of 1.96, which is only valid for a known s.
 
     Parameters
     ----------
-    values : (pairs, seeds) float64, NaN where a score is null
+    values : (pairs, seeds) float64, NaN for null
 
     Examples
     --------

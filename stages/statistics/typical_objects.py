@@ -8,18 +8,18 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray, IntArray
 
-#: The shape features, in the order of the columns of `ScanObjects.shape`, and what an object of that shape is called.
+#: The shape features, in the order of the columns of `ScanObjects.shape`, and the name of an object of that shape.
 SHAPES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered"}
 PURE_SHARE = 0.75
 
 
 @dataclass(frozen=True)
 class ChosenObject:
-    """An object of a scan that was chosen.
+    """Chosen object of a scan.
 
-    name : its class or shape, or "object 7"
-    n_points, range_m : its size and distance
-    why : how it was chosen, in words
+    name : class or shape, or "object 7"
+    n_points, range_m : size and distance
+    why : text of the criterion of the choice
     """
 
     pair_id: str
@@ -32,11 +32,11 @@ class ChosenObject:
 
 @dataclass(frozen=True)
 class ScanObjects:
-    """The objects of a scan, by community id.
+    """Objects of a scan, by community id.
 
     n_points, range_m : (n,) sizes, and distances in metres
     labels : most frequent label of the points of each; None without labels
-    label_share : (n,) its share of the points
+    label_share : (n,) share of the points with that label
     shape : (n, 3) linearity, planarity and scattering
     """
 
@@ -48,21 +48,21 @@ class ScanObjects:
     shape: FloatArray
 
     def chosen(self, community_id: int, name: str, why: str) -> ChosenObject:
-        """The object of this id as a choice."""
+        """Chosen object by its id."""
         size, range_m = int(self.n_points[community_id]), float(self.range_m[community_id])
         return ChosenObject(self.pair_id, community_id, name, size, range_m, why)
 
     def median_sized(self, candidates: IndexArray) -> int:
-        """Of some ids the one of median size; of an even number the lower."""
+        """Id of the object of median size; for an even number the smaller one."""
         by_size = candidates[np.lexsort((candidates, self.n_points[candidates]))]
         return int(by_size[(len(by_size) - 1) // 2])
 
 
 def typical_of_class(scan: ScanObjects, label: str, least: int) -> ChosenObject | None:
-    """The typical object of a class; None where no object has the label.
+    """Typical object of a class; None if no object has the label.
 
-    Of the objects of at least `least` points, three quarters of them of the label, the one of median size; where there
-    is none, the largest whose most frequent label it is.
+    It is the one of median size among the objects of at least `least` points with three quarters of them of the label;
+    without such objects, the largest with that most frequent label.
     """
     is_of_class = np.array([own == label for own in scan.labels], dtype=np.bool_)
     if not is_of_class.any():
@@ -76,10 +76,10 @@ def typical_of_class(scan: ScanObjects, label: str, least: int) -> ChosenObject 
 
 
 def typical_of_shapes(scan: ScanObjects, least: int) -> list[ChosenObject]:
-    """An object for each shape, no object for two; first those that are of a shape, then the nearest of the others.
+    """Choose one object for each shape, no object twice; first objects of a shape, then the nearest of the others.
 
-    An object is of the shape whose feature is the largest of the three; of those of a shape and at least `least` points
-    the one of median size is taken. A shape for which no object is left is left out.
+    The shape of an object is that of the largest of the three features; among the objects of a shape and at least
+    `least` points the one of median size is chosen. A shape without a remaining object is left out.
     """
     is_large = scan.n_points >= least
     is_free = is_large.copy() if is_large.any() else np.ones(len(scan.n_points), dtype=np.bool_)

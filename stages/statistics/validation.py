@@ -1,4 +1,4 @@
-"""Distance of two distributions of a score, in its own unit."""
+"""Distance of two distributions of a score, in the unit of the score."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..arrays import FloatArray
 
 @dataclass(frozen=True)
 class DoubleValidation:
-    """The double validation metric of a score, in its unit; None where a side has no value.
+    """Double validation metric of a score, in its unit; None if a side has no value.
 
-    bias : signed: positive where the simulation's values are larger
-    area : what is left between the distributions once the bias is removed, 0 where their shapes are alike
-    n_real, n_sim : how many values there are
+    bias : positive if the simulation's values are larger
+    area : area between the distributions after removing the bias, 0 for equal shapes
+    n_real, n_sim : number of values
     """
 
     bias: float | None
@@ -25,11 +25,11 @@ class DoubleValidation:
 
 
 def area_validation_metric(real: FloatArray, sim: FloatArray) -> float | None:
-    """The area between two empirical distribution functions, in the unit of the values; None of no values, 0 at best.
+    """Area between two empirical distribution functions, in the unit of the values; None without values, 0 at best.
 
     d = integral |F_real(x) - F_sim(x)| dx (Ferson and Oberkampf, Validation of imprecise probability models, Int. J.
-    Reliability and Safety 2009), which is the Wasserstein distance of order 1. Where one distribution is nowhere
-    above the other it is the difference of the means.
+    Reliability and Safety 2009), which is the Wasserstein distance of order 1. If one distribution is nowhere above the
+    other it is the difference of the means.
 
     Parameters
     ----------
@@ -47,16 +47,16 @@ def area_validation_metric(real: FloatArray, sim: FloatArray) -> float | None:
 
 
 def double_validation_metric(real: FloatArray, sim: FloatArray) -> DoubleValidation:
-    """The signed bias of the simulated values, and the area between both distributions without it.
+    """Signed bias of the simulated values, and the area between both distributions without it.
 
     bias = mean(sim) - mean(real) = integral (F_real(x) - F_sim(x)) dx
     area = integral |F_real(x) - F_sim(x + bias)| dx
 
-    The area validation metric in two parts, so that a model that is off everywhere and one that scatters otherwise are
-    told apart (Rosenberger, Metrics for Specification, Validation, and Uncertainty Prediction for Credibility in
+    The area validation metric in two parts, which distinguishes a model with an offset from one with another scatter
+    (Rosenberger, Metrics for Specification, Validation, and Uncertainty Prediction for Credibility in
     Simulation of Active Perception Sensor Systems, dissertation, TU Darmstadt 2023; applied by Elster et al., Appl.
-    Sci. 13, 11405, 2023). Written from what these say in words, not from their equations: the mean as measure of the
-    bias and its sign are fidpipe's reading. Two samples of one distribution have an area above 0 too; it shrinks with
+    Sci. 13, 11405, 2023). Implemented from their text, not from their equations: the mean as measure of the bias and
+    its sign are fidpipe's interpretation. Two samples of one distribution also have an area above 0; it decreases with
     the square root of their sizes.
 
     Parameters
