@@ -25,7 +25,7 @@ NOT_YET = ("docs", "pipeline", "stages", "schemas/re", "schemas/settings", "READ
 EXPRESSIONS = {
     r"wanted|unwanted": "expected X; requested; stale",
     r"(?<!there )(is|are|was|were) no (?!longer|more\b)\w+": "is not an X",
-    r"(?<!there )(is|are) (?-i:none)|(?-i:none) (is|are)": "is not one; is not a number",
+    r"(?<!there )(is|are) (?-i:none)|(?-i:none) (is|are)(?! (left|needed|found))": "is not one; is not a number",
     r"there already|(?<!\w )(is|are) there (and|or)\b|(is|are) there(?=[,;.:])": "exists, already exists",
     r"refus(es?|ed|ing)(?! to)|refusals?": "rejects; raises E if ...",
     r"faults?(?! (toleran|inject))": "error, problem",

@@ -1,1 +1,1 @@
-"""Verifying a finished run: every number computed again by the literal twin of the method."""
+"""Verification of a finished run: recompute its numbers by the literal twin of the method."""

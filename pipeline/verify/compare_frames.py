@@ -1,4 +1,4 @@
-"""Compares a stored table with the recomputed one, under one rule per column."""
+"""Comparison of a stored table with the recomputed one, with one rule per column."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...stages.arrays import BoolArray, FloatArray
 DEFAULT_TOLERANCE = 1e-9
 _RELATIVE = 1e-12
 
-#: By `table.column` or `table`: the absolute tolerance where it is not the default, or why it is not recomputed.
+#: By `table.column` or `table`: the absolute tolerance if it is not the default, or why it is not recomputed.
 RULES: dict[str, float | str] = {
     "ground.intensity": 0.0,
     "graph.length_m": 0.0,
@@ -25,12 +25,12 @@ RULES: dict[str, float | str] = {
     "selection.sim_influence": 1.5e-9,
     **{f"surface.{name}": 1e-8 for name in SHIFT_COLUMNS},
     # scikit-network's Louvain computes in single precision
-    "communities.modularity gained by joining two communities": 1e-5,
+    "communities.modularity gained by merging two communities": 1e-5,
     # the arccosine is steep where the axis is upright
-    "ground.fact tilt_deg": 1e-5,
+    "ground.metadata tilt_deg": 1e-5,
     "pairs.ground_real_tilt_deg": 1e-5,
     "pairs.ground_sim_tilt_deg": 1e-5,
-    "baselines.reason": "words for people",
+    "baselines.reason": "text for people",
     "pairs.reason": "why a pair failed: it is not tried again",
     "timings": "seconds of a clock",
 }
@@ -42,9 +42,9 @@ NOT_COMPARED = {name: rule for name, rule in RULES.items() if isinstance(rule, s
 class ColumnComparison:
     """Stored and recomputed values of one column.
 
-    rows : the keys of the values
-    difference : (n,) float64, absolute; 0 for words and where one is null
-    is_wrong : (n,) True where the values differ by more than the tolerance
+    rows : keys of the values
+    difference : (n,) float64, absolute; 0 for text, and if one value is null
+    is_wrong : (n,) True if the values differ by more than the tolerance
     """
 
     column: str
@@ -58,12 +58,12 @@ class ColumnComparison:
 def compare(
     table: str, stored: pd.DataFrame, recomputed: pd.DataFrame, *, is_whole: bool = True
 ) -> Iterator[ColumnComparison]:
-    """Compares the rows of two frames by their index, then each recomputed column; null equals null.
+    """Compare the rows of two frames by their index, then each recomputed column; null equals null.
 
     Parameters
     ----------
-    table : whose rules hold
-    stored, recomputed : indexed by the same keys
+    table : name for the rules
+    stored, recomputed : frames with the same keys as index
     is_whole : the stored frame must have the recomputed rows and no others; otherwise at least these
     """
     if not stored.index.equals(recomputed.index):
@@ -103,7 +103,7 @@ def _compare_column(
 
 
 def _values(column: pd.Series[Any]) -> Any:
-    """Numbers as float64 with NaN for null; words as objects with None for null."""
+    """Numbers as float64 with NaN for null; text as objects with None for null."""
     if pd.api.types.is_numeric_dtype(column.dtype):  # flags too
         return column.to_numpy(dtype=np.float64)
     values = column.to_numpy(dtype=object, copy=True)

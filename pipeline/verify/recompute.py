@@ -1,6 +1,6 @@
-"""The tables of a pair once more, as data frames: each from the stored tables before it, by `stages.literal`.
+"""Recomputation of the tables of a pair as data frames: each from the stored tables before it, by `stages.literal`.
 
-Where ties or rounding make several answers right, the stored one is taken over if it is one of these.
+If ties or rounding allow several correct answers, the stored one is accepted if it is one of them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .stored import Part, Skipped, StoredPair, StoredSide, values
 
 Parts = Iterator[Part | Skipped]
 
-#: Objects with more points are left out where dense matrices of all their nodes would be needed.
+#: Objects with more points are left out of checks that need dense matrices of all their nodes.
 MOST_NODES = 3000
 #: The relative and absolute difference that two ways of computing an influence may have.
 _ROUNDING = 1e-11
@@ -48,12 +48,12 @@ UNMATCHED = {"real": "missing", "sim": "hallucinated"}
 
 
 def stages_of(pair: StoredPair) -> list[Stage]:
-    """The stages that a run with the pair's settings has, in their order."""
+    """Stages of a run with the settings of the pair, in their order."""
     return [stage for stage in (*STAGES, *EXTRAS) if stage.is_wanted is None or stage.is_wanted(pair.settings)]
 
 
 def rows(pair: StoredPair) -> Parts:
-    """The pair and side that the rows of every table name, and their order by the table's keys, none twice."""
+    """Names of pair and side in the rows of every table, and their order by the keys, without duplicates."""
     versions = pair.run.record.stages
     of_today = [stage for stage in stages_of(pair) if versions.get(stage.name, stage.version) == stage.version]
     for table, side in [(table, side) for stage in of_today for side in stage.parts for table in stage.gives]:
@@ -72,7 +72,7 @@ def rows(pair: StoredPair) -> Parts:
 
 
 def scan(pair: StoredPair) -> Parts:
-    """The points that cleaning keeps, point by point."""
+    """Points that cleaning keeps, one by one."""
     settings = pair.settings.input
     for side in SIDES:
         read = pair.scan(side)
@@ -110,20 +110,20 @@ def ground(pair: StoredPair) -> Parts:
         yield pair.in_pairs({f"n_{side}_clean": len(stored), f"n_{side}_points": len(stored) - n_ground})
         cut["removed_share"] = n_ground / len(stored)
         if not is_clear:
-            yield Skipped("tilt of a scan that spreads alike along two axes", [f"pairs.ground_{side}_tilt_deg"])
+            yield Skipped("tilt of a scan with equal variance along two axes", [f"pairs.ground_{side}_tilt_deg"])
             del cut["tilt_deg"]
         yield pair.in_pairs({f"ground_{side}_{name}": value for name, value in cut.items()})
         cut |= {f"axis {name}": value for name, value in zip("xyz", axis.tolist(), strict=True)}
         noted = facts | {f"axis {name}": value for name, value in zip("xyz", facts["axis"], strict=True)}
-        yield values("ground", {f"fact {name}": noted[name] for name in cut},
-                     {f"fact {name}": value for name, value in cut.items()}, side)  # fmt: skip
+        yield values("ground", {f"metadata {name}": noted[name] for name in cut},
+                     {f"metadata {name}": value for name, value in cut.items()}, side)  # fmt: skip
 
 
 def _cut(pair: StoredPair, side: str) -> tuple[dict[str, Any], FloatArray, bool]:
-    """The cut of a side by its facts, the heights of its points, and whether the points determine the axis."""
+    """Cut of a side from its metadata, heights of its points, and True if the points determine the axis."""
     settings, points = pair.settings.ground, pair.sides[side].all_points
     limits = settings.prior_m, settings.max_variance_loss, settings.loss
-    own = method.ground(points, *limits, if_not_told=np.array(pair.metadata("ground", side)["axis"]))
+    own = method.ground(points, *limits, default_axis=np.array(pair.metadata("ground", side)["axis"]))
     heights = own.height_m
     cut = {name: getattr(own, name) for name in ("axis", "tilt_deg", "peak_m", "threshold_m", "loss", "iterations")}
     if side == "sim" and (settings.shared or settings.peak == "real"):
@@ -139,11 +139,11 @@ def _cut(pair: StoredPair, side: str) -> tuple[dict[str, Any], FloatArray, bool]
             cut["loss"] = method.variance_loss(points, heights, threshold_m, cut["peak_m"], settings.loss)
     if settings.method != "pca":
         cut |= dict.fromkeys(("threshold_m", "loss", "iterations"))
-    return cut, heights, own.is_told
+    return cut, heights, own.is_unique
 
 
 def sensor(pair: StoredPair) -> Parts:
-    """The description of both sensors, by the same code."""
+    """Description of both sensors, by the same code."""
     for side in SIDES:
         stored = pair.table("sensor", side)
         yield pair.in_pairs({f"sensor_{side}_{name.removeprefix('n_')}": stored[name][0] for name in PAIR_COLUMNS})
@@ -155,7 +155,7 @@ def sensor(pair: StoredPair) -> Parts:
 
 
 def graph(pair: StoredPair) -> Parts:
-    """The length of every edge, and the edges of some nodes."""
+    """Length of every edge, and edges of some nodes."""
     for side, own in pair.sides.items():
         src, dst, stored_length = own.edges
         nodes = np.arange(len(own.points)) if pair.sample.all_nodes else _drawn_nodes(pair, side)
@@ -168,14 +168,14 @@ def graph(pair: StoredPair) -> Parts:
         )
         yield Part("graph", next(frames), next(frames), side)
         length = np.sqrt(((own.points[src] - own.points[dst]) ** 2).sum(axis=1)).astype(np.float32)
-        for i in np.flatnonzero(length != stored_length).tolist():  # one operation after the other: the last bit counts
+        for i in np.flatnonzero(length != stored_length).tolist():  # a fixed order of operations: the last bit matters
             length[i] = method.distances(own.points[dst[i], None], own.points[src[i]])[0]
         stored = pair.table("graph", side).set_index(["src", "dst"])
         yield Part("graph", stored, pd.DataFrame({"length_m": length}, index=stored.index), side, is_whole=False)
 
 
 def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
-    """Some nodes of the drawn objects of a side."""
+    """Random nodes of the drawn objects of a side."""
     nodes: list[int] = []
     for community in pair.drawn_ids(side):
         members = pair.sides[side].members(community)
@@ -184,7 +184,7 @@ def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
 
 
 def _edges_of(pair: StoredPair, own: StoredSide, node: int) -> list[tuple[int, int]]:
-    """The edges of a node: those that it needs, and of the stored ones those that the other end needs."""
+    """Edges of a node: those that it requires, and those stored ones that the other end requires."""
     settings = pair.settings.graph
     within = set(np.flatnonzero(method.distances(own.points, own.points[node]) <= settings.tau_m).tolist()) - {node}
     is_union = settings.edges == "union"
@@ -194,7 +194,7 @@ def _edges_of(pair: StoredPair, own: StoredSide, node: int) -> list[tuple[int, i
 
 
 def communities(pair: StoredPair) -> Parts:
-    """The object of every object point: by Louvain's method, or that of the nearest real point."""
+    """Object of every object point: by Louvain's method, or that of the nearest real point."""
     settings = pair.settings.communities
     is_reference = settings.objects == "reference"
     for side, own in pair.sides.items():
@@ -205,16 +205,16 @@ def communities(pair: StoredPair) -> Parts:
             order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(n))
             labels = _canonical(own.labels, order)
             if is_reference and settings.reference != "louvain":
-                yield Skipped(f"which points are one object by their {settings.reference}")
+                yield Skipped(f"objects by {settings.reference} of the input")
             else:
                 if own.edges[2].any():
                     what = "modularity gained by joining two communities"
-                    gain = max(0.0, method.best_joining(own.labels, *own.edges))
+                    gain = max(0.0, method.best_merge_gain(own.labels, *own.edges))
                     yield values("communities", {what: gain}, {what: 0.0}, side)
                 if settings.backend != "scikit-network" or not pair.has_same_library("scikit-network"):
                     yield Skipped("communities of a graph by another Louvain than that of the installed scikit-network")
                 elif not own.edges[2].any():
-                    yield Skipped("the pieces of a graph without lengths")
+                    yield Skipped("connected components of a graph without lengths")
                 else:
                     visits = order if is_reference else np.random.RandomState(settings.seed).permutation(n)
                     labels = _canonical(np.array(method.louvain(n, *own.edges, visits)), order)
@@ -223,20 +223,20 @@ def communities(pair: StoredPair) -> Parts:
 
 
 def _reference_labels(pair: StoredPair, own: StoredSide) -> IndexArray:
-    """The object of each simulated point: that of the nearest real point, or, out of reach, one of its own.
+    """Object of each simulated point: that of the nearest real point, or out of reach a separate one.
 
-    Of several equally near points any may be meant. The points of objects that are not drawn are taken over, unless
-    both sides are compared as a whole.
+    For equal distances any of the points is accepted. Points of objects that are not drawn are copied, unless both
+    sides are compared as a whole.
     """
     settings, real, stored = pair.settings.communities, pair.sides["real"], own.labels
-    n_real, made, sizes = int(real.labels.max()) + 1, own.labels.copy(), np.bincount(stored[stored >= 0])
+    n_real, expected, sizes = int(real.labels.max()) + 1, own.labels.copy(), np.bincount(stored[stored >= 0])
 
     def number(points: IndexArray, groups: IndexArray) -> IndexArray:
         return _canonical(groups, np.array(surfaces.visiting_order(own.points[points], settings.seed), dtype=np.intp))
 
-    alone = np.flatnonzero(stored >= n_real)
-    made[alone] = n_real + number(alone, stored[alone])
-    judged = [i for community in pair.drawn_ids("sim") for i in own.members(community).tolist()]
+    hallucinated = np.flatnonzero(stored >= n_real)
+    expected[hallucinated] = n_real + number(hallucinated, stored[hallucinated])
+    checked = [i for community in pair.drawn_ids("sim") for i in own.members(community).tolist()]
     found = np.zeros(len(stored), dtype=bool)
     if pair.sample.whole_sides:
         outside = np.flatnonzero(method.nearest_distances(own.points, real.points) > settings.reach_m)
@@ -244,21 +244,21 @@ def _reference_labels(pair: StoredPair, own: StoredSide) -> IndexArray:
         groups = number(outside, groups)
         is_object = np.bincount(groups)[groups] >= settings.min_points
         found[outside[is_object]] = True
-        made[found] = n_real + groups[is_object]
-        judged = [i for i in {*judged, *alone.tolist()} if not found[i]]
-    for i in judged:
+        expected[found] = n_real + groups[is_object]
+        checked = [i for i in {*checked, *hallucinated.tolist()} if not found[i]]
+    for i in checked:
         apart = method.distances(real.points, own.points[i])
         near = real.labels[apart <= apart.min() * (1 + 1e-12)]
         is_out_of_reach = (
             stored[i] >= n_real and sizes[stored[i]] >= settings.min_points and apart.min() > settings.reach_m
         )
         if stored[i] not in near and (pair.sample.whole_sides or not is_out_of_reach):
-            made[i] = near[0]
-    return made
+            expected[i] = near[0]
+    return expected
 
 
 def _canonical(labels: IndexArray, order: IndexArray) -> IndexArray:
-    """The same partition, numbered by size and then by the first of its points in an order; -1 stays."""
+    """Renumber a partition by size and then by the first of its points in an order; -1 is kept."""
     numbered = np.full(len(labels), -1, dtype=np.intp)
     in_object = order[labels[order] >= 0]
     numbered[in_object] = method.canonical(labels[in_object].tolist())
@@ -266,7 +266,7 @@ def _canonical(labels: IndexArray, order: IndexArray) -> IndexArray:
 
 
 def objects(pair: StoredPair) -> Parts:
-    """The number of points of every object; place, size, shape and label of the drawn ones."""
+    """Number of points of every object; place, size, shape and label of the drawn ones."""
     for side, own in pair.sides.items():
         ids = pd.RangeIndex(len(own.sizes), name="community_id")
         yield pair.part("objects", pd.DataFrame({"n_points": own.sizes}, index=ids), side)
@@ -274,23 +274,23 @@ def objects(pair: StoredPair) -> Parts:
         drawn = []
         for community in pair.drawn_ids(side):
             members = own.members(community)
-            made: list[float | None] = [None] * len(_DESCRIBED)
+            expected: list[float | None] = [None] * len(_DESCRIBED)
             if len(members):
                 about = method.describe(own.points[members])
-                made = [*about.centroid, about.range_m, *about.extent, *about.shape]
+                expected = [*about.centroid, about.range_m, *about.extent, *about.shape]
             row: Row = {"community_id": community, "label": _most_frequent(words[members])}
-            drawn.append(row | dict(zip(_DESCRIBED, made, strict=True)))
+            drawn.append(row | dict(zip(_DESCRIBED, expected, strict=True)))
         yield pair.part("objects", _frame(drawn, ["community_id"]), side, is_whole=False)
 
 
 def _most_frequent(words: Iterable[Any]) -> str | None:
-    """The most frequent word, of several the first in the alphabet; None where there are only nulls."""
+    """Most frequent word, for equal counts the first in the alphabet; None if all are null."""
     named = [word for word in words if not pd.isna(word)]
     return min(set(named), key=lambda word: (-named.count(word), word)) if named else None
 
 
 def matching(pair: StoredPair) -> Parts:
-    """Which objects match, of all of them."""
+    """Matches of all objects."""
     tables = {side: pair.table("objects", side) for side in SIDES}
     real, sim = (tables[side][["cx", "cy", "cz"]].to_numpy() for side in SIDES)
     settings = pair.settings.matching
@@ -306,19 +306,19 @@ def matching(pair: StoredPair) -> Parts:
         pairs = [(i, j) for i, j, _ in found]
     else:
         yield _optimum(real, sim, pairs, settings.delta_m)
-    made: list[Row] = [
+    expected: list[Row] = [
         {"real_id": i, "sim_id": j, "status": "matched", "centroid_distance_m": math.dist(real[i], sim[j])}
         for i, j in pairs
     ]
     missing = sorted(set(range(len(real))) - {i for i, _ in pairs})
-    made += [{"real_id": i, "sim_id": -1, "status": "missing"} for i in missing]
+    expected += [{"real_id": i, "sim_id": -1, "status": "missing"} for i in missing]
     unmatched = sorted(unmatched_sim - {j for _, j in pairs})
-    made += [{"real_id": -1, "sim_id": j, "status": "hallucinated"} for j in unmatched]
-    yield pair.part("matching", _frame(made, ["real_id", "sim_id"], ["status", "centroid_distance_m"]))
+    expected += [{"real_id": -1, "sim_id": j, "status": "hallucinated"} for j in unmatched]
+    yield pair.part("matching", _frame(expected, ["real_id", "sim_id"], ["status", "centroid_distance_m"]))
 
 
 def _optimum(real: FloatArray, sim: FloatArray, pairs: list[tuple[int, int]], delta_m: float) -> Part:
-    """The mean distance of the stored matches, of all below delta, and the least that any matching has."""
+    """Number and mean distance of the stored matches below delta, and those of an optimal matching."""
     n, least = max(len(real), len(sim)), min(len(real), len(sim))
     apart, forbidden = cdist(real, sim), delta_m * (least + 1)
     cost = np.zeros((n, n))
@@ -330,7 +330,7 @@ def _optimum(real: FloatArray, sim: FloatArray, pairs: list[tuple[int, int]], de
 
 
 def coverage(pair: StoredPair) -> Parts:
-    """What the other side has of each drawn object; of whole sides the mean of their objects."""
+    """Coverage of each drawn object; for whole sides the mean over their objects."""
     keys = ["side", "community_id"]
     sizes = [(side, i, n) for side in SIDES for i, n in enumerate(pair.sides[side].sizes.tolist())]
     sizes += [(side, -1, len(pair.sides[side].points)) for side in SIDES]
@@ -340,16 +340,16 @@ def coverage(pair: StoredPair) -> Parts:
         drawn = {community: own.members(community) for community in pair.drawn_ids(side)}
         if pair.sample.whole_sides:
             drawn[-1] = np.arange(len(own.points))
-        made = [
+        expected = [
             {"side": side, "community_id": community} | _covered(own.points[members], others, cut)
             for community, members in drawn.items()
         ]
-        yield pair.part("coverage", _frame(made, keys), is_whole=False)
+        yield pair.part("coverage", _frame(expected, keys), is_whole=False)
         stored = pair.table("coverage").query("side == @side")
         whole = stored[stored["community_id"] == -1].iloc[0]
         yield pair.in_pairs({f"covered_{side}_{reach}": whole[f"covered_{reach}"] for reach in COVERAGE_REACHES})
         if (own.labels < 0).any():
-            yield Skipped("coverage of a whole side as the mean of its objects, where points belong to none")
+            yield Skipped("coverage of a whole side as the mean of its objects, if some points belong to none")
             continue
         parts = stored[(stored["community_id"] >= 0) & (stored["n_points"] > 0)]
         shares = parts[[*(f"covered_{reach}" for reach in COVERAGE_REACHES), "road_share"]].astype(float)
@@ -361,7 +361,7 @@ def coverage(pair: StoredPair) -> Parts:
 
 
 def _covered(points: FloatArray, others: FloatArray, cut: dict[str, Any]) -> Row:
-    """Shares of some points that the other side has, their median distance from it, and the share below its cut."""
+    """Covered shares of points, their median distance from the other side, and the share below its cut."""
     if not len(points):
         return dict.fromkeys((*(f"covered_{reach}" for reach in _REACHES_M), "median_distance_m", "road_share"))
     apart = method.nearest_distances(points, others).tolist()
@@ -374,7 +374,7 @@ def _covered(points: FloatArray, others: FloatArray, cut: dict[str, Any]) -> Row
 
 
 def surface(pair: StoredPair) -> Parts:
-    """The displacement of the surfaces of the drawn real objects; of whole sides also their roughness."""
+    """Displacement of the surfaces of the drawn real objects; for whole sides also the roughness."""
     stored = pair.table("surface").set_index("real_id")
     ids = [*range(len(pair.table("objects", "real"))), -1]
     yield pair.part("surface", pd.DataFrame(index=pd.Index(ids, name="real_id")))
@@ -385,20 +385,20 @@ def surface(pair: StoredPair) -> Parts:
     drawn = {community: [planes[i] for i in planes if labels[i] == community] for community in pair.drawn_ids("real")}
     if pair.sample.whole_sides:
         drawn[-1] = list(planes.values())
-    made = []
+    expected = []
     for community, own in drawn.items():
         if any(plane.is_tied for plane in own):
-            yield Skipped("displacement of an object, some of whose points have equally near neighbours", ["surface"])
+            yield Skipped("displacement of an object with ties among the neighbours of its points", ["surface"])
             continue
         offset = surfaces.offset(own, sim)
         row = {"real_id": community, "n_points": offset.n_points, "n_directions": offset.n_directions}
-        made.append(row | dict(zip(SHIFT_COLUMNS, (*offset.shift_m, offset.distance_m), strict=True)))
-    yield pair.part("surface", _frame(made, ["real_id"]), is_whole=False)
+        expected.append(row | dict(zip(SHIFT_COLUMNS, (*offset.shift_m, offset.distance_m), strict=True)))
+    yield pair.part("surface", _frame(expected, ["real_id"]), is_whole=False)
     if not pair.sample.whole_sides:
         return
     of_sim = [surfaces.local_plane(sim, sim[i]) for i in _plane_points(pair, "sim")]
     if any(plane.is_tied for plane in (*planes.values(), *of_sim)):
-        yield Skipped("roughness of a pair, some of whose points have equally near neighbours",
+        yield Skipped("roughness of a pair with ties among the neighbours of its points",
                       [f"pairs.{name}" for name in _ROUGHNESS])  # fmt: skip
         return
     roughness: dict[str, float | None] = dict.fromkeys(_ROUGHNESS)
@@ -411,7 +411,7 @@ def surface(pair: StoredPair) -> Parts:
 
 
 def _plane_points(pair: StoredPair, side: str) -> list[int]:
-    """The sampled points for planes; those of drawn objects only, unless whole sides are compared."""
+    """Sampled points for planes; only those of drawn objects, unless whole sides are compared."""
     own = pair.sides[side]
     if len(own.points) < _FEWEST_FOR_PLANES:
         return []
@@ -421,7 +421,7 @@ def _plane_points(pair: StoredPair, side: str) -> list[int]:
 
 
 def pieces(pair: StoredPair) -> Parts:
-    """Numbers, shares and moves of the stored pieces; of whole sides the pieces themselves."""
+    """Numbers, shares and moves of the stored pieces; for whole sides the pieces themselves."""
     keys, stored = ["side", "piece_id"], pair.table("pieces")
     if pair.sample.whole_sides:
         yield pair.part("pieces", _frame(_pieces(pair, "real", "sim") + _pieces(pair, "sim", "real"), keys))
@@ -437,7 +437,7 @@ def pieces(pair: StoredPair) -> Parts:
     }
     to_sim = surface_pieces.moved(places["real"], places["sim"])
     to_real = {j: i for i, j in to_sim.items()}
-    made: list[Row] = []
+    expected: list[Row] = []
     for side, partners in (("real", to_sim), ("sim", to_real)):
         for i in range(len(of_side[side])):
             row: Row = {"side": side, "piece_id": i, "fate": "gone", "partner_id": None}
@@ -447,30 +447,30 @@ def pieces(pair: StoredPair) -> Parts:
                 real, sim = (i, partners[i]) if side == "real" else (partners[i], i)
                 vector = np.subtract(places["sim"][sim][0], places["real"][real][0]).tolist()
                 row |= {f"moved_{axis}_m": value for axis, value in zip("xyz", vector, strict=True)}
-            made.append(row)
-    yield pair.part("pieces", _frame(made, keys), is_whole=False)
+            expected.append(row)
+    yield pair.part("pieces", _frame(expected, keys), is_whole=False)
 
 
 def _pieces(pair: StoredPair, side: str, other: str) -> list[Row]:
-    """The pieces of a side, found again."""
+    """Recomputed pieces of a side."""
     own, settings, table = pair.sides[side], pair.settings.pieces, pair.table("ground", side)
     limits = settings.reach_m, settings.link_m, settings.min_points
     others, heights = pair.sides[other].all_points, table["height_m"].to_numpy()
-    made = []
+    expected = []
     for i, piece in enumerate(surface_pieces.pieces(own.all_points, ~own.is_object, heights, others, *limits)):
         place = (*piece.about.centroid, piece.about.range_m, *piece.about.extent)
         row = {"side": side, "piece_id": i, "n_points": piece.about.n_points, "bearing_deg": piece.bearing_deg}
         row |= {"height_m": piece.height_m, "label": _most_frequent(table["label"].to_numpy()[piece.members])}
-        made.append(row | dict(zip(_PLACE, place, strict=True)))
-    return made
+        expected.append(row | dict(zip(_PLACE, place, strict=True)))
+    return expected
 
 
 def selection(pair: StoredPair) -> Parts:
-    """The number of aligned nodes of every object; of the drawn ones the nodes, their influence and alignment."""
+    """Number of aligned nodes of every object; for the drawn ones the nodes, their influence and alignment."""
     keys = ["real_id", "sim_id", "rank"]
     ranks = [(row["real_id"], row["sim_id"], k) for row in pair.matched for k in range(pair.n_kept(row))]
     yield pair.part("selection", pd.DataFrame(ranks, columns=keys).set_index(keys))
-    made: list[Row] = []
+    expected: list[Row] = []
     for match in pair.drawn_matches:
         members = pair.members(match)
         if max(len(nodes) for nodes in members.values()) > MOST_NODES:
@@ -485,24 +485,24 @@ def selection(pair: StoredPair) -> Parts:
             nodes, influence = _selected(pair, match, side, members[side])
             by_column |= {f"{side}_point_id": pair.sides[side].point_ids[nodes], f"{side}_influence": influence}
         by_rank = zip(*by_column.values(), strict=True)
-        made += [ids | {"rank": k} | dict(zip(by_column, row, strict=True)) for k, row in enumerate(by_rank)]
+        expected += [ids | {"rank": k} | dict(zip(by_column, row, strict=True)) for k, row in enumerate(by_rank)]
         kept, what = pair.kept(match), "mean distance of aligned nodes, m"
         a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
         cost = cdist(a - a.mean(axis=0), b - b.mean(axis=0))
         stored = {what: math.fsum(np.diag(cost)) / len(cost)}
         yield values("selection", stored, {what: method.least_total(cost) / len(cost)}, **ids)
-    yield pair.part("selection", _frame(made, keys), is_whole=False)
+    yield pair.part("selection", _frame(expected, keys), is_whole=False)
 
 
 def _selected(pair: StoredPair, match: Row, side: str, members: IndexArray) -> tuple[IndexArray, list[float]]:
-    """The nodes of a side of an object that are kept, by rank, and their influence.
+    """Kept nodes of a side of an object, by rank, and their influence.
 
-    The stored nodes are taken over if none that is left out has more influence, up to rounding; the real ones in the
-    order of their influence.
+    The stored nodes are accepted if no other node has more influence, up to rounding; the real ones in the order of
+    their influence.
     """
     own, rows, n_keep = pair.sides[side], pair.selected(match), pair.n_kept(match)
-    made = method.influence(method.laplacian(own.matrix(members)), pair.settings.selection.t)
-    of_node = dict(zip(members.tolist(), made.tolist(), strict=True))
+    expected = method.influence(method.laplacian(own.matrix(members)), pair.settings.selection.t)
+    of_node = dict(zip(members.tolist(), expected.tolist(), strict=True))
     chosen, stored = own.index(rows[f"{side}_point_id"]).tolist(), rows[f"{side}_influence"].tolist()
     precedence = sorted((-value, node) for value, node in zip(stored, chosen, strict=True))
     left_out = of_node.keys() - set(chosen)
@@ -515,7 +515,7 @@ def _selected(pair: StoredPair, match: Row, side: str, members: IndexArray) -> t
 
 
 def metrics(pair: StoredPair) -> Parts:
-    """The scores of the drawn objects, from the nodes that the selection kept."""
+    """Scores of the drawn objects, from the nodes that the selection kept."""
     keys, sizes = ["real_id", "sim_id"], {side: pair.table("objects", side)["n_points"] for side in SIDES}
     known = [
         {name: match[name] for name in (*keys, "centroid_distance_m")}
@@ -547,7 +547,7 @@ def metrics(pair: StoredPair) -> Parts:
 
 
 def baselines(pair: StoredPair) -> Parts:
-    """The baseline metrics of the drawn objects, and of the whole scans."""
+    """Baseline metrics of the drawn objects, and of the whole scans."""
     chosen = [metric for metric in BASELINES if metric.method in pair.settings.metrics.baselines]
     if not chosen:
         return
@@ -563,41 +563,41 @@ def baselines(pair: StoredPair) -> Parts:
         real, sim = (pair.sides[side].points for side in SIDES)
         whole = distances.of_points(real, sim, pair.settings.metrics.model_dump())
         drawn.append(((-1, -1), whole, of_scans))
-    made = []
+    expected = []
     for (real_id, sim_id), values_, metrics_ in drawn:
         for name in (metric.column for metric in metrics_):
             if name in values_:
-                made.append({"real_id": real_id, "sim_id": sim_id, "baseline": name, "value": values_[name]})
+                expected.append({"real_id": real_id, "sim_id": sim_id, "baseline": name, "value": values_[name]})
             else:
-                yield Skipped(f"baseline {name}, where the twin has none")
-    yield pair.part("baselines", _frame(made, keys), is_whole=False)
+                yield Skipped(f"baseline {name}: not in the literal twin")
+    yield pair.part("baselines", _frame(expected, keys), is_whole=False)
 
 
 def _distances(pair: StoredPair, match: Row) -> dict[str, float | None]:
-    """By name, the baseline metrics of a matched object that the literal twin has."""
+    """Baseline metrics of a matched object by name, as far as the literal twin has them."""
     settings, members, kept = pair.settings.metrics.model_dump(), pair.members(match), pair.kept(match)
     real, sim = (pair.sides[side].points[members[side]] for side in SIDES)
     a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
-    made = distances.of_points(real, sim, settings)
-    made["emd_centred_mean_m"] = float(np.linalg.norm((a - a.mean(axis=0)) - (b - b.mean(axis=0)), axis=1).mean())
+    expected = distances.of_points(real, sim, settings)
+    expected["emd_centred_mean_m"] = float(np.linalg.norm((a - a.mean(axis=0)) - (b - b.mean(axis=0)), axis=1).mean())
     n_most = max(len(real), len(sim))
     if n_most > MOST_NODES:
-        return made
-    made["emd_kept_mean_m"] = distances.assignment_mean(a, b)
+        return expected
+    expected["emd_kept_mean_m"] = distances.assignment_mean(a, b)
     if len(real) == len(sim) <= settings["emd_max_points"]:
-        made["emd_mean_m"] = distances.assignment_mean(real, sim)
+        expected["emd_mean_m"] = distances.assignment_mean(real, sim)
     A_real, A_sim = (pair.sides[side].matrix(members[side]) for side in SIDES)
-    made["netlsd"] = distances.netlsd(A_real, A_sim, settings) if n_most <= settings["heat_max_nodes"] else None
-    made["r_h"] = None
+    expected["netlsd"] = distances.netlsd(A_real, A_sim, settings) if n_most <= settings["heat_max_nodes"] else None
+    expected["r_h"] = None
     if len(a) >= _FEWEST_FOR_SPECTRA:
         L_real, L_sim = (method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
         change = method.spectral(L_real, L_sim)["laplacian_change"]
-        made["r_h"] = distances.r_h(L_real, L_sim, pair.settings.selection.t, change)
-    return made
+        expected["r_h"] = distances.r_h(L_real, L_sim, pair.settings.selection.t, change)
+    return expected
 
 
 def seeds(pair: StoredPair) -> Parts:
-    """The scores of the set seed, which are those of the pair; those of the others are not computed again."""
+    """Scores of the configured seed, which are those of the pair; those of other seeds are not recomputed."""
     n_seeds, first = pair.settings.stability.seeds, pair.settings.communities.seed
     if n_seeds == 1:
         return
@@ -609,7 +609,7 @@ def seeds(pair: StoredPair) -> Parts:
 
 
 def pairs(pair: StoredPair) -> Parts:
-    """The pair's row: counts, match rate, means, deviations and medians over its objects."""
+    """Row of the pair: counts, match rate, means, deviations and medians over its objects."""
     n = dict.fromkeys(("matched", *UNMATCHED.values()), 0)
     ranges = {side: pair.table("objects", side)["range_m"].to_numpy() for side in SIDES}
     matched: list[float] = []
@@ -618,27 +618,27 @@ def pairs(pair: StoredPair) -> Parts:
         n[own["status"]] += 1
         side = "sim" if own["status"] == "hallucinated" else "real"
         (matched if own["status"] == "matched" else unmatched).append(float(ranges[side][own[f"{side}_id"]]))
-    made: Row = {f"n_{name}": count for name, count in n.items()}
+    expected: Row = {f"n_{name}": count for name, count in n.items()}
     table = pair.table("metrics")
-    made |= {f"n_{kind}": int((table["status"] == kind).sum()) for kind in ("scored", "identical", "too_small")}
-    made |= {f"n_communities_{side}": n["matched"] + n[unmatched_] for side, unmatched_ in UNMATCHED.items()}
-    made["match_rate"] = n["matched"] / (n["matched"] + max(n["missing"], n["hallucinated"]))
-    made["found"] = n["matched"] / (n["matched"] + n["missing"])
-    made["median_range_matched_m"] = float(np.median(matched)) if matched else None
-    made["median_range_unmatched_m"] = float(np.median(unmatched)) if unmatched else None
+    expected |= {f"n_{kind}": int((table["status"] == kind).sum()) for kind in ("scored", "identical", "too_small")}
+    expected |= {f"n_communities_{side}": n["matched"] + n[unmatched_] for side, unmatched_ in UNMATCHED.items()}
+    expected["match_rate"] = n["matched"] / (n["matched"] + max(n["missing"], n["hallucinated"]))
+    expected["found"] = n["matched"] / (n["matched"] + n["missing"])
+    expected["median_range_matched_m"] = float(np.median(matched)) if matched else None
+    expected["median_range_unmatched_m"] = float(np.median(unmatched)) if unmatched else None
     for name in OBJECT_METRICS:
         own_values = [None if math.isnan(value) else value for value in table[name].astype(float).tolist()]
-        made[f"{name}_mean"], made[f"{name}_std"] = method.mean_and_std(own_values)
-    yield pair.in_pairs(made | {"pair_id": pair.pair_id, "status": "scored"})
+        expected[f"{name}_mean"], expected[f"{name}_std"] = method.mean_and_std(own_values)
+    yield pair.in_pairs(expected | {"pair_id": pair.pair_id, "status": "scored"})
     yield values("pairs", {"no reason": pair.row["reason"] or ""}, {"no reason": ""})
 
 
 def _frame(rows: Sequence[Row], keys: list[str], columns: list[str] | None = None) -> pd.DataFrame:
-    """Rows as a frame, indexed by its keys."""
+    """Frame of rows with the keys as index."""
     return pd.DataFrame(rows, columns=None if rows and columns is None else [*keys, *(columns or [])]).set_index(keys)
 
 
-#: By table, in the order of the stages, what computes it again; the stage that gives it, where its name is another.
+#: Recomputation by table, in the order of the stages; stage of the table if it has another name.
 RECOMPUTED: dict[str, Callable[[StoredPair], Parts]] = {
     one.__name__: one
     for one in (

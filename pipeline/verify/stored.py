@@ -23,18 +23,18 @@ from ..datasets.readers.scan import Scan
 from ..results.finished import FinishedRun
 from ..storage.record import library_versions
 
-#: The table in which the values stand that a check of another name compares.
+#: Table of the values of checks with another name.
 TABLE_OF = {"scan": "ground"}
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What of a pair is recomputed.
+    """Part of a pair that is recomputed.
 
-    rows : of `matching`
-    all_nodes : compare the edges of every node, not only of some of the drawn objects
-    whole_sides : compare what is stored about both whole sides
-    rng : draws the nodes
+    rows : rows of `matching`
+    all_nodes : compare the edges of every node, not only of some nodes of the drawn objects
+    whole_sides : compare the values of both whole sides
+    rng : source of the random nodes
     """
 
     rows: list[int]
@@ -45,7 +45,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Part:
-    """Rows of a table, stored and recomputed, indexed by the same keys; `compare` says what `is_whole` means."""
+    """Rows of a table, stored and recomputed, with the same keys as index; for `is_whole` see `compare`."""
 
     table: str
     stored: pd.DataFrame
@@ -56,7 +56,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Skipped:
-    """What is not recomputed, why, and the columns (`table.column`) or tables that this leaves uncompared."""
+    """Reason why something is not recomputed, and the columns (`table.column`) or tables without comparison."""
 
     why: str
     columns: Sequence[str] = ()
@@ -66,8 +66,8 @@ class Skipped:
 class StoredPair:
     """The tables of one pair as stored.
 
-    sample : what of it is recomputed
-    scans : the scans of the pair; None where they are gone or others
+    sample : part that is recomputed
+    scans : scans of the pair; None if they are missing or have changed
     """
 
     run: FinishedRun
@@ -82,7 +82,7 @@ class StoredPair:
         self.row = self.run.row(self.pair_id)
 
     def _table(self, name: str, side: str = "") -> pd.DataFrame:
-        """A stored table; null keys are -1, other null numbers NaN."""
+        """Stored table; null keys are -1, other null numbers NaN."""
         rows = self.run.read_table(name, self.pair_id, side)
         frame: pd.DataFrame = rows.to_pandas()
         for key in TABLES[name].keys:
@@ -100,47 +100,47 @@ class StoredPair:
         return values("pairs", {name: self.row[name] for name in recomputed}, recomputed)
 
     def scan(self, side: str) -> Scan | None:
-        """The scan of a side, None where it is gone or another."""
+        """Scan of a side, None if it is missing or has changed."""
         path = self.scans and self.scans.path(side)
         return read_scan(path, self.settings.input.columns_of(side), self.label_names) if path else None
 
     @cached_property
     def matching(self) -> list[Row]:
-        """The rows of `matching`; None for null."""
+        """Rows of `matching`; None for null."""
         rows: list[Row] = self.run.read_table("matching", self.pair_id).to_pylist()
         return rows
 
     @property
     def matched(self) -> list[Row]:
-        """The rows of `matching` with an object of each side."""
+        """Rows of `matching` with an object of each side."""
         return [row for row in self.matching if row["status"] == "matched"]
 
     @property
     def drawn_matches(self) -> list[Row]:
-        """The matched rows of the sample."""
+        """Matched rows of the sample."""
         return [self.matching[i] for i in self.sample.rows if self.matching[i]["status"] == "matched"]
 
     def drawn_ids(self, side: str) -> list[int]:
-        """The objects of a side in the sample."""
+        """Objects of a side in the sample."""
         ids = [self.matching[i][f"{side}_id"] for i in self.sample.rows]
         return [i for i in ids if i is not None]
 
     def n_kept(self, match: Row) -> int:
-        """The number of aligned nodes that a matched object must have: the points of the smaller side."""
+        """Expected number of aligned nodes of a matched object: the points of the smaller side."""
         return min(int(self.table("objects", side)["n_points"][match[f"{side}_id"]]) for side in SIDES)
 
     def members(self, match: Row) -> dict[str, IndexArray]:
-        """The points of a matched object, by side."""
+        """Points of a matched object, by side."""
         return {side: self.sides[side].members(match[f"{side}_id"]) for side in SIDES}
 
     def selected(self, match: Row) -> pd.DataFrame:
-        """The stored rows of `selection` of a matched object."""
+        """Stored rows of `selection` of a matched object."""
         table = self.table("selection")
         rows: pd.DataFrame = table.loc[table["real_id"] == match["real_id"]]
         return rows
 
     def kept(self, match: Row) -> dict[str, IndexArray]:
-        """The aligned nodes of a matched object, by side."""
+        """Aligned nodes of a matched object, by side."""
         rows = self.selected(match)
         return {side: self.sides[side].index(rows[f"{side}_point_id"]) for side in SIDES}
 
@@ -149,7 +149,7 @@ class StoredPair:
         return self.run.record.libraries.get(name) == library_versions([name])[name]
 
     def metadata(self, stage: str, side: str = "") -> dict[str, Any]:
-        """The metadata that the job of a stage stored."""
+        """Stored metadata of the job of a stage."""
         return self.run.store.ledger.jobs(self.pair_id)[stage, side].metadata
 
     @cached_property
@@ -159,7 +159,7 @@ class StoredPair:
 
 
 class StoredSide:
-    """The object points of one side of a stored pair, with their objects and their graph."""
+    """Object points of one side of a stored pair, with their objects and graph."""
 
     def __init__(self, pair: StoredPair, side: str) -> None:
         self._pair, self.side = pair, side
@@ -172,7 +172,7 @@ class StoredSide:
 
     @cached_property
     def labels(self) -> IndexArray:
-        """The object of each point, (n,); -1 for none."""
+        """Object of each point, (n,); -1 for none."""
         communities = self._pair.table("communities", self.side)
         labels = np.full(len(self.points), -1, dtype=np.intp)
         labels[self.index(communities["point_id"])] = communities["community_id"]
@@ -180,16 +180,16 @@ class StoredSide:
 
     @property
     def sizes(self) -> IndexArray:
-        """The number of points of each object of the side, by id."""
+        """Number of points of each object of the side, by id."""
         n_objects = len(self._pair.table("objects", self.side))
         return np.bincount(self.labels[self.labels >= 0], minlength=n_objects)
 
     def members(self, community: int) -> IndexArray:
-        """The points of an object, by index."""
+        """Points of an object, by index."""
         return np.flatnonzero(self.labels == community)
 
     def index(self, point_ids: Any) -> IndexArray:
-        """Indices of some points by their ids; ValueError if one is not an object point."""
+        """Indices of points by their ids; ValueError if one is not an object point."""
         ids = np.asarray(point_ids, dtype=np.intp)
         index: IndexArray = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
         is_strange = self.point_ids[index] != ids
@@ -199,7 +199,7 @@ class StoredSide:
 
     @cached_property
     def edges(self) -> tuple[IndexArray, IndexArray, FloatArray]:
-        """Both ends of each edge by index, and its length."""
+        """Both ends of each edge by index, and the lengths."""
         graph = self._pair.table("graph", self.side)
         return self.index(graph["src"]), self.index(graph["dst"]), graph["length_m"].to_numpy(dtype=np.float64)
 
@@ -212,12 +212,12 @@ class StoredSide:
         return sparse.coo_array((np.concatenate([length, length]), ends), shape=(n, n)).tocsr()
 
     def _nearest(self, node: int) -> frozenset[int]:
-        """The k nearest neighbours of a node, found among all points."""
+        """The k nearest neighbours of a node among all points."""
         settings = self._pair.settings.graph
         return frozenset(method.nearest(self.points, node, settings.k, settings.ties))
 
     def neighbours(self, node: int) -> set[int]:
-        """The nodes connected to one by an edge."""
+        """Nodes connected to a node by an edge."""
         row = slice(self.adjacency.indptr[node], self.adjacency.indptr[node + 1])
         return set(self.adjacency.indices[row].tolist())
 
@@ -228,7 +228,7 @@ class StoredSide:
 
 
 def values(table: str, stored: Row, recomputed: Row, side: str = "", **keys: Any) -> Part:
-    """Single values, such as metadata of a job, as frames of one row; `keys` say what they belong to."""
+    """Single values, such as metadata of a job, as frames of one row; `keys` identify the owner."""
     index = pd.MultiIndex.from_arrays([[key] for key in keys.values()], names=list(keys)) if keys else None
     a, b = (pd.DataFrame([row], index=index, columns=list(recomputed)) for row in (stored, recomputed))
     return Part(table, a, b, side, is_whole=False)

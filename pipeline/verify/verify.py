@@ -1,4 +1,4 @@
-"""Checks whether the numbers of a finished run are right: a sample is recomputed, another way, and compared.
+"""Verification of a finished run: recompute a sample of its numbers by another implementation, and compare.
 
 Objects are drawn at random; `recompute` computes their rows of every table again from the stored tables before it, by
 the literal twin (`stages.literal`), which shares no code with the stages. Nothing is written.
@@ -32,33 +32,33 @@ from .recompute import RECOMPUTED, UNMATCHED, stages_of
 from .stored import TABLE_OF, Part, Sample, Skipped, StoredPair, values
 
 DEFAULT_OBJECTS = 20
-#: One of so many drawn objects has both sides of its pair recomputed as a whole, from all distances between them.
+#: Number of drawn objects per pair with both sides recomputed as a whole, from all distances between them.
 _OBJECTS_PER_WHOLE_PAIR = 20
 #: Mismatches listed per table.
-_MOST_SHOWN = 5
+_MAX_LISTED = 5
 
-#: What is compared of each table, for people, in the order of the report.
+#: Compared values of each table, in the order of the report.
 WORDS = {
-    "files": "content as it was written (SHA-256)",
-    "rows": "names of pair and side, order by keys, none twice",
-    "scan": "points kept of the scan, and where they lie",
+    "files": "unchanged content (SHA-256)",
+    "rows": "names of pair and side, order by keys, no duplicates",
+    "scan": "points kept of the scan, and their coordinates",
     "ground": "cut, heights, flags of all points",
-    "sensor": "the scan, described again by the same code",
+    "sensor": "description of the scan, by the same code",
     "graph": "all edge lengths; all edges of drawn nodes",
     "communities": "Louvain again; numbering; reference: nearest real points",
     "objects": "sizes; place and shape of drawn objects",
-    "matching": "which objects match, and how far apart",
+    "matching": "matched objects and their distances",
     "coverage": "drawn objects, from all distances",
     "surface": "displacement of drawn objects",
     "pieces": "counts, shares and moves of all pieces",
-    "selection": "influence, nodes kept, optimal alignment",
+    "selection": "influence, kept nodes, optimal alignment",
     "metrics": "scores from dense matrices",
-    "baselines": "distances of others",
-    "seeds": "row of the set seed",
+    "baselines": "baseline metrics",
+    "seeds": "row of the configured seed",
     "pairs": "counts, cuts, means, deviations, medians",
     "run.json": "means and deviations over pairs",
 }
-#: The stage that gives a table, where it has another name.
+#: Stages of tables with another name than their stage.
 _STAGE_OF = {"scan": "ground", "objects": "communities", "pairs": "metrics"}
 _VERSIONS = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
 
@@ -82,9 +82,9 @@ class Mismatch:
 class TableCheck:
     """The comparisons of one table.
 
-    columns : those with at least one compared value
+    columns : columns with at least one compared value
     largest : largest absolute difference; 0 if all are equal
-    where : its pair, row and column
+    where : pair, row and column of the largest difference
     n_wrong : values that differ by more than rounding allows
     """
 
@@ -101,13 +101,13 @@ class TableCheck:
 class Verification:
     """The outcome of a verification.
 
-    n_objects, n_drawn : matched, missing and hallucinated objects of all scored pairs, and the number drawn
-    n_scored, n_pairs, n_scans : scored pairs, those of the drawn objects, and of how many of these the scans are there
-    tables : one for each table, in the order of the stages
-    mismatches : the first few of each table
-    not_compared : in words, what could not be
-    unknown : columns, as `table.column`, that nothing recomputes though no reason is declared: the literal twin has yet
-        to learn them
+    n_objects, n_drawn : matched, missing and hallucinated objects of all scored pairs, and number of drawn objects
+    n_scored, n_pairs, n_scans : scored pairs, pairs of the drawn objects, and those of them with available scans
+    tables : one entry per table, in the order of the stages
+    mismatches : first mismatches of each table
+    not_compared : texts about values that could not be compared
+    unknown : columns, as `table.column`, that are not recomputed without a declared reason: they are missing in the
+        literal twin
     """
 
     run: Path
@@ -124,12 +124,12 @@ class Verification:
 
     @property
     def n_numbers(self) -> int:
-        """The number of compared values."""
+        """Number of compared values."""
         return sum(table.n_numbers for table in self.tables)
 
     @property
     def n_wrong(self) -> int:
-        """The number of values that do not agree."""
+        """Number of values that do not agree."""
         return sum(table.n_wrong for table in self.tables)
 
     @property
@@ -146,10 +146,10 @@ class Verification:
 
 @dataclass
 class _Tally:
-    """The comparisons so far.
+    """Results of comparisons so far.
 
-    compared, excused : columns (`table.column`) of which values were compared; columns or tables that need not be
-    n_drawn : by table, rows of drawn objects; a table that has none cannot be compared
+    compared, excused : columns (`table.column`) with compared values; columns or tables that need no comparison
+    n_drawn : rows of drawn objects by table; a table without such rows cannot be compared
     """
 
     checks: dict[str, TableCheck] = field(default_factory=dict)
@@ -161,7 +161,7 @@ class _Tally:
     is_damaged: bool = False
 
     def add(self, parts: Iterable[Part | Skipped], pair_id: str = "") -> None:
-        """Compares the parts of a table."""
+        """Compare the parts of a table."""
         for part in parts:
             if isinstance(part, Skipped):
                 self.skipped.update([part.why] if part.why else [])
@@ -176,19 +176,19 @@ class _Tally:
                     self.compared.add(column.column if "." in column.column else f"{table}.{column.column}")
 
     def check(self, table: str) -> TableCheck:
-        """The comparisons of a table."""
+        """Result of a table, created if necessary."""
         self.mismatches.setdefault(table, [])
         return self.checks.setdefault(table, TableCheck(table, WORDS[table]))
 
-    def refuse(self, table: str, pair_id: str, why: str) -> None:
-        """Counts a table from which nothing can be computed as a mismatch."""
+    def reject(self, table: str, pair_id: str, why: str) -> None:
+        """Count an unusable table as a mismatch."""
         self.is_damaged = True
         self.check(table).n_wrong += 1
-        shown = Mismatch(table, pair_id, "", "", "the table", "cannot be computed with", why)
-        self.mismatches[table] += [shown] if len(self.mismatches[table]) < _MOST_SHOWN else []
+        shown = Mismatch(table, pair_id, "", "", "the table", "is unusable", why)
+        self.mismatches[table] += [shown] if len(self.mismatches[table]) < _MAX_LISTED else []
 
     def unknown(self, tables: Iterable[str]) -> Iterator[str]:
-        """The columns that were not compared, though nothing says why; none where a table is damaged."""
+        """Columns that were not compared without a declared reason; empty if a table is damaged."""
         without_rows = {table for table, n in self.n_drawn.items() if not n}
         for table in tables:
             if not (self.is_damaged or table in self.excused | without_rows):
@@ -196,7 +196,7 @@ class _Tally:
                 yield from (name for name in columns if name not in self.compared | self.excused)
 
     def columns(self, table: str) -> tuple[str, ...]:
-        """The compared columns of a table, in its order."""
+        """Compared columns of a table, in its order."""
         names = TABLES[table].schema.names if table in TABLES else []
         return tuple(name for name in names if f"{table}.{name}" in self.compared)
 
@@ -209,7 +209,7 @@ class _Tally:
             place = _object(column.rows, i, part.side) or part.side
             words = (f"pair {pair_id}" if pair_id else "", place, column.column)
             check.largest, check.where = float(column.difference[i]), ", ".join(filter(None, words))
-        for i in np.flatnonzero(column.is_wrong)[: _MOST_SHOWN - len(listed)].tolist():
+        for i in np.flatnonzero(column.is_wrong)[: _MAX_LISTED - len(listed)].tolist():
             name = _object(column.rows, i, part.side)
             shown = column.column, _word(column.stored[i]), _word(column.recomputed[i])
             listed.append(Mismatch(part.table, pair_id, part.side, name, *shown))
@@ -218,14 +218,14 @@ class _Tally:
 def verify_run(
     folder: Path, n_objects: int | None = DEFAULT_OBJECTS, seed: int = 0, pair_done: PairDone | None = None
 ) -> Verification:
-    """Compares the tables of a finished run with what the literal twin computes from the tables before them.
+    """Compare the tables of a finished run with those that the literal twin computes from the preceding tables.
 
     Parameters
     ----------
-    folder : as `fidpipe run` wrote it
-    n_objects : how many objects are drawn, at most all; None for all, with every node and both whole sides of each pair
-    seed : another one draws others
-    pair_done : called after each pair with the number done and of all
+    folder : folder of the run
+    n_objects : number of objects to draw, at most all; None for all, with every node and both whole sides of each pair
+    seed : seed of the draw
+    pair_done : called after each pair with the number of finished pairs and of all pairs
 
     Raises
     ------
@@ -252,19 +252,8 @@ def verify_run(
         _compare_pair(pair, tally)
         if pair_done:
             pair_done(i + 1, len(drawn))
-    for what, parts in (("unmatched objects", _unmatched), ("baselines", _baseline_means), ("scores", _summary)):
-        try:
-            tally.add(parts(run, settings))
-        except (RunError, LookupError, TypeError) as error:  # of another version, or damaged, which is named already
-            tally.add([Skipped(f"what run.json says of {what}: {error}")])
-    not_compared = [f"{why}: {n} times" if n > 1 else why for why, n in tally.skipped.items()] + scans.faults
-    if n_whole < len(drawn):
-        not_compared.append(
-            f"coverage medians, displacement, roughness and pieces of whole sides: only of {n_whole} of {len(drawn)} "
-            "pairs (all distances between two scans); --all compares all"
-        )
-    not_compared += ["findings, overview, and the spread over other seeds"]
-    not_compared += [f"{name}: {why}" for name, why in NOT_COMPARED.items() if name.partition(".")[0] in tables]
+    _compare_record(run, settings, tally)
+    not_compared = [*_not_compared(tally, tables, n_whole, len(drawn)), *scans.faults]
     for check in tally.checks.values():
         check.columns = tally.columns(check.table)
     order = [table for table in WORDS if table in tally.checks]
@@ -283,10 +272,31 @@ def verify_run(
     )
 
 
-class _Scans:
-    """The scans that a run was made of, where they are still there and the same.
+def _compare_record(run: FinishedRun, settings: Settings, tally: _Tally) -> None:
+    """Compare the values of `run.json` that the tables determine."""
+    for what, parts in (("unmatched objects", _unmatched), ("baselines", _baseline_means), ("scores", _summary)):
+        try:
+            tally.add(parts(run, settings))
+        except (RunError, LookupError, TypeError) as error:  # of another version, or damaged, which is reported already
+            tally.add([Skipped(f"{what} in run.json: {error}")])
 
-    faults : in words, why they are not
+
+def _not_compared(tally: _Tally, tables: Iterable[str], n_whole: int, n_pairs: int) -> Iterator[str]:
+    """Texts about everything that was not compared."""
+    yield from (f"{why}: {n} times" if n > 1 else why for why, n in tally.skipped.items())
+    if n_whole < n_pairs:
+        yield (
+            f"coverage medians, displacement, roughness and pieces of whole sides: only of {n_whole} of {n_pairs} "
+            "pairs (all distances between two scans); --all compares all"
+        )
+    yield "findings, overview, and the spread over other seeds"
+    yield from (f"{name}: {why}" for name, why in NOT_COMPARED.items() if name.partition(".")[0] in tables)
+
+
+class _Scans:
+    """Scans of a run, if they still exist unchanged.
+
+    faults : reasons why they are not available
     """
 
     def __init__(self, run: FinishedRun) -> None:
@@ -296,31 +306,31 @@ class _Scans:
         try:
             self._dataset = read_dataset(Path(run.record.dataset))
         except (FidpipeError, OSError) as error:
-            self.faults.append(f"which points of a scan were kept, and where they lie: {error}")
+            self.faults.append(f"points kept of the scans, and their coordinates: {error}")
         self._pairs = {pair.pair_id: pair for pair in self._dataset.pairs} if self._dataset else {}
 
     @property
     def label_names(self) -> dict[int, str]:
-        """The class names of the dataset."""
+        """Class names of the dataset."""
         return self._dataset.label_names if self._dataset else {}
 
     def of(self, pair_id: str) -> ScanPair | None:
-        """A pair of the dataset whose scans are those of the run; None where there is none."""
+        """Pair of the dataset if its scans are those of the run; else None."""
         if self._dataset is None:
             return None
         pair = self._pairs.get(pair_id)
         try:
             if pair is not None and input_hashes(pair, self.label_names) == self._inputs.get(pair_id):
                 return pair
-            why = "is no longer in the dataset" if pair is None else "the dataset has other scans now"
+            why = "is no longer in the dataset" if pair is None else "the scans of the dataset have changed"
         except (FidpipeError, OSError) as error:
             why = str(error)
-        self.faults.append(f"which points of the scans of pair {pair_id} were kept: {why}")
+        self.faults.append(f"points kept of the scans of pair {pair_id}: {why}")
         return None
 
 
 def _files(run: FinishedRun) -> Iterator[Part]:
-    """The hash of each file of the run."""
+    """Hash of each file of the run."""
     for pair_id in ("", *run.store.ledger.pair_ids()):
         for record in run.store.ledger.jobs(pair_id).values():
             for name, stored in record.files.items():
@@ -332,7 +342,7 @@ def _files(run: FinishedRun) -> Iterator[Part]:
 
 
 def _pair_names(run: FinishedRun) -> Iterator[Part]:
-    """The order of `pairs`; that the scored pairs, and no others, have results and scores."""
+    """Order of `pairs`, and that exactly the scored pairs have results and scores."""
     with_scores = sorted(name for name in run.store.ledger.pair_ids() if ("metrics", "") in run.store.ledger.jobs(name))
     names, scored = [row["pair_id"] for row in run.rows], [row["pair_id"] for row in run.scored]
     yield Part("pairs", pd.DataFrame({"pair_id": names}), pd.DataFrame({"pair_id": sorted(set(names))}))
@@ -346,7 +356,7 @@ def _pair_names(run: FinishedRun) -> Iterator[Part]:
 
 
 def _compare_pair(pair: StoredPair, tally: _Tally) -> None:
-    """Compares the tables of one pair; one from which nothing can be computed is a mismatch of its own."""
+    """Compare the tables of one pair; an unusable table counts as a mismatch."""
     for table, recompute in RECOMPUTED.items():
         stage = _STAGE_OF.get(table, table)
         now = _VERSIONS.get(stage)  # the rows of all tables have none
@@ -358,15 +368,15 @@ def _compare_pair(pair: StoredPair, tally: _Tally) -> None:
         try:
             tally.add(recompute(pair), pair.pair_id)
         except (FidpipeError, LookupError, ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
-            if isinstance(error, RunError) and tally.check("files").n_wrong:  # which is named already
+            if isinstance(error, RunError) and tally.check("files").n_wrong:  # reported already
                 tally.is_damaged = True
                 tally.add([Skipped(f"{table} of a pair with a damaged file")])
             else:
-                tally.refuse(table, pair.pair_id, str(error))
+                tally.reject(table, pair.pair_id, str(error))
 
 
 def _n_rows(run: FinishedRun, pair_id: str) -> int:
-    """The number of objects of a pair, matched or not; 0 where its table cannot be read."""
+    """Number of objects of a pair, matched or not; 0 if its table cannot be read."""
     try:
         return int(run.read_table("matching", pair_id, columns=["status"]).num_rows)
     except RunError:
@@ -374,7 +384,7 @@ def _n_rows(run: FinishedRun, pair_id: str) -> int:
 
 
 def _draw(counts: list[tuple[str, int]], numbers: list[int]) -> dict[str, list[int]]:
-    """By pair, the rows of `matching` with these numbers, ascending, if the rows of all pairs are numbered through."""
+    """Rows of `matching` by pair, from ascending numbers over the rows of all pairs."""
     ends = np.cumsum([n for _, n in counts])
     drawn: dict[str, list[int]] = {}
     for number in numbers:
@@ -405,7 +415,7 @@ def _summary(run: FinishedRun, settings: Settings) -> Iterator[Part]:
 
 
 def _unmatched(run: FinishedRun, settings: Settings) -> Iterator[Part]:
-    """How many unmatched objects the other side has, has partly, or lacks, and how many are road there."""
+    """Number of unmatched objects that the other side has, has partly, or lacks, and of those that are road there."""
     made = {f"{word}.{state}": 0 for word in UNMATCHED.values() for state in ("there", "partly", "absent", "road")}
     for own in run.scored:
         rows = run.read_table("coverage", own["pair_id"]).to_pylist()
@@ -448,7 +458,7 @@ def _baseline_means(run: FinishedRun, settings: Settings) -> Iterator[Part]:
 
 
 def _object(rows: pd.Index[Any], i: int, side: str) -> str:
-    """A row in words by its keys, such as "real 3, sim 5" or "point 12"; "" for single values and whole sides."""
+    """Text of the keys of a row, such as "real 3, sim 5" or "point 12"; "" for single values and whole sides."""
     key = rows[i] if isinstance(rows, pd.MultiIndex) else (rows[i],)
     named = {str(name): value for name, value in zip(rows.names, key, strict=True) if name is not None and value != -1}
     side = named.pop("side", side) if len(named) > 1 else side
@@ -457,7 +467,7 @@ def _object(rows: pd.Index[Any], i: int, side: str) -> str:
 
 
 def _word(value: object) -> str:
-    """A value with all its digits."""
+    """Text of a value with all its digits."""
     if isinstance(value, float | np.floating):
         return "null" if np.isnan(value) else repr(float(value))
     return "null" if value is None else str(value)

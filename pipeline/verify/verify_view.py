@@ -1,4 +1,4 @@
-"""The verification of a run: what was compared of each table, and each number that is wrong."""
+"""View of the verification of a run: compared values of each table, and each wrong number."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from ...schemas.columns import SIDES
 from ..report.view import Note, Table, View
 from .verify import Mismatch, Verification
 
-_UNKNOWN = "stages/literal does not have it, and it is not declared as not compared"
+_UNKNOWN = "it is missing in stages/literal, and not declared as not compared"
 
 
 def verify_view(result: Verification) -> View:
-    """One row a table, what could not be compared, each mismatch in a line of its own, and the verdict."""
+    """View of a verification: one row per table, values not compared, one line per mismatch, and the verdict."""
     rows = [
         (table.table, f"{table.n_numbers:,}", f"{table.largest:.1e}" if table.largest else "0", table.where or "-")
         for table in result.tables
@@ -24,11 +24,11 @@ def verify_view(result: Verification) -> View:
     if result.unknown:
         verdict += f"; not verified: {len(result.unknown)} of their columns"
     columns = ("table", "numbers", "largest difference", "where")
-    title = f"{result.run}: {drawn} computed again, seed {result.seed}"
+    title = f"{result.run}: {drawn} recomputed, seed {result.seed}"
     return [
         Table(title, columns, rows, words=(0, 3)),
         *(Note(f"not compared: {what}", "dim") for what in result.not_compared),
-        *(Note(f"nothing recomputes: {name}: {_UNKNOWN}", "yellow") for name in result.unknown),
+        *(Note(f"not recomputed: {name}: {_UNKNOWN}", "yellow") for name in result.unknown),
         *(Note(f"wrong: {_in_words(mismatch)}", "red") for mismatch in result.mismatches),
         Note(verdict, "green" if result.passed else "red"),
     ]

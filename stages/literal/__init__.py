@@ -1,1 +1,1 @@
-"""The definitions once more as one would write them from the page; shares no code with the stages. See `method`."""
+"""Second, literal implementation of the definitions; shares no code with the stages. See `method`."""

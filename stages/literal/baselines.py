@@ -1,4 +1,4 @@
-"""The distances of others once more: all distances, dense matrices, other libraries."""
+"""Literal baseline metrics: all distances, dense matrices, other libraries."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .surfaces import visiting_order
 
 
 def of_points(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> dict[str, float | None]:
-    """By name, the distances that need two point sets; ICP is left out: its end depends on the way.
+    """Baseline metrics of two point sets by name; without ICP, whose result depends on the implementation.
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres
-    settings : of the group metrics
+    settings : settings of the group metrics
     """
     to_sim, to_real = nearest_distances(real, sim), nearest_distances(sim, real)
     recall = sum(d < settings["f_score_distance_m"] for d in to_sim.tolist()) / len(real)
@@ -40,7 +40,7 @@ def of_points(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> 
 
 
 def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
-    """The published density-aware Chamfer distance, on the scale of the real object; None where it has no extent.
+    """The published density-aware Chamfer distance, on the scale of the real object; None if it has no extent.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
         return None
 
     def one_way(xs: FloatArray, ys: FloatArray) -> float:
-        ys = np.array(sorted(ys.tolist()))  # of equally near ones the first by x, y, z
+        ys = np.array(sorted(ys.tolist()))  # for equal distances the first by x, y, z
         nearest = [int(distances(ys, x).argmin()) for x in xs]
         count, terms = Counter(nearest), []
         for x, j in zip(xs, nearest, strict=True):
@@ -63,7 +63,7 @@ def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
 
 
 def histogram(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> float | None:
-    """The Minkowski distance of two histograms of pairwise distances; None where a side has no two points apart.
+    """Minkowski distance of two histograms of pairwise distances; None if all points of a side coincide.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def histogram(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> 
 
 
 def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) -> float:
-    """The mean over random directions of the earth mover's distance along each.
+    """Mean over random directions of the earth mover's distance along each.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) ->
 
 
 def assignment_mean(a: FloatArray, b: FloatArray) -> float:
-    """The mean distance under the best one-to-one assignment, metres: the earth mover's distance of equal numbers.
+    """Mean distance of the best one-to-one assignment, metres: the earth mover's distance of sets of equal size.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def assignment_mean(a: FloatArray, b: FloatArray) -> float:
 
 
 def netlsd(A_real: FloatArray, A_sim: FloatArray, settings: dict[str, float]) -> float:
-    """The distance of the mean heat traces of two whole objects.
+    """Distance of the mean heat traces of two whole objects.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def netlsd(A_real: FloatArray, A_sim: FloatArray, settings: dict[str, float]) ->
 
 
 def r_h(L_real: FloatArray, L_sim: FloatArray, t: float, change: float) -> float:
-    """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|); 0 where |dL| is that of identical objects.
+    """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|); 0 if |dL| is that of identical objects.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The method once more, slow and obvious: loops, all distances, dense matrices, no other thought.
+"""Literal implementation of the method, slow and obvious: loops, all distances, dense matrices.
 
-`fidpipe verify` compares finished runs with it, and the tests the stages. What both say alike follows from the
-definition, not from the way that either takes: nothing here is imported from a stage.
+`fidpipe verify` compares finished runs with it, and the tests compare the stages. It imports nothing from the stages,
+so that agreement confirms the definition, not an implementation.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _ROS_AXES: dict[str, Callable[[float, float, float], list[float]]] = {
     "nuscenes": lambda right, forward, up: [forward, -right, up],
     "kitti-cam": lambda right, down, forward: [forward, -right, -down],
 }
-#: The scores that `spectral` gives.
+#: Scores of `spectral`.
 SPECTRAL = (
     *("r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change"),
     *("eigenspectrum_distance", "gap_real", "gap_sim"),
@@ -48,13 +48,13 @@ def clean(
     frame: str = "ros",
     include_box: Sequence[float] | None = None,
 ) -> tuple[list[int], FloatArray]:
-    """Row numbers and coordinates, (m, 3), of the points that are measurements, in the real sensor's frame.
+    """Rows and coordinates, (m, 3), of the points that are measurements, in the real sensor's frame.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, the scan's own frame
-    T : (3, 4) float64, maps that frame into the real sensor's, after its axes are turned to x forward, y left, z up
-    frame : whose axes the scan has: "ros", "carla", "nuscenes" or "kitti-cam"
+    T : (3, 4) float64, maps that frame into the real sensor's, after conversion to x forward, y left, z up
+    frame : frame of the scan: "ros", "carla", "nuscenes" or "kitti-cam"
     """
     seen, rows, kept = set(), [], []
     for i, p in enumerate(points.tolist()):
@@ -77,12 +77,12 @@ def clean(
 
 @dataclass(frozen=True)
 class Cut:
-    """A ground cut: axis (3,), its tilt, heights of the points along it (n,), where the road is and where the cut.
+    """Ground cut: axis (3,), tilt, heights of the points along the axis (n,), heights of road and cut.
 
-    `is_told` says whether there is but one such axis: not where the points spread alike along another one.
+    `is_unique` : False if the points have the same variance along another axis
     """
 
-    is_told: bool
+    is_unique: bool
     axis: FloatArray
     tilt_deg: float
     height_m: FloatArray
@@ -93,7 +93,7 @@ class Cut:
 
     @property
     def is_ground(self) -> BoolArray:
-        """Which points are below the cut, (n,)."""
+        """True for points below the cut, (n,)."""
         return self.height_m < self.threshold_m
 
 
@@ -102,7 +102,7 @@ def ground(
     prior_m: float = 0.30,
     max_loss: float = 0.01,
     loss: str = "removed",
-    if_not_told: FloatArray | None = None,
+    default_axis: FloatArray | None = None,
 ) -> Cut:
     """The PCA Z-cut of a scan.
 
@@ -110,13 +110,13 @@ def ground(
     ----------
     points : (n, 3) float64, metres, cleaned
     prior_m, max_loss, loss : as in the settings of ground
-    if_not_told : (3,) the axis to take where the points tell none
+    default_axis : (3,) axis if the points do not determine one
     """
     scale = float(np.ptp(points, axis=0).max()) or 1.0  # squares of 1e-200 m would be 0
     values, vectors = np.linalg.eigh(np.cov(((points - points.mean(axis=0)) / scale).T))
     chosen = max(range(3), key=lambda i: abs(vectors[2, i]))
-    is_told = min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen) > _ALIKE * values[2]
-    axis = vectors[:, chosen] if is_told or if_not_told is None else if_not_told
+    is_unique = min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen) > _ALIKE * values[2]
+    axis = vectors[:, chosen] if is_unique or default_axis is None else default_axis
     axis = axis if axis[2] > 0 else -axis
     tilt_deg = math.degrees(math.acos(min(1.0, axis[2])))
     if tilt_deg > _MAX_TILT_DEG:
@@ -130,7 +130,9 @@ def ground(
     z, iterations = peak + prior_m, 0
     while variance_loss(points, height, z, peak, loss) > max_loss and z > peak + 1e-9:
         z, iterations = max(z - _STEP_M, peak), iterations + 1
-    return Cut(bool(is_told), axis, tilt_deg, height, peak, z, variance_loss(points, height, z, peak, loss), iterations)
+    return Cut(
+        bool(is_unique), axis, tilt_deg, height, peak, z, variance_loss(points, height, z, peak, loss), iterations
+    )
 
 
 def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | None:
@@ -139,7 +141,7 @@ def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, cleaned
-    axis : (3,) of heights, the real side's
+    axis : (3,) axis of heights of the real side
     """
     heights: tuple[dict[tuple[int, int], list[float]], ...] = ({}, {})
     for cells, points in zip(heights, (real, sim), strict=True):
@@ -156,7 +158,7 @@ def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | 
 
 
 def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, peak_m: float, loss: str) -> float:
-    """The share of the variance that goes with the points below a threshold, in the reading that `loss` names.
+    """Share of the variance that is lost with the points below a threshold, by the definition that `loss` selects.
 
     Parameters
     ----------
@@ -175,7 +177,7 @@ def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, pe
 
 
 def distances(points: FloatArray, place: FloatArray) -> FloatArray:
-    """The distance of each point from one place, (n,) metres: sqrt(dx^2 + dy^2 + dz^2).
+    """Distance of each point from one place, (n,) metres: sqrt(dx^2 + dy^2 + dz^2).
 
     Parameters
     ----------
@@ -187,7 +189,7 @@ def distances(points: FloatArray, place: FloatArray) -> FloatArray:
 
 
 def nearest(points: FloatArray, i: int, k: int, ties: str = "point_id") -> list[int]:
-    """The k nearest neighbours of point i, nearest first; of equally near ones the first by index or by x, y, z.
+    """The k nearest neighbours of point i, nearest first; for equal distances the first by index or by x, y, z.
 
     Parameters
     ----------
@@ -208,7 +210,7 @@ def nearest(points: FloatArray, i: int, k: int, ties: str = "point_id") -> list[
 def graph(
     points: FloatArray, k: int, tau_m: float, rule: str = "union", ties: str = "point_id"
 ) -> dict[tuple[int, int], np.float32]:
-    """The length of each edge (i, j), i < j, rounded to float32.
+    """Length of each edge (i, j), i < j, rounded to float32.
 
     Parameters
     ----------
@@ -225,7 +227,7 @@ def graph(
 
 
 def adjacency(n: int, edges: Mapping[tuple[int, int], float]) -> FloatArray:
-    """The matrix of edge lengths, (n, n)."""
+    """Matrix of edge lengths, (n, n)."""
     A = np.zeros((n, n))
     for (i, j), length in edges.items():
         A[i, j] = A[j, i] = length
@@ -233,7 +235,7 @@ def adjacency(n: int, edges: Mapping[tuple[int, int], float]) -> FloatArray:
 
 
 def modularity(A: FloatArray, labels: FloatArray) -> float:
-    """Q by its double sum.
+    """Modularity Q by its double sum.
 
     Parameters
     ----------
@@ -245,12 +247,12 @@ def modularity(A: FloatArray, labels: FloatArray) -> float:
 
 
 def louvain(n_nodes: int, src: IndexArray, dst: IndexArray, length_m: FloatArray, order: IndexArray) -> list[int]:
-    """The community of each node that scikit-network's Louvain finds when it visits the nodes in an order.
+    """Communities by scikit-network's Louvain with nodes visited in a given order.
 
     Parameters
     ----------
     src, dst, length_m : (m,) both ends of each edge by node, and its length
-    order : (n,) the nodes, first visited first
+    order : (n,) nodes in the order of the visits
     """
     from sknetwork.clustering import Louvain
 
@@ -263,8 +265,8 @@ def louvain(n_nodes: int, src: IndexArray, dst: IndexArray, length_m: FloatArray
     return labels
 
 
-def best_joining(labels: IndexArray, src: IndexArray, dst: IndexArray, length_m: FloatArray) -> float:
-    """The most that Q would gain if two communities that an edge joins were one; -inf where there are none.
+def best_merge_gain(labels: IndexArray, src: IndexArray, dst: IndexArray, length_m: FloatArray) -> float:
+    """Largest gain of Q by merging two communities that are connected by an edge; -inf without such communities.
 
     dQ = 2 (w_cd / 2m - k_c k_d / (2m)^2), w_cd the length of all edges between c and d, k their degrees, 2m the sum of
     these. Louvain's method ends when it finds no such gain.
@@ -288,7 +290,7 @@ def best_joining(labels: IndexArray, src: IndexArray, dst: IndexArray, length_m:
 
 
 def canonical(labels: Sequence[int]) -> list[int]:
-    """The communities numbered by size, largest first, then by smallest node."""
+    """Renumber communities by size, largest first, then by smallest node."""
     members: dict[int, list[int]] = {}
     for node, label in enumerate(labels):
         members.setdefault(label, []).append(node)
@@ -299,7 +301,7 @@ def canonical(labels: Sequence[int]) -> list[int]:
 
 @dataclass(frozen=True)
 class Description:
-    """What some points look like: number, centroid (3,), range, extent (3,), linearity, planarity, scattering."""
+    """Description of points: number, centroid (3,), range, extent (3,), linearity, planarity, scattering."""
 
     n_points: int
     centroid: FloatArray
@@ -338,7 +340,7 @@ def match_greedy(
     Parameters
     ----------
     real, sim : (a, 3), (b, 3) float64, metres, centroids by id
-    stored : matches that are taken where they are as near, and as near as delta, but for `rounding_m`
+    stored : matches that are accepted if they are as near as the nearest, and as delta, up to `rounding_m`
     """
     used, pairs = set(), []
     for i, p in enumerate(real):
@@ -379,11 +381,11 @@ def influence(L: FloatArray, t: float) -> FloatArray:
 
 
 def least_total(cost: FloatArray) -> float:
-    """A lower bound of the total cost of any one-to-one assignment; equal to the least total up to rounding.
+    """Lower bound of the total cost of any one-to-one assignment; equal to the minimum up to rounding.
 
     For any v, sum_i min_j (c_ij - v_j) + sum_j v_j is at most any total (linear programming duality). The best v are
-    the lengths of shortest ways of exchange (Bellman-Ford) from an assignment that scipy finds. Were that not the
-    best, the bound would still be a bound, and lie below what the best one costs.
+    the lengths of shortest exchange paths (Bellman-Ford) from an assignment that scipy finds. If that were not optimal,
+    the result would still be a lower bound, below the optimal cost.
 
     Parameters
     ----------
@@ -403,7 +405,7 @@ def least_total(cost: FloatArray) -> float:
 
 
 def nearest_distances(xs: FloatArray, ys: FloatArray) -> FloatArray:
-    """The distance of each x to the nearest y, (n,) metres, from all distances.
+    """Distance of each x to the nearest y, (n,) metres, from all distances.
 
     Parameters
     ----------
@@ -413,7 +415,7 @@ def nearest_distances(xs: FloatArray, ys: FloatArray) -> FloatArray:
 
 
 def cdc(real: FloatArray, sim: FloatArray) -> float:
-    """The paper's equation.
+    """CDC by the paper's equation.
 
     Parameters
     ----------
@@ -438,7 +440,7 @@ def alignment_rms(real: FloatArray, sim: FloatArray) -> float:
 
 
 def spectral(L_real: FloatArray, L_sim: FloatArray) -> dict[str, float]:
-    """r_lambda, r_gap and what they are made of, from LAPACK's dense eigenvalues.
+    """r_lambda, r_gap and their components, from LAPACK's dense eigenvalues.
 
     Parameters
     ----------
@@ -461,7 +463,7 @@ def spectral(L_real: FloatArray, L_sim: FloatArray) -> dict[str, float]:
 
 
 def mean_and_std(values: Sequence[float | None]) -> tuple[float | None, float | None]:
-    """Mean and standard deviation (n - 1) of what is not None; None where there are too few."""
+    """Mean and standard deviation (n - 1) of the values that are not None; None if there are too few."""
     known = [value for value in values if value is not None]
     mean = math.fsum(known) / len(known) if known else None
     if mean is None or len(known) < 2:

@@ -1,4 +1,4 @@
-"""Surface pieces once more: all distances, from one point to the next."""
+"""Literal surface pieces: all distances, from one point to the next."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ROUNDED_DIGITS = 9
 
 
 def components(points: FloatArray, link_m: float) -> list[int]:
-    """The component of each point: that of its first point, from which it is reached by steps of at most the link.
+    """Component of each point: number of its first point, from which it is reached by steps of at most the link.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def components(points: FloatArray, link_m: float) -> list[int]:
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece: its points by index, what they look like, bearing, and height of the lowest above the road."""
+    """Surface piece: points by index, their description, bearing, and height of the lowest point above the road."""
 
     members: list[int]
     about: Description
@@ -56,7 +56,7 @@ def pieces(
     link_m: float,
     min_points: int,
 ) -> list[Piece]:
-    """The pieces of a side, largest first, of equally large ones the first by x, y, z.
+    """Pieces of a side, largest first, for equal sizes by x, y, z.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def pieces(
     others : (m, 3) float64, metres, all clean points of the other side
     reach_m, link_m, min_points : as in the settings of pieces
     """
-    alone = [i for i in np.flatnonzero(~is_ground).tolist() if distances(others, points[i]).min() > reach_m]
-    alone.sort(key=lambda i: points[i].tolist())
-    labels = canonical(components(points[alone], link_m))
+    uncovered = [i for i in np.flatnonzero(~is_ground).tolist() if distances(others, points[i]).min() > reach_m]
+    uncovered.sort(key=lambda i: points[i].tolist())
+    labels = canonical(components(points[uncovered], link_m))
     found = []
     for piece in range(max(labels, default=-1) + 1):
-        members = [i for i, label in zip(alone, labels, strict=True) if label == piece]
+        members = [i for i, label in zip(uncovered, labels, strict=True) if label == piece]
         if len(members) >= min_points:
             about = describe(points[members])
             bearing = math.degrees(math.atan2(about.centroid[1], about.centroid[0]))
@@ -81,7 +81,7 @@ Place = tuple[Sequence[float], Sequence[float]]  #: centroid and extent, x, y an
 
 
 def moved(missing: Sequence[Place], invented: Sequence[Place]) -> dict[int, int]:
-    """Which invented piece each missing one moved to, by id: near and of like size, and neither has a nearer one.
+    """Invented piece to which each missing one moved, by id: near, of similar size, and each is the other's nearest.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Coverage, displacement and roughness of surfaces once more: all distances, one plane and one point at a time."""
+"""Literal coverage, displacement and roughness of surfaces: all distances, one plane and one point at a time."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from ..arrays import FloatArray
 from .method import distances
 
 _NEIGHBOURS = 20
-_LEAST_PLANARITY = 0.1
+_MIN_PLANARITY = 0.1
 _REACH_M = 1.0
-_FEWEST_POINTS = 10
-_LEAST_SHARE = 0.05
-_MOST_LEANING = 0.01
-_LEAST_STEP_M = 1e-3
-_MOST_STEPS = 20
+_MIN_POINTS = 10
+_MIN_SHARE = 0.05
+_MAX_LEANING = 0.01
+_MIN_STEP_M = 1e-3
+_MAX_STEPS = 20
 
 
 def covered(distances_m: Sequence[float], reach_m: float) -> float:
-    """The share of the distances to the other side that are within reach."""
+    """Share of the distances to the other side that are within reach."""
     return sum(d <= reach_m for d in distances_m) / len(distances_m)
 
 
 def visiting_order(points: FloatArray, seed: int = 0) -> list[int]:
-    """The points in the order of a hash of their coordinates, number by number; of equal hashes by z, y, x.
+    """Indices of the points by a hash of their coordinates, number by number; for equal hashes by z, y, x.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ def visiting_order(points: FloatArray, seed: int = 0) -> list[int]:
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane through the points about a place.
+    """Plane through the points around a place.
 
-    point, normal : (3,) the place, and the unit normal of either sign
+    point, normal : (3,) place, and unit normal of either sign
     roughness_m : standard deviation of the points from the plane
-    is_plane : whether they tell one
-    is_tied : whether another point is as near as the last of them, so that they could as well be others
+    is_plane : the points determine a plane
+    is_tied : another point is as near as the last of them, so that the choice is not unique
     """
 
     point: FloatArray
@@ -62,7 +62,7 @@ class Plane:
 
 
 def local_plane(points: FloatArray, place: FloatArray) -> Plane:
-    """The plane through the 20 points nearest to a place.
+    """Plane through the 20 points nearest to a place.
 
     Parameters
     ----------
@@ -81,16 +81,16 @@ def local_plane(points: FloatArray, place: FloatArray) -> Plane:
         place,
         axes[2],
         math.sqrt(sum(residuals**2) / (_NEIGHBOURS - 3)),
-        bool(l1 > 0 and l2 - l3 >= _LEAST_PLANARITY * l1),
+        bool(l1 > 0 and l2 - l3 >= _MIN_PLANARITY * l1),
         len(last) == 2 and bool(last[1] <= last[0] * (1 + 1e-9)),
     )
 
 
 @dataclass(frozen=True)
 class Offset:
-    """How far a piece of surface is displaced: points that tell it, directions that are told, (x, y, z), length.
+    """Displacement of a piece of surface: number of points, observable directions, (x, y, z), length.
 
-    What is not told is None.
+    Values that are not is_seen are None.
     """
 
     n_points: int
@@ -100,16 +100,16 @@ class Offset:
 
 
 def offset(planes: Iterable[Plane], sim: FloatArray) -> Offset:
-    """The translation of the simulated surface against some real planes, point to plane, by least squares.
+    """Translation of the simulated surface against some real planes, point to plane, by least squares.
 
     Parameters
     ----------
-    planes : of real points
+    planes : planes of real points
     sim : (m, 3) float64, metres
     """
     own = [plane for plane in planes if plane.is_plane]
-    t, told, axes, n_points = np.zeros(3), np.zeros(3, dtype=bool), np.eye(3), 0
-    for _ in range(_MOST_STEPS):
+    t, is_seen, axes, n_points = np.zeros(3), np.zeros(3, dtype=bool), np.eye(3), 0
+    for _ in range(_MAX_STEPS):
         squares, wanted, n_points = np.zeros((3, 3)), np.zeros(3), 0
         for plane in own:
             apart = distances(sim, plane.point + t)
@@ -119,13 +119,13 @@ def offset(planes: Iterable[Plane], sim: FloatArray) -> Offset:
                 wanted += plane.normal * (plane.normal @ (sim[i] - plane.point))
                 n_points += 1
         sizes, axes = np.linalg.eigh(squares)
-        told = (sizes >= _LEAST_SHARE * n_points) & (n_points >= _FEWEST_POINTS)
-        before, t = t, sum((axes[:, i] * (axes[:, i] @ wanted) / sizes[i] for i in range(3) if told[i]), np.zeros(3))
-        if max(abs(t - before)) <= _LEAST_STEP_M:
+        is_seen = (sizes >= _MIN_SHARE * n_points) & (n_points >= _MIN_POINTS)
+        before, t = t, sum((axes[:, i] * (axes[:, i] @ wanted) / sizes[i] for i in range(3) if is_seen[i]), np.zeros(3))
+        if max(abs(t - before)) <= _MIN_STEP_M:
             break
-    leaning = [sum(axes[a, i] ** 2 for i in range(3) if not told[i]) for a in range(3)]
-    x, y, z = (float(t[a]) if leaning[a] <= _MOST_LEANING else None for a in range(3))
-    return Offset(n_points, int(told.sum()), (x, y, z), math.hypot(*t) if told.any() else None)
+    leaning = [sum(axes[a, i] ** 2 for i in range(3) if not is_seen[i]) for a in range(3)]
+    x, y, z = (float(t[a]) if leaning[a] <= _MAX_LEANING else None for a in range(3))
+    return Offset(n_points, int(is_seen.sum()), (x, y, z), math.hypot(*t) if is_seen.any() else None)
 
 
 def area_between(real: Sequence[float], sim: Sequence[float]) -> float:

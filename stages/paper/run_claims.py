@@ -111,7 +111,7 @@ class _RunObjects:
         return self.of_pairs(np.divide(total, n, out=np.full(len(n), np.nan), where=n > 0), name)
 
     def unmatched(self, side: SideObjects, name: str, chosen: BoolArray) -> Sample:
-        """Of some objects of a side, True if the other side lacks them."""
+        """Sample of objects of a side: True if the other side lacks them."""
         return self.sample(~side.is_matched[chosen], side.pair[chosen], name)
 
     def unmatched_sides(self) -> Iterator[tuple[SideObjects, str, str]]:

@@ -1,1 +1,1 @@
-"""What the scores of many objects and pairs say together."""
+"""Statistics over the scores of many objects and pairs."""

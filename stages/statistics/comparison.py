@@ -29,7 +29,7 @@ DRAWS = 20_000
 #: The degrees of freedom of Student's t are this share of n - 1: a deviation that is estimated from a few values of
 #: skewed or heavy-tailed differences is worth less than one of normal ones (excess kurtosis 2 halves it).
 WORTH = 0.5
-#: Pairs within this time see the same surroundings, and count as one: a car drives out of its own view in it.
+#: Pairs within this time see the same surroundings, and count as one: a car leaves its view in that time.
 BLOCK_S = 10.0
 #: Of fewer than `LEAST_PAIRS` blocks, only a change of more than this many standard deviations is decided.
 FAR_STDS = 5.0
@@ -43,7 +43,7 @@ KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing i
 
 @dataclass(frozen=True)
 class Difference:
-    """A mean difference (after minus before) with its 95 % interval; None where it cannot be computed.
+    """A mean difference (after minus before) with its 95 % interval; None if it cannot be computed.
 
     n_pairs : pairs that have both values
     n_blocks : independent blocks among them: pairs of one block count once, with their mean
@@ -67,7 +67,7 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
 
     Parameters
     ----------
-    values : (..., n) by pair, NaN where null
+    values : (..., n) by pair, NaN for null
     blocks : (n,) block of each pair, from `blocks_of`
     """
     own = np.unique(blocks, return_inverse=True)[1]
@@ -87,7 +87,7 @@ def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | 
 
     Parameters
     ----------
-    before, after : (n,) a score of each pair, NaN where null
+    before, after : (n,) score of each pair, NaN for null
     blocks : (n,) block of each pair, from `blocks_of`; by default each pair is a block
 
     Examples
@@ -152,7 +152,7 @@ def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -
 
     Parameters
     ----------
-    change : (m, n) by score and block, NaN where null
+    change : (m, n) by score and block, NaN for null
     least : (m,) changes of the mean up to this size do not matter
     step : (m,) smallest step of the score, such as 1 for a count; few blocks may agree in it by chance
     """
@@ -228,16 +228,16 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
 def kinds_of_change(
     before: BoolArray, after: BoolArray, cdc: tuple[FloatArray, FloatArray], r_lambda: tuple[FloatArray, FloatArray]
 ) -> NDArray[np.str_]:
-    """What has become of each real object.
+    """Kind of change of each real object.
 
     `appeared`: missing before, matched now; `vanished`: the reverse. Of an object matched in both: `better` if CDC or
     r_lambda fell by more than 0.05 and neither rose by so much, `worse` the reverse, `mixed` if one fell and the other
-    rose, else `alike`. A score that is null in either run does not count.
+    rose, else `alike`. A score that is null in either run is ignored.
 
     Parameters
     ----------
-    before, after : (n,) whether the real object is matched
-    cdc, r_lambda : (n,) and (n,), before and after, NaN where null
+    before, after : (n,) True if the real object is matched
+    cdc, r_lambda : (n,) and (n,), before and after, NaN for null
     """
     change = np.nan_to_num(np.column_stack([cdc[1] - cdc[0], r_lambda[1] - r_lambda[0]]))
     fell, rose = (change < -LEAST_CHANGE).any(axis=1), (change > LEAST_CHANGE).any(axis=1)

@@ -95,7 +95,7 @@ def typical_of_shapes(scan: ScanObjects, least: int) -> list[ChosenObject]:
         if name not in chosen and is_free.any():
             nearest = int(np.argmax(np.where(is_free, scan.shape[:, place], -np.inf)))
             rest = "" if is_free.sum() == n_candidates else " of the others"
-            why = f"none is mostly {name}; this one has the largest {feature}{rest}, {scan.shape[nearest, place]:.2f}"
+            why = f"none mostly {name}; this one has the largest {feature}{rest}, {scan.shape[nearest, place]:.2f}"
             chosen[name] = scan.chosen(nearest, name, why)
             is_free[nearest] = False
     return [chosen[name] for name in SHAPES.values() if name in chosen]

@@ -137,7 +137,7 @@ def test_scenes_of_which_hardly_anything_can_be_said(tmp_path, preset):
     assert run(tmp_path / "scenes", tmp_path / "run", settings).failures
     result = verify_run(tmp_path / "run", 60)
     assert result.passed, result.mismatches
-    assert any("alike along two axes" in what for what in result.not_compared)
+    assert any("equal variance along two axes" in what for what in result.not_compared)
 
 
 @pytest.mark.exhaustive

@@ -144,7 +144,7 @@ def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_pa
 
 @pytest.mark.parametrize("table", AT_ONCE)
 def test_each_edited_column_is_named_though_all_of_a_table_are_edited_at_once(copy, monkeypatch, table):
-    monkeypatch.setattr(verify, "_MOST_SHOWN", 10**6)
+    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
     names = {*COLUMNS[table]} - ONE_BY_ONE
     for name in names:
         forge_column(copy, table, name)
@@ -176,7 +176,7 @@ def test_a_score_that_the_literal_twin_does_not_know_is_said_to_be_unverified(pl
     assert result.as_dict()["unknown"] == ("metrics.gap_sim",)
     page = io.StringIO()
     Console(file=page, width=200).print(verify_view(result))
-    assert "nothing recomputes: metrics.gap_sim" in page.getvalue()
+    assert "not recomputed: metrics.gap_sim" in page.getvalue()
     assert "numbers agree; not verified: 1 of their columns" in page.getvalue()
 
 
