@@ -90,7 +90,7 @@ def local_plane(points: FloatArray, place: FloatArray) -> Plane:
 class Offset:
     """Displacement of a piece of surface: number of points, observable directions, (x, y, z), length.
 
-    Values that are not is_seen are None.
+    Values that are not observable are None.
     """
 
     n_points: int
