@@ -19,7 +19,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 CHECKED = ("README.md", "SECURITY.md", "runs/README.md", "docs", "pipeline", "stages", "schemas")
 #: Not clean yet; entries only go.
-NOT_YET = ("docs", "pipeline", "stages", "schemas/re", "schemas/settings", "README.md", "SECURITY.md", "runs/README.md")
+NOT_YET = (
+    *("pipeline/cli", "pipeline/datasets", "pipeline/engine", "pipeline/report", "pipeline/results"),
+    *("pipeline/storage", "schemas/re", "schemas/settings", "docs/settings.md"),
+)
 
 #: Regular expressions, without case, and what to write instead.
 EXPRESSIONS = {
@@ -48,7 +51,7 @@ EXPRESSIONS = {
     r"nobody('s)?|whoever|whichever|whatever": "orphaned; regardless of X; (name it)",
     r"go(es)? on|going on|went on": "continues, resumes",
     r"(is|are) other|other than (before|now)": "has changed, differs",
-    r"in words": "as text, human-readable",
+    r"in words(?!\))": "as text, human-readable",
     r"(divided|written|made|named|cut|given|read) otherwise": "differently",
     r"alike": "identical; in the same way",
     r"anew|afresh": "again; re-",
