@@ -39,8 +39,6 @@ def main(run):
         by_id(browser, "show_lines").click()
         settle(browser)
         by_id(browser, "panel").screenshot(str(DOCS / "report-object.png"))
-        resize(browser, 390, dark=True)
-        take(browser, "report-narrow", "header")
         browser.quit()
 
 
