@@ -122,9 +122,9 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in (".parquet", ".json", ".toml")}
 
 
-def no_temporary_files(run_folder):
-    """True if no temporary file is left."""
-    return not [path for folder in FOLDERS for path in (run_folder / folder).glob(".*")]
+def temporary_files(out):
+    """Files that a run should not leave: names that begin with a dot, except lock and writer."""
+    return [path for path in out.rglob(".*") if path.name not in {".lock", ".writer"}]
 
 
 def changed_files(run_folder, before):

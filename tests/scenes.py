@@ -4,6 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fidpipe.schemas.settings import load
+from fidpipe.stages.method import graph_of
+
 
 def road(n=1200, half_width=18.0, z=-1.7, seed=0):
     """Points of a flat road around the sensor, 1 cm rough."""
@@ -69,6 +72,11 @@ def write_dataset(folder: Path, n_pairs=3, n=150):
         write_bin(folder / "real" / f"{i:03}.bin", scan)
         write_bin(folder / "sim" / f"{i:03}.bin", drifted(scan, seed=i))
     return folder
+
+
+def subgraph(points, k=8):
+    """The points as one object, with its graph."""
+    return graph_of(points, load(None, [f"graph.k={k}"]))
 
 
 def cloud(n=60, seed=0):

@@ -8,9 +8,7 @@ import time
 
 import psutil
 
-from runs import FIDPIPE, assert_same_tables, command, tables
-
-_OWN_FILES = {".lock", ".writer"}  # of a run's folder, beginning with a dot, that stay
+from runs import FIDPIPE, assert_same_tables, command, tables, temporary_files
 
 
 class Started:
@@ -85,11 +83,6 @@ def assert_no_process(started, within_s=60):
     while left := started.family():
         assert time.monotonic() < end, [process.cmdline() for process in left]
         time.sleep(0.05)
-
-
-def temporary_files(out):
-    """Files that a run should not leave: names that begin with a dot, except lock and writer."""
-    return [path for path in out.rglob(".*") if path.name not in _OWN_FILES]
 
 
 def n_lost(out, undisturbed):

@@ -15,8 +15,8 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError
-from runs import FOLDERS, assert_same_tables, command, marks, run, some_of
-from tries import assert_resumes, temporary_files
+from runs import FOLDERS, assert_same_tables, command, marks, run, some_of, temporary_files
+from tries import assert_resumes
 
 WHOLE_RUN = ["pairs", "timings"]
 N_FLIPS = 5  # of each table

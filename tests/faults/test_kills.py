@@ -22,10 +22,10 @@ from runs import (
     assert_same_tables,
     changed_files,
     marks,
-    no_temporary_files,
     own_process,
     run,
     some_of,
+    temporary_files,
 )
 
 N_PAIRS = 4
@@ -45,7 +45,7 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     died = break_run(how, stage, 2, dataset, out)
     assert died.returncode == -(signal.SIGXFSZ if how == "kill-writing" else signal.SIGKILL), died.stderr
     assert not (out / "pairs.parquet").exists()
-    assert no_temporary_files(out) == (how == "kill")
+    assert (temporary_files(out) == []) == (how == "kill")
     before = marks(out)
     outcome = run(dataset, out)
     i = STAGE_NAMES.index(stage)
@@ -53,7 +53,7 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
     assert outcome.n_made == 4 * JOBS_PER_PAIR - n_finished
     assert not {name for name in before if name in changed_files(out, before)}
     assert_same_tables(out, finished)
-    assert no_temporary_files(out)
+    assert temporary_files(out) == []
 
 
 @pytest.mark.exhaustive

@@ -9,8 +9,8 @@ from contextlib import suppress
 import psutil
 import pytest
 
-from runs import assert_same_tables, some_of
-from tries import Started, assert_resumes, lines_of, temporary_files
+from runs import assert_same_tables, some_of, temporary_files
+from tries import Started, assert_resumes, lines_of
 
 N_PAIRS = 6
 INTERRUPTED = "interrupted; run the same command again to go on"

@@ -60,13 +60,6 @@ def test_a_pcd_of_many_numbers_a_point_is_refused(tmp_path):
         read_scan(path)
 
 
-def test_a_text_pcd_of_one_point_is_read(tmp_path):
-    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\n"
-    path = tmp_path / "a.pcd"
-    path.write_text(head + "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1\nDATA ascii\n1 2 3\n")
-    assert read_scan(path).points.tolist() == [[1, 2, 3]]
-
-
 def test_an_array_longer_than_its_file_is_refused(tmp_path):
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)})

@@ -31,7 +31,7 @@ from fidpipe.pipeline.storage.record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.perturbations import Perturbation
-from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, no_temporary_files, own_process, run, some_of
+from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, own_process, run, some_of, temporary_files
 
 TESTS = Path(broken_jobs.__file__).parent
 _TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -137,7 +137,7 @@ def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_ru
     assert outcome.failures == {}
     assert outcome.n_made == N_PAIRS * JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
-    assert no_temporary_files(tmp_path / "run")
+    assert temporary_files(tmp_path / "run") == []
 
 
 @pytest.mark.exhaustive

@@ -17,7 +17,7 @@ from fidpipe.stages.graph import build_graph
 from fidpipe.stages.literal import method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.method import compare, partition
-from runs import assert_same_tables, no_temporary_files, run
+from runs import assert_same_tables, run, temporary_files
 from scenes import drifted, moved, rigid, street
 
 N_PAIRS = 3
@@ -162,4 +162,4 @@ def test_a_run_that_is_stopped_again_and_again_ends_in_the_same_tables(dataset, 
         assert n_stopped
         run(dataset, out)
         assert_same_tables(out, finished)
-        assert no_temporary_files(out)
+        assert temporary_files(out) == []

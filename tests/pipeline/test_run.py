@@ -15,14 +15,14 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
-from runs import FOLDERS, JOBS_PER_PAIR, STAGE_NAMES, assert_same_tables, changed_files, marks, no_temporary_files, run
+from runs import FOLDERS, JOBS_PER_PAIR, STAGE_NAMES, assert_same_tables, changed_files, marks, run, temporary_files
 from scenes import drifted, street, write_bin, write_dataset
 
 N_PAIRS = 3
 
 
 def test_every_table_has_the_schema_of_the_contract(finished):
-    assert no_temporary_files(finished)
+    assert temporary_files(finished) == []
     for folder in FOLDERS:
         files = list((finished / folder).glob("*.parquet"))
         assert len(files) == (

@@ -11,7 +11,6 @@ import pytest
 
 import fidpipe
 import toys
-from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.jobs.points import object_points
@@ -20,6 +19,7 @@ from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.columns import FLOAT64, column
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.tables import TABLES
+from pools import WatchedPool
 from runs import assert_same_tables, run
 from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
 
@@ -28,20 +28,6 @@ N_POINTS = 100
 N_PAIRS = 2
 ALL_SPLIT = Policy(worth_splitting_s=0.0, batch_s=0.0)
 JOBS_PER_PAIR = sum(len(stage.parts) for stage in with_toys())
-
-
-class TwoAtOnce(InProcess):
-    """A pool that says it runs two tasks at once; it remembers what it was given."""
-
-    n_workers = 2
-
-    def __init__(self):
-        super().__init__()
-        self.submitted = []
-
-    def submit(self, function, *args, **options):
-        self.submitted.append(function.__name__)
-        return super().submit(function, *args, **options)
 
 
 def run_with_toys(dataset, out, settings=None, stages=None, **options):
@@ -109,7 +95,7 @@ def test_toys_of_each_grain_have_rows_and_facts(whole):
 
 
 def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_path):
-    pool = TwoAtOnce()
+    pool = WatchedPool()
     run_with_toys(dataset, tmp_path / "run", pool=pool, policy=ALL_SPLIT)
     n_objects = sum(table.num_rows for name, table in toy_results(whole)[0].items() if name.startswith("toy_marks"))
     assert pool.submitted.count("score_objects") == 2 * n_objects  # before the toy of the pair, and after it
@@ -138,7 +124,7 @@ def interrupted(stage):
 @pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
 @pytest.mark.parametrize("toy", ["of_side", "of_pair", "of_object"])
 def test_interrupted_in_any_of_them_a_run_goes_on_where_it_was(whole, dataset, tmp_path, toy, is_split):
-    out, options = tmp_path / "run", {"policy": ALL_SPLIT, "pool": TwoAtOnce()} if is_split else {}
+    out, options = tmp_path / "run", {"policy": ALL_SPLIT, "pool": WatchedPool()} if is_split else {}
     broken = interrupted({"of_side": OF_SIDE, "of_pair": OF_PAIR, "of_object": OF_OBJECT}[toy])
     with pytest.raises(KeyboardInterrupt):
         run_with_toys(dataset, out, stages=with_toys(**{toy: broken}), **options)
@@ -186,7 +172,7 @@ def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, t
         return JobResult({"toy_crowds": toys.CROWDS.build(rows)})
 
     late = replace(OF_SIDE, takes={"matching": ("status",)}, settings=(), make=make)
-    for out, options in (("whole", {}), ("split", {"pool": TwoAtOnce(), "policy": ALL_SPLIT})):
+    for out, options in (("whole", {}), ("split", {"pool": WatchedPool(), "policy": ALL_SPLIT})):
         outcome = run(dataset, tmp_path / out, stages=(*STAGES, late), **options)
         n_over = pq.read_table(tmp_path / out / "toy_crowds" / "000.sim.parquet").column("n_over").to_pylist()
         assert n_over == [outcome.rows[0]["n_matched"]]
@@ -268,7 +254,7 @@ def test_no_object_depends_on_which_others_are_scored_beside_it(dataset, tmp_pat
         return OF_OBJECT.make(inputs)
 
     stages = with_toys(of_object=replace(OF_OBJECT, make=make))
-    options = {"policy": ALL_SPLIT, "pool": TwoAtOnce()} if is_split else {}
+    options = {"policy": ALL_SPLIT, "pool": WatchedPool()} if is_split else {}
     outcome = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000", **options)
     assert "KeyError: ('metrics', '')" in outcome.failures["000"]
 
@@ -326,7 +312,7 @@ def test_another_column_makes_a_table_again_and_what_follows(again, dataset, mon
 @pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
 def test_stages_by_any_other_name_give_the_same_tables(whole, dataset, tmp_path, is_split):
     renamed = tuple(replace(stage, name=f"stage-{i}") for i, stage in enumerate(with_toys()))
-    options = {"policy": ALL_SPLIT, "pool": TwoAtOnce()} if is_split else {}
+    options = {"policy": ALL_SPLIT, "pool": WatchedPool()} if is_split else {}
     outcome = run_with_toys(dataset, tmp_path / "run", stages=renamed, **options)
     assert {row["status"] for row in outcome.rows} == {"scored"}
     assert_same_tables(tmp_path / "run", whole)

@@ -1,6 +1,5 @@
 """The catalogue of scores, against the tables, the functions that compute, and the documentation."""
 
-import numpy as np
 import pytest
 
 import readme
@@ -16,15 +15,12 @@ from fidpipe.schemas.metrics import (
     SURFACE_SCORES,
     metric_of,
 )
-from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
+from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.schemas.tables import METRICS, PAIRS, TABLES
 from fidpipe.stages.baselines import compare_objects
-from fidpipe.stages.graph import build_graph
-from fidpipe.stages.linalg.laplacian import Subgraph
-from fidpipe.stages.linalg.subgraph import adjacency
 from fidpipe.stages.metrics import score_object
 from fidpipe.stages.selection import select_nodes
-from scenes import box
+from scenes import box, subgraph
 from toys import TOY_TABLES
 
 
@@ -62,9 +58,7 @@ def test_a_heading_has_its_unit_and_a_scale_its_better_end_first():
 @pytest.fixture(scope="module")
 def twice():
     """An object, and its nodes aligned with itself."""
-    points = box([5, 3, 0], [4, 2, 1.5], 120)
-    edges = build_graph(points, GraphSettings(k=8))
-    own = Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
+    own = subgraph(box([5, 3, 0], [4, 2, 1.5], 120))
     return own, select_nodes(own, own, SelectionSettings())
 
 

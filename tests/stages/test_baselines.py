@@ -4,23 +4,16 @@ import numpy as np
 import pytest
 
 from fidpipe.schemas.metrics import BASELINE_NAMES
-from fidpipe.schemas.settings import GraphSettings, MetricsSettings, SelectionSettings
+from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.stages.baselines import compare_objects, compare_points, emd
 from fidpipe.stages.baselines.dcd import density_aware_chamfer
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register
-from fidpipe.stages.graph import build_graph
-from fidpipe.stages.linalg.subgraph import Subgraph, adjacency
 from fidpipe.stages.literal import baselines as literal
 from fidpipe.stages.selection import Selection, select_nodes
-from scenes import box, moved, rigid
+from scenes import box, moved, rigid, subgraph
 
 ALL = MetricsSettings(baselines=BASELINE_NAMES)
-
-
-def subgraph(points):
-    edges = build_graph(points, GraphSettings(k=8))
-    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
 
 
 def compare(real, sim, settings=ALL):

@@ -4,13 +4,9 @@ from scipy import sparse
 from fidpipe.schemas.settings import GraphSettings
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.laplacian import induced_laplacian, normalised_laplacian
-from fidpipe.stages.linalg.subgraph import Subgraph, adjacency, split_by_community
+from fidpipe.stages.linalg.subgraph import adjacency, split_by_community
 from fidpipe.stages.literal import method
-
-
-def subgraph(points, k=6):
-    edges = build_graph(points, GraphSettings(k=k))
-    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
+from scenes import subgraph
 
 
 def test_an_isolated_node_has_a_zero_row():

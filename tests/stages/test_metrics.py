@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from fidpipe.schemas.settings import GraphSettings, SelectionSettings
-from fidpipe.stages.graph import build_graph
-from fidpipe.stages.linalg.subgraph import Subgraph, adjacency
+from fidpipe.schemas.settings import SelectionSettings
+from fidpipe.stages.linalg.subgraph import Subgraph
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import Selection, select_nodes
-from scenes import box, moved, rigid
+from scenes import box, moved, rigid, subgraph
 
 SPECTRAL = (
     "r_lambda",
@@ -18,11 +17,6 @@ SPECTRAL = (
     "gap_real",
     "gap_sim",
 )
-
-
-def subgraph(points, k=8):
-    edges = build_graph(points, GraphSettings(k=k))
-    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
 
 
 def scored(real, sim, k=8):

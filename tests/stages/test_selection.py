@@ -1,14 +1,8 @@
 import numpy as np
 
-from fidpipe.schemas.settings import GraphSettings, SelectionSettings
-from fidpipe.stages.graph import build_graph
-from fidpipe.stages.linalg.subgraph import Subgraph, adjacency
+from fidpipe.schemas.settings import SelectionSettings
 from fidpipe.stages.selection import select_nodes
-
-
-def subgraph(points, k=6):
-    edges = build_graph(points, GraphSettings(k=k))
-    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
+from scenes import subgraph
 
 
 def test_ties_in_influence_go_by_point_id():
