@@ -1,7 +1,7 @@
-"""The settings of a run: one frozen class per stage, defaults and bounds beside each field.
+"""The settings of a run: one frozen class per stage, with the defaults and bounds of each field.
 
-The defaults are those of the paper where it gives one. Nothing here touches a file but `load`,
-which layers a TOML file and `--set` words over the defaults and names the field that is wrong.
+The defaults are those of the paper where it gives one. Only `load` reads a file: it layers a TOML file
+and `--set` assignments over the defaults and names the invalid field.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Group(BaseModel):
 
 
 class InputSettings(_Group):
-    """How scans are read and cleaned."""
+    """Reading and cleaning of scans."""
 
     columns: tuple[str, ...] | None = Field(
         None,
@@ -53,10 +53,10 @@ class InputSettings(_Group):
         examples=[_COLUMNS],
     )
     real_columns: tuple[str, ...] | None = Field(
-        None, description="the same for the real side alone", examples=[_COLUMNS]
+        None, description="the same for the real side only", examples=[_COLUMNS]
     )
     sim_columns: tuple[str, ...] | None = Field(
-        None, description="the same for the simulated side alone", examples=[_COLUMNS]
+        None, description="the same for the simulated side only", examples=[_COLUMNS]
     )
     min_range_m: Annotated[float, Field(ge=0, description="nearer points are dropped (3-D range, own frame)")] = 2.5
     max_range_m: Annotated[float, Field(gt=0, le=FARTHEST_M, description="farther points are dropped")] = 100.0
@@ -77,9 +77,9 @@ class InputSettings(_Group):
         "ros",
         description="axes of the real scans, metres: "
         + "; ".join(f"{name} {axes}" for name, axes in FRAME_AXES.items())
-        + ". They are turned to ros before T_real_sim, which is in metres too",
+        + ". Converted to ros before T_real_sim is applied",
     )
-    sim_frame: FrameName = Field("ros", description="the same of the simulated scans")
+    sim_frame: FrameName = Field("ros", description="axes of the simulated scans, metres; see real_frame")
 
     @field_validator(
         "columns", "real_columns", "sim_columns", mode="before", json_schema_input_type=tuple[str, ...] | str
@@ -94,7 +94,7 @@ class InputSettings(_Group):
     def _frame_is_known(cls, value: Any) -> Any:
         if value not in FRAME_AXES:
             known = ", ".join(f"{name} ({axes})" for name, axes in FRAME_AXES.items())
-            raise ValueError(f"one of {known} is wanted, metres; of another frame give T_real_sim in pairs.csv")
+            raise ValueError(f"expected one of {known}, metres; for another frame set T_real_sim in pairs.csv")
         return value
 
     @field_validator("columns", "real_columns", "sim_columns")
@@ -102,9 +102,9 @@ class InputSettings(_Group):
     def _columns_hold_xyz(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
         if value is not None:
             if not {"x", "y", "z"} <= set(value):
-                raise ValueError("x, y and z must be among the names")
+                raise ValueError("expected x, y and z among the names")
             if len(set(value)) != len(value):
-                raise ValueError("each name may stand once")
+                raise ValueError("expected each name once")
         return value
 
     @field_validator("exclude_box", "include_box", mode="before", json_schema_input_type=Box | str)
@@ -112,7 +112,7 @@ class InputSettings(_Group):
     def _box_has_six_numbers(cls, value: Any) -> Any:
         words = value.replace(",", " ").split() if isinstance(value, str) else value
         if isinstance(words, list | tuple) and len(words) != 6:
-            raise ValueError(f"six numbers are wanted (xmin ymin zmin xmax ymax zmax), not {len(words)}")
+            raise ValueError(f"expected six numbers (xmin ymin zmin xmax ymax zmax), got {len(words)}")
         return words
 
     @field_validator("exclude_box", "include_box")
@@ -133,7 +133,7 @@ class InputSettings(_Group):
         if self.sim_flip_y and self.sim_frame != "ros":
             raise ValueError(
                 f'sim_flip_y = true found with sim_frame = "{self.sim_frame}" ({FRAME_AXES[self.sim_frame]}); the '
-                'frame says how axes lie, and sim_flip_y = true is sim_frame = "carla": leave sim_flip_y out'
+                'frame defines the axes, and sim_flip_y = true means sim_frame = "carla": remove sim_flip_y'
             )
         return self
 
@@ -150,7 +150,7 @@ class InputSettings(_Group):
 
 
 class GroundSettings(_Group):
-    """How the road is cut away."""
+    """Removal of the road."""
 
     method: Literal["pca", "patchwork", "none"] = Field(
         "pca", description='PCA Z-cut, patchwork++ (needs `pip install "fidpipe[patchwork]"`), or no cut'
@@ -177,28 +177,29 @@ class GroundSettings(_Group):
 
 
 class GraphSettings(_Group):
-    """Which points are joined."""
+    """Edges between points."""
 
     k: Annotated[int, Field(ge=1, le=2000, description="nearest neighbours of each point")] = 90
-    tau_m: Annotated[float, Field(ge=0, le=10, description="all pairs within this distance are joined")] = 0.2
+    tau_m: Annotated[float, Field(ge=0, le=10, description="all points within this distance are connected")] = 0.2
     edges: Literal["union", "intersection"] = Field("union", description="kNN or tau pairs, or kNN pairs within tau")
     ties: Literal["point_id", "coordinates"] = Field(
         "point_id",
-        description="of equally near points the one of smaller id, or one that the order of rows does not sway",
+        description="of equally near points: the smaller id, or by coordinates, independent of row order",
     )
 
 
 class CommunitySettings(_Group):
-    """How the graph falls into objects."""
+    """Partition of the graph into objects."""
 
     backend: Literal["scikit-network", "python-louvain"] = Field("scikit-network", description="Louvain implementation")
     seed: Annotated[int, Field(ge=0, lt=2**31, description="seed of the node order")] = 0
     objects: Literal["independent", "reference"] = Field(
-        "independent", description="each side is divided by itself, or the simulated one as the real one is"
+        "independent",
+        description="each side partitioned independently, or the simulated one by the real objects",
     )
     reference: Literal["louvain", "labels", "instances"] = Field(
         "louvain",
-        description="objects of the real side: communities, connected pieces of one label, or the input's instances",
+        description="objects of the real side: communities, connected components of a label, or input instances",
     )
     leave_out: tuple[str, ...] = Field(
         ("0", "unlabelled", "unlabeled", "void"),
@@ -210,11 +211,11 @@ class CommunitySettings(_Group):
         float,
         Field(
             gt=0,
-            description="this near to a real point a simulated one is of its object; longest edge in a labelled piece",
+            description="largest distance of a simulated point to its object; longest edge in a labelled component",
         ),
     ] = 1.0
     min_points: Annotated[
-        int, Field(ge=1, description="points that a simulated object, or a piece of one label, has at least to count")
+        int, Field(ge=1, description="fewest points of a simulated object, or of a component of one label")
     ] = 8
 
     @field_validator("leave_out", mode="before", json_schema_input_type=tuple[str, ...] | str)
@@ -234,7 +235,7 @@ class CommunitySettings(_Group):
 
 
 class MatchingSettings(_Group):
-    """Which real object is which simulated one."""
+    """Matching of real and simulated objects."""
 
     delta_m: Annotated[float, Field(gt=0, description="centroids at this distance or farther do not match")] = 5.0
     method: Literal["greedy", "optimal"] = Field(
@@ -246,17 +247,19 @@ class PieceSettings(_Group):
     """Definition of a missing or invented piece of surface."""
 
     reach_m: Annotated[
-        float, Field(gt=0, description="object points with nothing of the other side this near are in pieces")
+        float, Field(gt=0, description="object points with no point of the other side within this distance form pieces")
     ] = 1.0
     link_m: Annotated[
         float,
-        Field(gt=0, description="points this near to each other are of one piece, or of one hallucinated object"),
+        Field(
+            gt=0, description="points within this distance belong to the same piece, or to the same hallucinated object"
+        ),
     ] = 0.6
-    min_points: Annotated[int, Field(ge=1, description="points that a piece has at least")] = 10
+    min_points: Annotated[int, Field(ge=1, description="fewest points of a piece")] = 10
 
 
 class SelectionSettings(_Group):
-    """Which nodes stand for an object."""
+    """Selection of the nodes that represent an object."""
 
     t: Annotated[float, Field(gt=0, le=100, description="diffusion time of the heat kernel")] = 1.0
 
@@ -268,7 +271,7 @@ else:
 
 
 class MetricsSettings(_Group):
-    """Which distances of others are computed beside our scores, and their parameters."""
+    """Baseline metrics to compute in addition to the scores, and their parameters."""
 
     baselines: tuple[BaselineName, ...] = Field(
         (), description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none'
@@ -286,7 +289,7 @@ class MetricsSettings(_Group):
     ] = 2000
     histogram_bins: Annotated[int, Field(ge=2, le=10_000, description="histogram: equal bins from 0 to 1")] = 100
     histogram_order: Annotated[float, Field(ge=1, description="histogram: order of the Minkowski distance")] = 2.0
-    icp_distance_m: Annotated[float, Field(gt=0, description="ICP: farther points are no correspondence")] = 1.0
+    icp_distance_m: Annotated[float, Field(gt=0, description="ICP: largest distance of corresponding points")] = 1.0
     heat_times: Annotated[int, Field(ge=2, le=10_000, description="NetLSD: number of times, log-spaced")] = 250
     heat_time_min: Annotated[float, Field(gt=0, description="NetLSD: first time")] = 0.01
     heat_time_max: Annotated[float, Field(gt=0, description="NetLSD: last time")] = 100.0
@@ -305,7 +308,7 @@ class MetricsSettings(_Group):
     @field_validator("baselines")
     @classmethod
     def _in_order(cls, value: tuple[BaselineName, ...]) -> tuple[BaselineName, ...]:
-        """Each once, in our order: the same list written otherwise asks for the same tables."""
+        """Each name once, in a fixed order, so that the order of the list changes nothing."""
         return tuple(name for name in BASELINE_NAMES if name in value)
 
     @model_validator(mode="after")
@@ -316,20 +319,25 @@ class MetricsSettings(_Group):
 
 
 class StabilitySettings(_Group):
-    """How often a pair is repeated under other seeds."""
+    """Repetition of each pair with other seeds."""
 
     seeds: Annotated[
-        int, Field(ge=1, le=1000, description="seeds of the communities: the set one and those that follow it")
+        int,
+        Field(
+            ge=1,
+            le=1000,
+            description="number of seeds of the communities: the configured seed and those that follow it",
+        ),
     ] = 1
 
 
 class MachineSettings(_Group):
-    """What a run may take of the machine; no result depends on it."""
+    """Limits on the machine's resources; no result depends on them."""
 
     memory_gib: float | None = Field(
         None,
         gt=0,
-        description="memory that all worker processes together may occupy; by default four fifths of what there is",
+        description="most memory of all worker processes together; by default four fifths of the machine's",
         examples=[8.0],
     )
 
@@ -351,7 +359,9 @@ class Settings(_Group):
     def _seeds_stay_in_range(self) -> Settings:
         last = self.communities.seed + self.stability.seeds - 1
         if last >= 2**31:
-            raise ValueError(f"the last of stability.seeds is {last}, below {2**31} is wanted; lower communities.seed")
+            raise ValueError(
+                f"expected seeds below {2**31}, the last of stability.seeds is {last}; lower communities.seed"
+            )
         return self
 
     machine: MachineSettings = MachineSettings()
@@ -370,8 +380,8 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 
 #: What the objects of each preset are.
 PRESET_OBJECTS = {
-    "paper": "each side divided by itself, objects matched by their centroids",
-    "reference": "objects of the real side, simulated points given to the nearest",
+    "paper": "each side partitioned independently, objects matched by their centroids",
+    "reference": "objects of the real side, simulated points assigned to the nearest",
 }
 
 
@@ -382,12 +392,12 @@ def preset_of(settings: Settings) -> str:
     )
 
 
-def departures(settings: Settings) -> list[str]:
-    """The settings that differ from those of their preset, as `graph.k=60`, but for those that no result depends on.
+def overrides(settings: Settings) -> list[str]:
+    """The settings that differ from those of their preset, as `graph.k=60`, except those that no result depends on.
 
     Examples
     --------
-    >>> departures(load(None, ["graph.k=60"], preset="reference"))
+    >>> overrides(load(None, ["graph.k=60"], preset="reference"))
     ['graph.k=60']
     """
     preset = type(settings).model_validate(PRESETS[preset_of(settings)])
@@ -401,13 +411,13 @@ def departures(settings: Settings) -> list[str]:
 
 
 def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: str | None = None) -> Settings:
-    """Settings from a preset, a TOML file (which may have a line `preset = "reference"`), and words like `graph.k=60`.
+    """Settings from a preset, a TOML file (which may have a line `preset = "reference"`), and `graph.k=60`-like words.
 
     Raises
     ------
     SettingsError
-        The preset or a name is unknown, the file cannot be read or has other objects than the preset that is asked for,
-        a word has no `=`, or a value is out of bounds.
+        The preset or a name is unknown, the file cannot be read or has other objects than the requested preset, an
+        assignment has no `=`, or a value is out of bounds.
     """
     values: dict[str, Any] = {}
     if path is not None:
@@ -423,17 +433,17 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
         values["preset"] = preset
     if path is not None and preset is not None and preset_of(parse(values)) != preset:
         raise SettingsError(
-            f"settings file {path}: has communities.objects = {values['communities']['objects']!r}, not as the preset "
-            f"{preset} has it; leave out --preset, or that line of the file"
+            f"settings file {path}: has communities.objects = {values['communities']['objects']!r}, unlike the preset "
+            f"{preset}; remove --preset, or that line of the file"
         )
     for word in assignments:
         name, equals, text = word.partition("=")
         parts = name.strip().split(".")
         if not equals or len(parts) != 2 or not all(parts):
-            raise SettingsError(f"--set {word!r}: GROUP.NAME=VALUE is wanted, such as graph.k=60")
+            raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
         group = values.setdefault(parts[0], {})
         if not isinstance(group, dict):
-            raise SettingsError(f"setting {parts[0]}: {group!r} found, a table of settings is wanted")
+            raise SettingsError(f"setting {parts[0]}: expected a table of settings, got {group!r}")
         group[parts[1]] = _toml_value(text.strip())
     return parse(values)
 

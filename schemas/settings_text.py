@@ -25,9 +25,9 @@ def to_toml(settings: Settings) -> str:
 
 
 def commented_toml(settings: Settings) -> str:
-    """All settings as TOML, each below what it means and beside the values it takes; `load` reads the same back.
+    """All settings as TOML, each with its meaning and allowed values as comments; `load` reads the same settings back.
 
-    What is unset has an example as a comment, since TOML has no word for it. A unit is the end of a name (`tau_m`).
+    An unset value has an example as a comment, since TOML has no null. A unit is the end of a name (`tau_m`).
 
     Examples
     --------
@@ -108,7 +108,7 @@ def _markdown(value: Any) -> str:
 
 
 def _allowed(schema: dict[str, Any]) -> str:
-    """The values that a field takes, in words, from its JSON schema."""
+    """Allowed values of a field as text, from its JSON schema."""
     kinds = [kind for kind in schema.get("anyOf", [schema]) if kind.get("type") != "null"]
     kind = kinds[0]
     if "enum" in kind:

@@ -1,7 +1,7 @@
-"""What the shell offers when Tab is pressed: runs, their pairs and stages, presets, settings, measures.
+"""Shell completion: runs, their pairs and stages, presets, settings and measures.
 
-Each answers at once: nothing but names is imported, and of a run only its record is read. What cannot be read has no
-names; where none is offered, the shell completes files.
+Each answers at once: nothing but names is imported, and only the record of a run is read. If a record cannot be read,
+the shell completes files.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _LARGEST_RECORD = 50_000_000  # bytes: reading one takes a tenth of a second per
 
 
 def run_folders(incomplete: str) -> list[str]:
-    """The folders of runs that begin like this, and those one and two folders down."""
+    """Folders of runs that begin with this text, up to two folders down."""
     above = Path(incomplete if incomplete.endswith("/") else Path(incomplete).parent)
     try:
         found = {str(path.parent) for below in ("*", "*/*") for path in above.glob(f"{below}/{_RECORD}")}
@@ -28,19 +28,19 @@ def run_folders(incomplete: str) -> list[str]:
 
 
 def pairs(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The names of the pairs of the run that stands before."""
+    """Names of the pairs of the run that was typed before."""
     return _beginning(_recorded(ctx.params.get("run"), "inputs"), incomplete)
 
 
 def stages(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The stages of the run that would go on: of `--out`, or of the dataset's folder in runs."""
+    """Stages of the run that would be resumed: that of `--out`, or of the dataset's folder in runs."""
     dataset = next(iter(ctx.args), None)  # an option without its value ends the parsing: arguments are not named yet
     folder = ctx.params.get("out") or (dataset and Path("runs") / Path(dataset).resolve().name)
     return _beginning(_recorded(folder, "stages"), incomplete)
 
 
 def presets(incomplete: str) -> list[str]:
-    """The presets."""
+    """Names of the presets."""
     from ...schemas.settings import PRESETS
 
     return _beginning(PRESETS, incomplete)
@@ -61,7 +61,7 @@ def criteria(incomplete: str) -> list[str]:
 
 
 def _recorded(folder: Any, part: str) -> list[str]:
-    """The names that a part of a run's record is by."""
+    """Names of the entries of one part of a run's record."""
     path = Path(folder or "") / _RECORD
     try:
         record = json.loads(path.read_bytes()) if path.stat().st_size < _LARGEST_RECORD else {}

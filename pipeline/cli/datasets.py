@@ -16,8 +16,8 @@ def synth(
     out: Annotated[
         Path, typer.Argument(help="Folder of the dataset; new, empty, or made by synth.", show_default=False)
     ],
-    pairs: Annotated[int, typer.Option("--pairs", min=1, help="How many streets; each gives one pair.")] = 50,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed gives other streets.")] = 0,
+    pairs: Annotated[int, typer.Option("--pairs", min=1, help="Number of streets, and so of pairs.")] = 50,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the streets.")] = 0,
     sensor: Annotated[
         str,
         typer.Option(
@@ -27,7 +27,7 @@ def synth(
     points: Annotated[
         int | None,
         typer.Option(
-            "--points", min=100, help="About so many points per real scan.", show_default="as the sensor has them"
+            "--points", min=100, help="Approximate number of points per real scan.", show_default="that of the sensor"
         ),
     ] = None,
     workers: LocalWorkers = 1,
@@ -35,8 +35,8 @@ def synth(
 ) -> None:
     """Make a dataset: scans of ray-cast streets, and of a flawed digital twin of each.
 
-    The same seed gives the same bytes. Interrupted, it goes on where it stopped; asked for more pairs, it adds them.
-    Finished pairs of another seed, sensor or number of points are replaced only with --replace.
+    The same seed produces the same bytes. Run again to resume after an interruption, or with a larger --pairs to add
+    pairs. Finished pairs of another seed, sensor or number of points are replaced only with --replace.
 
     For example:
 
@@ -74,23 +74,29 @@ def twin(
     ],
     flaw: Annotated[
         list[str] | None,
-        typer.Option("--flaw", metavar="NAME=AMOUNT[:METRES]", help="A known flaw of all twins; repeatable."),
+        typer.Option("--flaw", metavar="NAME=AMOUNT[:METRES]", help="Known flaw of all twins; repeatable."),
     ] = None,
     sensor: Annotated[
         str,
         typer.Option(
             "--sensor",
-            help="recorded (beams as the recording shows them), vlp32c, hdl64, os1-64, carla, or a table of elevations "
+            help="recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla, or a table of elevations "
             "(.csv, .toml).",
         ),
     ] = "recorded",
     range_noise: Annotated[
         float | None,
-        typer.Option("--range-noise", min=0, max=10, help="Std along the ray, metres.", show_default="the sensor's"),
+        typer.Option(
+            "--range-noise",
+            min=0,
+            max=10,
+            help="Standard deviation of the range noise, metres.",
+            show_default="the sensor's",
+        ),
     ] = None,
     dropout: Annotated[
         float | None,
-        typer.Option("--dropout", min=0, max=1, help="Share of the pulses lost.", show_default="the sensor's"),
+        typer.Option("--dropout", min=0, max=1, help="Share of lost pulses.", show_default="the sensor's"),
     ] = None,
     poses: Annotated[
         Path | None,
@@ -99,33 +105,31 @@ def twin(
     calib: Annotated[
         Path | None, typer.Option("--calib", help="KITTI's calibration, with Tr.", show_default="calib.txt")
     ] = None,
-    others: Annotated[
-        int, typer.Option("--others", min=2, help="Of so many other frames, the nearest, each model is made.")
-    ] = 4,
+    others: Annotated[int, typer.Option("--others", min=2, help="Number of nearest other frames in each model.")] = 4,
     foliage: Annotated[
         str | None,
         typer.Option(
             "--foliage",
             metavar="LABEL[,LABEL]",
-            help="What is foliage, for its flaw.",
-            show_default="what is scattered",
+            help="Labels of foliage, for the flaw foliage.",
+            show_default="scattered points",
         ),
     ] = None,
     pairs: Annotated[
-        str | None, typer.Option("--pairs", metavar="PATTERN", help="Scan again only frames that match, as '*[02468]'.")
+        str | None,
+        typer.Option("--pairs", metavar="PATTERN", help="Only frames whose name matches, such as '*[02468]'."),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other random numbers.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")] = 0,
     assignments: Assignments = None,
     workers: LocalWorkers = 1,
     replace: Replace = False,
 ) -> None:
-    """Make a dataset: posed real scans, and each place scanned again in a model of the other scans.
+    """Make a dataset: posed real scans, and a simulated scan of each place in a model built from the other scans.
 
-    A simulator whose flaws are known: surfels of the other frames, ray casting, and
-    what --flaw names: foliage, holes, far-dropout, dropout, density, beams, blur,
-    noise, ghosts, yaw, offset, mirrored (amounts: docs/twin.md). twin.toml beside
-    the scans is the recipe; the same recipe gives the same bytes. Interrupted, it
-    goes on where it stopped.
+    A simulator whose flaws are known: it casts rays onto surfels of the other frames and adds the flaws that --flaw
+    names: foliage, holes, far-dropout, dropout, density, beams, blur, noise, ghosts, yaw, offset, mirrored (amounts:
+    docs/twin.md). twin.toml next to the scans is the recipe; the same recipe produces the same bytes. Run again to
+    resume after an interruption.
 
     For example:
 
@@ -172,23 +176,25 @@ def pair(
         Path,
         typer.Argument(help="Bag, capture or folder of scans; a topic as drive.mcap#/points.", show_default=False),
     ],
-    sim: Annotated[Path, typer.Argument(help="The same of the simulator.", show_default=False)],
+    sim: Annotated[Path, typer.Argument(help="Bag, capture or folder of scans of the simulator.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the dataset.", show_default=False)],
     tolerance: Annotated[
-        float, typer.Option("--tolerance", min=1e-6, help="Two frames of one time are at most so far apart, seconds.")
+        float, typer.Option("--tolerance", min=1e-6, help="Largest time between the two frames of a pair, seconds.")
     ] = 0.05,
     offset: Annotated[
         float | None,
-        typer.Option("--offset", help="Added to simulated times, seconds.", show_default="by which most frames pair"),
+        typer.Option(
+            "--offset", help="Seconds added to simulated times.", show_default="the one that pairs most frames"
+        ),
     ] = None,
-    every: Annotated[int, typer.Option("--every", min=1, help="Only each so many-th pair.")] = 1,
+    every: Annotated[int, typer.Option("--every", min=1, help="Only every Nth pair.")] = 1,
     start: Annotated[float, typer.Option("--from", help="Only pairs from here on, seconds after the first.")] = 0.0,
     stop: Annotated[
         float | None, typer.Option("--to", help="Only pairs up to here, seconds after the first.", show_default="all")
     ] = None,
-    replace: Annotated[bool, typer.Option("--replace", help="Replace a manifest that is there already.")] = False,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace an existing manifest.")] = False,
 ) -> None:
-    """Make a dataset of the frames of two recordings that were taken at the same time; nothing is copied.
+    """Make a dataset from the frames of two recordings that were taken at the same time; nothing is copied.
 
     Its pairs.csv points into the recordings; unpaired.csv lists the frames without a partner.
 
@@ -215,7 +221,7 @@ def pair(
     if pairing.others_s:
         print_line(
             f"{len(pairing.others_s)} other offsets pair as many, such as {pairing.others_s[0]:+.4f} s: "
-            "if this is not the right one, name it with --offset"
+            "if this is not the right one, set it with --offset"
         )
     if n_unpaired:
         print_line(f"{n_unpaired} frames have no partner: {out / 'unpaired.csv'}")
@@ -235,11 +241,11 @@ def convert(
         str | None,
         typer.Option("--columns", help="Names of the columns of a raw file (.bin), as x,y,z,intensity,ring."),
     ] = None,
-    replace: Annotated[bool, typer.Option("--replace", help="Replace files that are there already.")] = False,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace existing files.")] = False,
 ) -> None:
     """Write a scan, or the frames of a bag or a capture, as Parquet, PLY or PCD.
 
-    Coordinates keep every bit; intensity, ring, time, label, instance and incidence go with them where a scan has them.
+    Coordinates keep every bit; intensity, ring, time, label, instance and incidence are kept if the scan has them.
 
     For example:
 
@@ -247,7 +253,7 @@ def convert(
 
     fidpipe convert drive.mcap#/lidar/points@12 frame.pcd
 
-    fidpipe convert capture.pcap frames/ --to ply        every turn of the sensor
+    fidpipe convert capture.pcap frames/ --to ply        every revolution of the sensor
     """
     from ..datasets.writers import convert as write
 

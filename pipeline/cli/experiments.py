@@ -30,7 +30,7 @@ def perturb(
         typer.Option(
             "--sweep",
             metavar="KIND[=AMOUNTS]",
-            help="What to sweep instead of everything: noise, dropout, rigid, hallucination, density; repeatable.",
+            help="Sweeps to run instead of all: noise, dropout, rigid, hallucination, density; repeatable.",
         ),
     ] = None,
     objects: Annotated[
@@ -45,14 +45,14 @@ def perturb(
     metrics: Annotated[
         str | None,
         typer.Option(
-            "--metrics", metavar="chamfer,emd", help='Sweep these baselines on the objects too; "all" for all.'
+            "--metrics", metavar="chamfer,emd", help='Also sweep these baseline metrics on the objects; "all" for all.'
         ),
     ] = None,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="How often each level is tried on an object.")] = 20,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Number of trials of each level on an object.")] = 20,
     global_repeats: Annotated[
-        int, typer.Option("--global-repeats", min=0, help="The same for the whole scan; 0 leaves it out.")
+        int, typer.Option("--global-repeats", min=0, help="Number of trials on the whole scan; 0 omits it.")
     ] = 5,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other random numbers.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")] = 0,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -60,17 +60,15 @@ def perturb(
     scheduler: Scheduler = None,
     pairs: Annotated[
         str | None,
-        typer.Option("--pairs", metavar="PATTERN", help="Of a dataset all matching pairs, not the first one alone."),
+        typer.Option("--pairs", metavar="PATTERN", help="All matching pairs of a dataset instead of the first one."),
     ] = None,
     replace: Replace = False,
 ) -> None:
-    """Alter a real scan in known ways and see how the scores answer: the paper's Table I and its figure.
+    """Alter a real scan in known ways and see how the scores respond: the paper's Table I and its figure.
 
-    Noise, dropout, rigid motion, spurious clusters (hallucination) and local
-    density, on all object points of the scan and on single objects. Of a dataset
-    the real side of the first pair is taken. Run again, it goes on where it stopped;
-    finished levels, objects or settings that are not asked for again need --replace
-    or another --out.
+    Noise, dropout, rigid motion, spurious clusters (hallucination) and local density, on all object points of the scan
+    and on single objects. Of a dataset, the real side of the first pair is used. Run again to resume. To drop finished
+    levels or objects, or to change settings, use --replace or another --out.
 
     Examples
     --------
@@ -118,13 +116,15 @@ def ablate(
         str | None, typer.Option("--k", metavar="30,60,90", help="Values of graph.k. Default: 30,60,90,120,150.")
     ] = None,
     tau: Annotated[
-        str | None, typer.Option("--tau", metavar="0.1,0.2", help="Of graph.tau_m, metres. Default: 0.1,0.2,0.3,0.5.")
+        str | None,
+        typer.Option("--tau", metavar="0.1,0.2", help="Values of graph.tau_m, metres. Default: 0.1,0.2,0.3,0.5."),
     ] = None,
     delta: Annotated[
-        str | None, typer.Option("--delta", metavar="3,5", help="Of matching.delta_m, metres. Default: 1,3,5,7,10.")
+        str | None,
+        typer.Option("--delta", metavar="3,5", help="Values of matching.delta_m, metres. Default: 1,3,5,7,10."),
     ] = None,
     t: Annotated[
-        str | None, typer.Option("--t", metavar="0.5,1,2", help="Of selection.t. Default: 0.1,0.5,1,2,5.")
+        str | None, typer.Option("--t", metavar="0.5,1,2", help="Values of selection.t. Default: 0.1,0.5,1,2,5.")
     ] = None,
     grid: Annotated[bool, typer.Option("--grid", help="All combinations instead of one setting at a time.")] = False,
     preset: Preset = None,
@@ -137,10 +137,9 @@ def ablate(
 ) -> None:
     """See how match rate and r_lambda depend on k, tau, delta and t, and which setting the data prefer, if any.
 
-    One setting is moved at a time, around those in force (--settings, --set), on all
-    pairs. Graphs are made once for each k and tau. Run again, it goes on where it
-    stopped; further values are added, finished ones that are not asked for again
-    need --replace or another --out. --k with a single value leaves k alone.
+    One setting is varied at a time, around the effective ones (--settings, --set), on all pairs. Graphs are computed
+    once for each k and tau. Run again to resume or to add values; to drop finished values use --replace or another
+    --out. --k with a single value keeps k fixed.
 
     Examples
     --------

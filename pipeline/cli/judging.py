@@ -1,4 +1,4 @@
-"""The commands that judge finished runs: gate, compare, verify."""
+"""The commands that evaluate finished runs: gate, compare, verify."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .output import print_as, print_json, print_view
 
 def gate(
     run: RunFolder,
-    at_most: Annotated[list[str] | None, criterion_option("--max", "The measure may be at most this")] = None,
-    at_least: Annotated[list[str] | None, criterion_option("--min", "The measure must be at least this")] = None,
+    at_most: Annotated[list[str] | None, criterion_option("--max", "Upper bound of a measure")] = None,
+    at_least: Annotated[list[str] | None, criterion_option("--min", "Lower bound of a measure")] = None,
     criteria: Annotated[
         Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
     ] = None,
@@ -24,16 +24,14 @@ def gate(
     junit: Annotated[
         Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
     ] = None,
-    json_: Annotated[
-        Path | None, typer.Option("--json", help="The same as JSON.", show_default="RUN/gate.json")
-    ] = None,
+    json_: Annotated[Path | None, typer.Option("--json", help="Result as JSON.", show_default="RUN/gate.json")] = None,
     out: Annotated[Path | None, out_option("Folder for gate.xml and gate.json.", "the run's own")] = None,
 ) -> None:
-    """Judge a finished run by acceptance criteria; exits with 0 if all are met, with 4 if one is not.
+    """Check a finished run against acceptance criteria; exits with 0 if all are met, with 4 if one is not.
 
-    A criterion on something that could not be computed fails. So do, unless other bounds are given for pairs.failed,
-    pairs.to_do and pairs.changed, a run with failed pairs, one that is not finished, and one whose scans have changed.
-    Where the run's folder may not be written (a read-only medium), the verdict is printed alone.
+    A criterion on a measure that could not be computed fails. So does a run with failed pairs, an unfinished run, and
+    one whose scans have changed, unless there are other bounds for pairs.failed, pairs.to_do and pairs.changed. If the
+    run's folder is read-only, the result is only printed.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
     missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
@@ -57,7 +55,7 @@ def gate(
     wanted += [parse_word(word, "max") for word in at_most or []]
     wanted += [parse_word(word, "min") for word in at_least or []]
     if not wanted:
-        raise typer.BadParameter("no criterion is given; --max, --min or --criteria is wanted")
+        raise typer.BadParameter("no criterion given; expected --max, --min or --criteria")
     result = judge_run(run, wanted, floor)
     folder = out or run
     _write_for_ci(junit, folder / "gate.xml", junit_xml("gate", {str(run): gate_checks(result)}), is_asked=bool(out))
@@ -76,7 +74,7 @@ def compare(
             autocompletion=completion.run_folders,
         ),
     ],
-    html: Annotated[Path | None, typer.Option("--html", help="Write a page of its own to this file.")] = None,
+    html: Annotated[Path | None, typer.Option("--html", help="Write a web page to this file.")] = None,
     out: Annotated[Path | None, out_option("Folder for compare.html (and with --fail-on the files for CI).")] = None,
     floor: Floor = None,
     as_json: AsJson = False,
@@ -89,14 +87,14 @@ def compare(
         typer.Option(
             "--fail-on",
             metavar="worse|undecided",
-            help="Exit with 4 if a family is worse or mixed, or a pair fails now; undecided: or nothing is decided.",
+            help="Exit with 4 if a family is worse or mixed, or a pair newly fails; undecided: or nothing is decided.",
         ),
     ] = None,
     junit: Annotated[
         Path | None, typer.Option("--junit", help="JUnit XML of --fail-on.", show_default="RUN_B/compare.xml")
     ] = None,
     json_file: Annotated[
-        Path | None, typer.Option("--json-file", help="The same as JSON.", show_default="RUN_B/compare.json")
+        Path | None, typer.Option("--json-file", help="Result of --fail-on as JSON.", show_default="RUN_B/compare.json")
     ] = None,
     history: Annotated[
         bool, typer.Option("--history", help="All runs in one table, each against the first and the one before.")
@@ -146,7 +144,7 @@ def compare(
     from ..storage.record import dumps
 
     if not 2 <= len(runs) <= MOST_RUNS:
-        raise typer.BadParameter(f"{len(runs)} run{'s' * (len(runs) > 1)} given, 2 to {MOST_RUNS} are wanted")
+        raise typer.BadParameter(f"{len(runs)} run{'s' * (len(runs) > 1)} given; expected 2 to {MOST_RUNS}")
     output = format_of(as_json, as_markdown, as_csv)
     if fail_on is not None and fail_on not in FAIL_ON:
         raise typer.BadParameter(f"--fail-on {fail_on}: {' or '.join(FAIL_ON)} is wanted")
@@ -186,19 +184,20 @@ def compare(
 def verify(
     run: RunFolder,
     objects: Annotated[
-        int | None, typer.Option("--objects", min=1, help="How many objects are drawn.", show_default="20")
+        int | None, typer.Option("--objects", min=1, help="Number of objects in the sample.", show_default="20")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another one draws others.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sample.")] = 0,
     all_: Annotated[
-        bool, typer.Option("--all", help="Every object, every node's edges, both whole sides of every pair.")
+        bool,
+        typer.Option("--all", help="Every object, the edges of every node, and both complete sides of every pair."),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compute a sample of a finished run again, another way, and compare; exits with 4 if a number does not agree.
+    """Recompute a sample of a finished run in an independent way; exits with 4 if a number does not agree.
 
-    Every file is read and must be as it was written. Objects are drawn at random, and from the stored tables before it
-    each table's numbers of these are made again by loops, all distances and dense matrices, which share no code with
-    the stages. Nothing is written. Where the dataset is gone, all but the cleaning of the scans is compared.
+    Every file is read and must be as it was written. For objects drawn at random, the numbers of each table are
+    recomputed from the stored tables before it, by loops, all distances and dense matrices that share no code with the
+    stages. Nothing is written. If the dataset is missing, everything except the cleaning of the scans is compared.
 
     Examples
     --------
@@ -206,10 +205,10 @@ def verify(
 
     fidpipe verify runs/dataset --objects 200 --seed 7
 
-    fidpipe verify runs/dataset --all --json    every object; minutes a pair
+    fidpipe verify runs/dataset --all --json    every object; minutes per pair
     """
     if all_ and objects is not None:
-        raise typer.BadParameter("--all is every object, --objects some; give one of the two")
+        raise typer.BadParameter("--all and --objects exclude each other; give one of them")
     from ..engine.progress import Reporter
     from ..engine.tasks import counting
     from ..verify.verify import verify_run
@@ -234,7 +233,7 @@ def _history(runs: list[Path], page: Path | None, output: str, **options: bool) 
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:
-    """Writes a file that CI reads; where nobody asked for that place, a failure is a warning: the verdict stands."""
+    """Write a file for CI; failing to write to a default path is only a warning, as the result is printed too."""
     from ...schemas.errors import RunError
     from ..engine.progress import Reporter
     from ..storage.files import write_whole

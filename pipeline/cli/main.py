@@ -46,7 +46,7 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Runs the command and exits with its code."""
+    """Run the command and exit with its code."""
     _open_streams()
     from ...schemas.errors import FidpipeError
 
@@ -73,7 +73,7 @@ def main() -> None:
         code = getattr(error, "exit_code", 2)
     _ignore_interrupts()
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
-        _complain("interrupted; run the same command again to go on")
+        _complain("interrupted; run the same command again to resume")
     sys.exit(_flushed(code))
 
 
@@ -87,7 +87,7 @@ def _open_streams() -> None:
 
 
 def _flushed(code: int | None) -> int | None:
-    """The exit code once all is written to standard output; 1 where it cannot be and there was no other fault."""
+    """Exit code after all output is flushed; 1 if that fails and there was no other error."""
     try:
         sys.stdout.flush()
         return code
@@ -99,13 +99,13 @@ def _flushed(code: int | None) -> int | None:
 
 
 def _refusal(error: OSError) -> str:
-    """What the system does not grant, and what may be done about it; "" where that is not the cause."""
+    """Message of an error of the system with the next step; "" if the error has another cause."""
     if error.errno == errno.ENOENT and not _has_working_folder():
         return "the folder in which the command was started is gone; change to another one"
     if error.errno in _FILES:
         return f"{error.strerror}; raise ulimit -n, or take fewer --workers"
     if error.filename is None and error.errno in _REFUSALS:
-        return f"standard output: {error.strerror}; what was written into files is whole"
+        return f"standard output: {error.strerror}; files that were written are intact"
     return (
         f"{error.filename}: {error.strerror}; allow it there, or name another place" if error.errno in _REFUSALS else ""
     )

@@ -10,7 +10,7 @@ import typer
 from . import completion
 
 SettingsFile = Annotated[
-    Path | None, typer.Option("--settings", help="TOML file with settings; those it does not name keep their defaults.")
+    Path | None, typer.Option("--settings", help="TOML file with settings; others keep their defaults.")
 ]
 Assignments = Annotated[
     list[str] | None,
@@ -28,8 +28,8 @@ Preset = Annotated[
         metavar="paper|reference",
         show_default="paper",
         autocompletion=completion.presets,
-        help="Settings that belong together: paper divides each side by itself; reference fixes the objects on the "
-        "real side, for comparing simulators.",
+        help="Settings that belong together: paper partitions each side independently; reference fixes the objects "
+        "on the real side, for comparing simulators.",
     ),
 ]
 DatasetFolder = Annotated[
@@ -55,7 +55,7 @@ Workers = Annotated[
     ),
 ]
 LocalWorkers = Annotated[
-    int, typer.Option("--workers", min=1, help="Processes on this machine; they change nothing but the time.")
+    int, typer.Option("--workers", min=1, help="Processes on this machine; results do not depend on it.")
 ]
 Scheduler = Annotated[
     str | None,
@@ -67,7 +67,7 @@ PairTimeout = Annotated[
         "--pair-timeout",
         metavar="SECONDS",
         min=0.001,
-        help="A pair that takes workers longer than this, all its parts together, fails; the others go on.",
+        help="A pair whose jobs take longer than this in total fails; the others continue.",
         show_default="no limit",
     ),
 ]
@@ -76,7 +76,7 @@ Floor = Annotated[
     typer.Option(
         "--floor",
         metavar="RUN",
-        help="Scores also over this floor, a run of fidpipe floor of the same real scans.",
+        help="Also show scores minus this floor, a run of fidpipe floor on the same real scans.",
         autocompletion=completion.run_folders,
     ),
 ]
@@ -107,13 +107,13 @@ EXIT_INTERRUPTED = 130
 
 
 def format_of(as_json: bool, as_markdown: bool, as_csv: bool) -> str:
-    """The format of the output, "" for people; raises `typer.BadParameter` if more than one is asked for."""
+    """Format of the output, "" for people; raises `typer.BadParameter` if more than one is requested."""
     if as_json + as_markdown + as_csv > 1:
-        raise typer.BadParameter("--json, --markdown and --csv are formats of the same; give one of them")
+        raise typer.BadParameter("--json, --markdown and --csv exclude each other; give one of them")
     return "json" if as_json else "markdown" if as_markdown else "csv" if as_csv else ""
 
 
 def check_machines(workers: int | None, scheduler: str | None) -> None:
-    """Raises `typer.BadParameter` where both a number of workers and a cluster are given."""
+    """Raise `typer.BadParameter` if both a number of workers and a cluster are given."""
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")

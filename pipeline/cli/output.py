@@ -1,4 +1,4 @@
-"""The way to standard output of the commands: views for people, JSON for programs."""
+"""Standard output of the commands: views for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def print_view(view: View) -> None:
-    """Prints a view: as wide as the terminal, unwrapped into a file or a pipe."""
+    """Print a view: as wide as the terminal, unwrapped into a file or a pipe."""
     from ..report.render import terminal
     from ..terminal import Terminal
 
@@ -31,7 +31,7 @@ def print_view(view: View) -> None:
 def print_as(
     output: str, view: Callable[[], View], records: Callable[[], Table], values: Callable[[], JsonValue]
 ) -> None:
-    """Prints a result as "json", "csv" or "markdown", or for people ("")."""
+    """Print a result as "json", "csv" or "markdown", or for people ("")."""
     from ..report.render import csv_table, markdown
 
     if output == "json":
@@ -43,7 +43,7 @@ def print_as(
 
 
 def print_outcome(result: View | JsonObject, failures: Mapping[str, str]) -> None:
-    """Prints what a command has made and ends it: `typer.Exit`, with the code for failed pairs if there are any.
+    """Print the result of a command and raise `typer.Exit`, with the code for failed pairs if there are any.
 
     Parameters
     ----------
@@ -54,16 +54,16 @@ def print_outcome(result: View | JsonObject, failures: Mapping[str, str]) -> Non
 
 
 def print_line(text: str) -> None:
-    """Prints a line; what could steer a terminal, in the name of a file, is shown by its number."""
+    """Print a line; control characters in names are escaped."""
     print(shown(text))
 
 
 def print_text(text: str) -> None:
-    """Prints Markdown or CSV as it is, in UTF-8 whatever the terminal's language."""
+    """Print Markdown or CSV in UTF-8, regardless of the terminal's language."""
     sys.stdout.flush()
     sys.stdout.buffer.write(text.encode())
 
 
 def print_json(values: JsonValue) -> None:
-    """Prints plain values as strict JSON, in ASCII, so that no terminal and no name can spoil it."""
+    """Print plain values as strict JSON in ASCII."""
     sys.stdout.write(json.dumps(values, indent=1, allow_nan=False) + "\n")

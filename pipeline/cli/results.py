@@ -1,4 +1,4 @@
-"""The commands that show finished runs, or hand them on: show, report, export."""
+"""The commands that show or export finished runs: show, report, export."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ def show(
         typer.Argument(metavar="[OBJECT]", help="Object of the pair: 7 of the real side, sim:7 of the simulated one."),
     ] = None,
     paper: Annotated[
-        bool, typer.Option("--paper", help="The paper's claims beside what is found here, one line each.")
+        bool, typer.Option("--paper", help="The paper's claims next to the results of this run, one line each.")
     ] = False,
-    all_: Annotated[bool, typer.Option("--all", help="All tables of the run before its first answer.")] = False,
+    all_: Annotated[bool, typer.Option("--all", help="All tables of the run, before the summary.")] = False,
     floor: Floor = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
 ) -> None:
-    """Show a finished run, one of its pairs, or one object; computes nothing but the verdicts of --paper.
+    """Show a finished run, one of its pairs, or one object.
 
     Examples
     --------
-    fidpipe show runs/dataset                  the first answer that the run ended with; --all for every table
+    fidpipe show runs/dataset                  the summary that the run ended with; --all for every table
 
     fidpipe show runs/dataset --paper          which of the paper's claims hold here
 
@@ -43,11 +43,11 @@ def show(
 
     fidpipe show runs/dataset 0007 12          real object 12 and its simulated partner; sim:3 for a simulated one
 
-    fidpipe show runs/dataset --floor runs/dataset-floor    each score over what a perfect simulator would score
+    fidpipe show runs/dataset --floor runs/dataset-floor    each score minus that of a perfect simulator
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
 
-    fidpipe show runs/dataset --markdown       the first answer, for a merge request
+    fidpipe show runs/dataset --markdown       the summary, for a merge request
 
     fidpipe show runs/dataset --csv > pairs.csv    one row per pair; of a pair one row per object
     """
@@ -94,7 +94,7 @@ def report(
     out: Annotated[Path | None, out_option("Folder for page and figures.", "the run's own")] = None,
     opens: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
-    """Make a page that shows a finished run, and the paper's figures; the page opens from disk and loads nothing.
+    """Make a self-contained web page of a finished run, and the paper's figures.
 
     RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs in 3D (the worst,
     the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG, SVG and PDF.
@@ -131,22 +131,22 @@ def export(
         bool, typer.Option("--mcap", help="One MCAP file of ROS 2 messages, NAME.mcap; needs the extra ros.")
     ] = False,
     ply: Annotated[
-        bool, typer.Option("--ply", help="Two PLY files a pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.")
+        bool, typer.Option("--ply", help="Two PLY files per pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.")
     ] = False,
     pairs: Pairs = None,
     out: Annotated[Path | None, out_option("Folder for the files.", "RUN/export")] = None,
     replace: Annotated[
-        bool, typer.Option("--replace", help="Replace files too that fidpipe export did not write.")
+        bool, typer.Option("--replace", help="Also replace files that fidpipe export did not write.")
     ] = False,
 ) -> None:
     """Write the points of a finished run with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
 
     Each clean point has x, y, z, community (its object, -1: ground), r_lambda, cdc, distance_m (to the other side; NaN
-    where there is none) and status: 0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated.
+    if it has no points) and status: 0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated.
 
-    MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a point an object, at
+    MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a point per object, at
     its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a pair's scores as JSON). Stamps are those of
-    the dataset where each pair has its own, else a second apart.
+    the dataset if every pair has one, otherwise a second apart.
 
     Examples
     --------
@@ -163,7 +163,7 @@ def export(
     from ..storage.files import megabytes
 
     if not (mcap or ply):
-        raise typer.BadParameter("no format is given; --mcap or --ply, or both, is wanted")
+        raise typer.BadParameter("no format given; expected --mcap, --ply or both")
     reporter = Reporter()
     finished, folder = FinishedRun(run), out or run / "export"
     with counting(reporter) as pair_done:

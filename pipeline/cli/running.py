@@ -1,4 +1,4 @@
-"""The commands around a run: its settings, check what it would read, make it or its floor, ask how far it is."""
+"""The commands around a run: settings, check, run, floor and status."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def settings(
         bool, typer.Option("--json-schema", help="The JSON schema of such files, for editors and other programs.")
     ] = False,
 ) -> None:
-    """Print all settings as a TOML file with comments, to change and to give to --settings.
+    """Print all settings as a commented TOML file, to edit and pass to --settings.
 
-    Each has its meaning and the values it takes beside it. Without options they are the defaults.
+    Each comes with its meaning and allowed values. Without options, the values are the defaults.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def settings(
     from ...schemas.settings import load
 
     if json_schema and (preset or settings or assignments):
-        raise typer.BadParameter("--json-schema is of every file of settings; give it alone")
+        raise typer.BadParameter("--json-schema does not depend on other options; give it alone")
     if json_schema:
         print_json(settings_text.json_schema())
     else:
@@ -67,7 +67,7 @@ def check(
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what would be read from a dataset, and what is wrong with it; computes nothing.
+    """Show what a run would read from a dataset, and what is wrong with it.
 
     Lengths are metres, angles degrees; scans have x forward, y left, z up unless input.real_frame or input.sim_frame
     says otherwise. Exits with 1 if anything is wrong.
@@ -103,7 +103,7 @@ def run(
         typer.Option(
             "--from",
             metavar="STAGE",
-            help="Make this stage and those after it again.",
+            help="Recompute this stage and all later stages.",
             autocompletion=completion.stages,
         ),
     ] = None,
@@ -111,17 +111,19 @@ def run(
     seeds: Annotated[
         int | None,
         typer.Option(
-            "--seeds", min=1, help="Repeat communities to metrics with so many seeds; tells how stable scores are."
+            "--seeds",
+            min=1,
+            help="Number of seeds for which communities to metrics are repeated, to see how stable the scores are.",
         ),
     ] = None,
     replace: Replace = False,
     as_json: AsJson = False,
 ) -> None:
-    """Evaluate a dataset, stage by stage; run again, it goes on where it stopped.
+    """Evaluate a dataset, stage by stage; run again to resume.
 
-    What is there already and still right is not computed again. A finished run keeps its results: other settings need
-    --replace or another --out. It ends with how much surface is simulated, missing and invented pieces, what to fix
-    first, the worst places and the object scores. Exits with 0 if all pairs are scored, 3 if some failed.
+    Up-to-date results are reused. To replace the results of a finished run with those of other settings, use --replace
+    or another --out. The summary has the share of the surface that is simulated, missing and invented pieces, what to
+    fix first, the worst places and the object scores. Exits with 0 if all pairs are scored, 3 if some failed.
 
     Examples
     --------
@@ -129,19 +131,19 @@ def run(
 
     fidpipe run dataset/ --set matching.delta_m=3 --out runs/delta3
 
-    fidpipe run dataset/ --set matching.delta_m=3 --replace    only matching and what follows is made again
+    fidpipe run dataset/ --set matching.delta_m=3 --replace    recompute matching and later stages only
 
     fidpipe run dataset/ --from metrics --pairs '0001*' --workers 8
 
     fidpipe run dataset/ --preset reference --out runs/dataset-reference    for comparing simulators
 
-    fidpipe run dataset/ --set metrics.baselines=chamfer,emd    the distances of others as well; "all" for all
+    fidpipe run dataset/ --set metrics.baselines=chamfer,emd    also compute baseline metrics; "all" for all of them
 
     fidpipe run dataset/ --json | jq '.record.overview.causes'    progress goes to standard error
 
     fidpipe run dataset/ --scheduler tcp://host:8786    on a cluster: docs/cluster.md
 
-    fidpipe run dataset/ --pair-timeout 600      a pair that takes more than 10 minutes of work fails, the others go on
+    fidpipe run dataset/ --pair-timeout 600      a pair that takes more than 10 minutes fails, the others continue
     """
     from ...schemas.settings import load
     from ..engine import prefork
@@ -151,7 +153,7 @@ def run(
     in_force = load(settings, [*(assignments or []), *repeats], preset=preset)
     out = out or Path("runs") / (dataset.resolve().name or "dataset")
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
-        prefork.start(["fidpipe.pipeline.jobs"])  # a new run: workers will be wanted when all else is imported
+        prefork.start(["fidpipe.pipeline.jobs"])  # a new run needs workers as soon as all else is imported
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
@@ -161,9 +163,7 @@ def run(
 
     stage_names = [stage.name for stage in stages_under(in_force)]
     if from_stage is not None and from_stage not in stage_names:
-        raise typer.BadParameter(
-            f"{from_stage!r} is no stage; one of {', '.join(stage_names)} is wanted", param_hint="--from"
-        )
+        raise typer.BadParameter(f"expected one of {', '.join(stage_names)}; got {from_stage!r}", param_hint="--from")
     outcome = run_dataset(
         dataset,
         out,
@@ -189,7 +189,7 @@ def floor(
             "--noise-m",
             min=0,
             max=10,
-            help="Std of the noise along the ray, metres.",
+            help="Standard deviation of the range noise, metres.",
             show_default="measured on each scan",
         ),
     ] = None,
@@ -199,22 +199,24 @@ def floor(
             "--dropout",
             min=0,
             max=0.99,
-            help="Share of the points that are lost.",
+            help="Share of lost points.",
             show_default="measured on each scan",
         ),
     ] = None,
     neighbours: Annotated[
         bool,
-        typer.Option("--neighbours", help="Against the next real scan, by the poses T_world_sensor in pairs.csv."),
+        typer.Option(
+            "--neighbours", help="Compare with the next real scan instead, by the poses T_world_sensor in pairs.csv."
+        ),
     ] = False,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed draws other noise and losses.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and losses.")] = 0,
     pairs: Pairs = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     pair_timeout: PairTimeout = None,
     replace: Replace = False,
 ) -> None:
-    """Evaluate a perfect simulator: each real scan of a dataset against itself measured again.
+    """Evaluate a perfect simulator: each real scan of a dataset against a simulated second measurement of itself.
 
     Its scores are the floor, an estimate of the scores of two measurements of one scene by one sensor. The simulated
     side of the dataset is not read. The result is a run, which show, report, gate and compare take as --floor; give it
@@ -238,7 +240,9 @@ def floor(
 
     check_machines(workers, scheduler)
     if neighbours and (noise_m is not None or dropout is not None):
-        raise typer.BadParameter("--noise-m and --dropout are of a scan measured again; --neighbours measures nothing")
+        raise typer.BadParameter(
+            "--neighbours takes neither --noise-m nor --dropout: its second measurement is a real scan"
+        )
     in_force = load(settings, assignments or [], preset=preset)
 
     from ..engine.engine import Machines
@@ -264,9 +268,9 @@ def floor(
 
 def status(
     run: RunFolder,
-    timings: Annotated[bool, typer.Option("--timings", help="Milliseconds by step, beside the paper's.")] = False,
+    timings: Annotated[bool, typer.Option("--timings", help="Milliseconds by step, next to the paper's.")] = False,
 ) -> None:
-    """Show how far a run is: which stages all pairs have, and of the others how many are done, stale, failed or to do.
+    """Show the progress of a run: the number of pairs done, stale, failed and to do, by stage.
 
     Examples
     --------

@@ -23,7 +23,7 @@ from ...schemas.errors import RunError
 from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.record import FrameSuspect, Machine, MetricsSummary, PairCounts, RunHeader, RunRecord, Seconds
 from ...schemas.results import Findings, PreviousRun, ScoreSummary
-from ...schemas.settings import Settings, departures, preset_of
+from ...schemas.settings import Settings, overrides, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
 from .tables import JobRecord
@@ -161,7 +161,7 @@ def run_header(
         written=datetime.now(UTC).isoformat(timespec="seconds"),
         dataset=str(dataset.resolve()),
         preset=preset_of(settings),
-        departures=tuple(departures(settings)),
+        departures=tuple(overrides(settings)),
         settings=settings.model_dump(mode="json"),
         seed=settings.communities.seed,
         stages=dict(stages),

@@ -64,7 +64,7 @@ def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path
     wait_for(out / "matching" / "000002.parquet")  # only objects are left
     terminal.sendintr()
     begun = time.monotonic()
-    terminal.expect("interrupted; run the same command again to go on")
+    terminal.expect("interrupted; run the same command again to resume")
     terminal.expect(pexpect.EOF)
     terminal.close()
     assert time.monotonic() - begun < 15  # 1 to 4 on a machine with nothing else to do

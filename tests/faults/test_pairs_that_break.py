@@ -183,5 +183,5 @@ def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_p
         time.sleep(0.5)
         started.process.terminate()
         code, errors = started.end()
-        assert (code, lines_of(errors)[-1:]) == (130, ["interrupted; run the same command again to go on"])
+        assert (code, lines_of(errors)[-1:]) == (130, ["interrupted; run the same command again to resume"])
     assert_resumes(dataset, out, undisturbed, start=own_process)

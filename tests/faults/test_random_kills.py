@@ -13,7 +13,7 @@ from runs import assert_same_tables, some_of, temporary_files
 from tries import Started, assert_resumes, lines_of
 
 N_PAIRS = 6
-INTERRUPTED = "interrupted; run the same command again to go on"
+INTERRUPTED = "interrupted; run the same command again to resume"
 
 
 @pytest.fixture(scope="module")

@@ -112,7 +112,7 @@ def test_the_command_takes_up_to_eight_runs(runs, tmp_path):
     assert (tmp_path / "page.html").exists()
     refused = CliRunner().invoke(app, ["compare", *[str(runs[0])] * 9, "--history"])
     assert refused.exit_code == 2
-    assert "9 runs given, 2 to 8 are wanted" in refused.output
+    assert "9 runs given; expected 2 to 8" in refused.output
 
 
 def test_runs_without_a_pair_that_all_have_are_refused(runs, tmp_path):

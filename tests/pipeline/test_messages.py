@@ -87,7 +87,7 @@ def test_a_manifest_column_of_ones_own_is_ignored_with_a_warning(dataset, tmp_pa
 
 @pytest.mark.parametrize("value", ['"1 2 3"', "[1, 2, 3]", "1 2 3"])
 def test_a_box_of_three_numbers_says_how_many_are_wanted(value):
-    with pytest.raises(SettingsError, match=r"six numbers are wanted \(xmin ymin zmin xmax ymax zmax\), not 3"):
+    with pytest.raises(SettingsError, match=r"expected six numbers \(xmin ymin zmin xmax ymax zmax\), got 3"):
         load(None, [f"input.exclude_box={value}"])
     assert load(None, ["input.exclude_box=-1,-1,-1,1,1,1"]).input.exclude_box == (-1, -1, -1, 1, 1, 1)
 

@@ -12,7 +12,7 @@ from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import departures, load, parse, preset_of
+from fidpipe.schemas.settings import load, overrides, parse, preset_of
 from fidpipe.schemas.settings_text import to_toml
 from runs import changed_files, command, marks, run, tables
 from scenes import box, drifted, street, write_bin, write_dataset
@@ -160,9 +160,9 @@ def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path):
 )
 def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, named, departing):
     settings = load(None, words, preset=preset)
-    assert (preset_of(settings), departures(settings)) == (named, departing)
+    assert (preset_of(settings), overrides(settings)) == (named, departing)
     if departing:
-        assert load(None, departures(settings), preset=named) == settings
+        assert load(None, overrides(settings), preset=named) == settings
 
 
 def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
@@ -170,7 +170,7 @@ def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
         load(None, preset="papr")
     named = tmp_path / "named.toml"
     named.write_text('preset = "reference"\n[graph]\nk = 60\n')
-    assert departures(load(named)) == ["graph.k=60"]
+    assert overrides(load(named)) == ["graph.k=60"]
     assert load(named) == parse({"preset": "reference", "graph": {"k": 60}})
     full = tmp_path / "settings.toml"
     full.write_text(to_toml(load(None)))

@@ -250,7 +250,7 @@ def test_what_is_no_file_of_the_run_s_own_is_found(copy, tmp_path):
 def test_all_and_some_objects_are_not_asked_for_at_once(copy):
     ended = command("verify", copy, "--all", "--objects", "5")
     assert ended.returncode == 2
-    assert "give one of the two" in ended.stderr
+    assert "give one of them" in ended.stderr
 
 
 def test_a_file_that_is_gone_is_found(copy):

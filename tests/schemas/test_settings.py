@@ -40,12 +40,12 @@ def test_what_is_written_is_read_back(tmp_path):
         ("graph.k=many", "setting graph.k: 'many' found; Input should be a valid integer"),
         ("graph.kk=3", "setting graph.kk: no such setting; known are graph.k, graph.tau_m, graph.edges"),
         ("grph.k=3", "setting grph: no such setting; known are input, ground, graph"),
-        ("k=3", "--set 'k=3': GROUP.NAME=VALUE is wanted"),
-        ("graph.k", "--set 'graph.k': GROUP.NAME=VALUE is wanted"),
+        ("k=3", "--set 'k=3': expected GROUP.NAME=VALUE"),
+        ("graph.k", "--set 'graph.k': expected GROUP.NAME=VALUE"),
         ("matching.method=best", "setting matching.method: 'best' found; Input should be 'greedy' or 'optimal'"),
         ("matching.delta_m=nan", "setting matching.delta_m: nan found; Input should be a finite number"),
         ("input.min_range_m=200", "min_range_m 200.0 must be below max_range_m 100.0"),
-        ("input.columns=x,y", "x, y and z must be among the names"),
+        ("input.columns=x,y", "expected x, y and z among the names"),
         ("input.exclude_box=1,1,1,0,2,2", "each minimum must be below its maximum"),
         ("input.include_box=1,2", "setting input.include_box"),
     ],
@@ -86,9 +86,7 @@ def test_the_mirror_is_the_frame_of_carla():
 
 @pytest.mark.parametrize("frame", ["carla", "nuscenes", "kitti-cam"])
 def test_a_mirror_beside_a_frame_is_refused(frame):
-    with pytest.raises(
-        SettingsError, match=f'sim_flip_y = true found with sim_frame = "{frame}".*leave sim_flip_y out'
-    ):
+    with pytest.raises(SettingsError, match=f'sim_flip_y = true found with sim_frame = "{frame}".*remove sim_flip_y'):
         load(None, ["input.sim_flip_y=true", f"input.sim_frame={frame}"])
 
 

@@ -70,11 +70,11 @@ def _settings():
 
 
 def _load_settings(folder):
-    from fidpipe.schemas.settings import departures, load
+    from fidpipe.schemas.settings import load, overrides
     from fidpipe.schemas.settings_text import to_toml
 
     settings = load(folder / "a.toml")
-    return departures(settings), to_toml(settings)
+    return overrides(settings), to_toml(settings)
 
 
 def _criteria():
