@@ -10,7 +10,7 @@ import typer
 from . import completion
 
 SettingsFile = Annotated[
-    Path | None, typer.Option("--settings", help="TOML file with settings; others keep their defaults.")
+    Path | None, typer.Option("--settings", help="TOML file with settings; those it omits keep their defaults.")
 ]
 Assignments = Annotated[
     list[str] | None,
