@@ -91,5 +91,7 @@ def test_a_mirror_beside_a_frame_is_refused(frame):
 
 
 def test_an_unknown_frame_is_answered_with_the_axes_of_those_that_are_known():
-    with pytest.raises(SettingsError, match=r"'enu' found; expected one of ros \(x forward, y left, z up\), carla .* metres"):
+    with pytest.raises(
+        SettingsError, match=r"'enu' found; expected one of ros \(x forward, y left, z up\), carla .* metres"
+    ):
         load(None, ["input.real_frame=enu"])
