@@ -221,8 +221,8 @@ def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(
 
     ended = command("run", dataset, "--out", tmp_path / "run", "--workers", 2, preexec_fn=limit, timeout=60)
     assert one_error(ended) == (
-        "error: ulimit -v allows 0.9 GiB of address space a process, at least 2 are needed for worker processes; "
-        "raise it, or take --workers 1"
+        "error: ulimit -v allows 0.9 GiB of address space per process; at least 2 are needed for worker processes; "
+        "raise it, or use --workers 1"
     )
 
 
