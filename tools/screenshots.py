@@ -1,4 +1,4 @@
-"""Makes the README's pictures of a report anew: python tools/screenshots.py runs/streets (after fidpipe report)."""
+"""Renew the pictures of the report: python tools/screenshots.py RUN (after fidpipe report RUN)."""
 
 import sys
 import tempfile
