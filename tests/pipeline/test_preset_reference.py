@@ -174,7 +174,7 @@ def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
     assert load(named) == parse({"preset": "reference", "graph": {"k": 60}})
     full = tmp_path / "settings.toml"
     full.write_text(to_toml(load(None)))
-    with pytest.raises(SettingsError, match="communities.objects = 'independent', not as the preset reference"):
+    with pytest.raises(SettingsError, match="communities.objects = 'independent', unlike the preset reference"):
         load(full, preset="reference")
     with pytest.raises(SettingsError, match='needs objects = "reference"'):
         load(None, ["communities.reference=labels"])
