@@ -1,4 +1,4 @@
-"""What is drawn of many objects at once, counted here for the page (`charts`) and for the figures; no new score."""
+"""Counts over many objects for the charts of the page and for the figures; no new scores."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _COLOURED = (0.02, 0.98)
 
 
 def axis_title(score: str) -> str:
-    """What stands along an axis of a score: its heading, and which end is the best."""
+    """Label of the axis of a score: its heading and its best end."""
     return f"{METRIC[score].label} ({METRIC[score].scale})"
 
 
@@ -162,7 +162,7 @@ def binned_fates(results: RunResults, bins: Bins) -> pd.DataFrame:
     """By bin: objects by fate, matched ones at their real side, and which share is missing and hallucinated.
 
     missing_share = missing / (matched + missing), hallucinated_share = hallucinated / (matched + hallucinated); NaN
-    where there are none of either.
+    for sides without objects.
     """
     objects = pd.concat([results.matched.assign(status="matched"), results.unmatched], ignore_index=True)
     counts = pd.crosstab(pd.Series(bins.index(objects), name="bin"), objects.status)
@@ -198,7 +198,7 @@ def along_the_sequence(results: RunResults, times_s: Mapping[str, float]) -> Pai
 def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
     """By score the range that occurs, for colours: its quantiles 0.02 and 0.98 over the objects of all pairs.
 
-    Where there is no such range (no object with a score, or all alike) it is that of the score's definition.
+    Without such a range (no object with a score, or all equal) it is that of the score's definition.
     """
     limits = {}
     for score in SCORES:

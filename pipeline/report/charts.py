@@ -2,8 +2,8 @@
 
 Each chart of a run has a sentence with its main numbers, for those who do not see it.
 
-Colours that depend on the theme stand as properties of the style sheet, such as var(--ink); the page puts in what they
-are. What the charts of one pair show is chosen on the page, which makes them.
+Colours that depend on the theme are properties of the style sheet, such as var(--ink), which the page replaces by their
+values. The charts of one pair are drawn by the page.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from .results import RunResults
 Chart = dict[str, Any]  #: data and layout
 Told = tuple[Chart, str]  #: a chart, and a sentence with its main numbers
 
-#: More dots than these would make a page slow; the texts beside the charts then say what part they show.
+#: More dots than these would make a page slow; the texts next to the charts then name the part that they show.
 MOST_DOTS = 3000
 MOST_SCANS, MOST_CLASSES = 16, 10
 _MOST_CHANGES, _MOST_MEDIANS = 300, 10
@@ -142,7 +142,7 @@ def _quadrants(results: RunResults) -> Told:
 
 
 def _boxes(what: str, groups: Sequence[dict[str, Any]]) -> Told:
-    """Both scores of each group side by side; names can be alike when shortened, so that boxes stand at numbers."""
+    """Both scores of each group side by side; shortened names may be equal, so that boxes are placed at numbers."""
     figure = go.Figure()
     names = {"q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
     for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
@@ -249,7 +249,7 @@ def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Told:
 
 
 def _fates_by(bins: Bins, fates: pd.DataFrame) -> Told:
-    """Which share of the real objects is missing in each bin, and of the simulated ones hallucinated; their number."""
+    """Share of the real objects missing in each bin, and of the simulated ones hallucinated; their number."""
     figure = go.Figure()
     for fate, side, symbol in (("missing", "real", "circle-open"), ("hallucinated", "simulated", "x-thin")):
         colour, n_all = on_page(FATE_COLOURS[fate]), fates.matched + fates[fate]
@@ -347,7 +347,7 @@ def _times(times: pd.DataFrame) -> Told:
     figure.update_layout(legend_font_size=11, legend_traceorder="normal")
     figure.update_yaxes(categoryorder="array", categoryarray=times.stage.unique().tolist()[::-1])
     seconds = times.groupby("stage", observed=True).seconds.sum()
-    return _plain(figure), f"Median seconds a pair by stage: {_listed(f'{a} {b:.2f}' for a, b in seconds.items())}"
+    return _plain(figure), f"Median seconds per pair by stage: {_listed(f'{a} {b:.2f}' for a, b in seconds.items())}"
 
 
 def change_chart(scores: Sequence[ScoreChange]) -> Chart:
@@ -399,7 +399,7 @@ def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
 
     Parameters
     ----------
-    names : of the runs, in their order; they may be alike
+    names : of the runs, in their order; they may be equal
     """
     steps, x = score.steps, list(range(1, len(names) + 1))
     above, below = (
@@ -447,7 +447,7 @@ def _listed(parts: Iterable[str]) -> str:
 
 
 def _both(values: dict[str, float | None]) -> str:
-    """Both scores in words."""
+    """Both scores as text."""
     return ", ".join(
         f"{METRIC[score].label} {'not known' if value is None or pd.isna(value) else f'{value:.2f}'}"
         for score, value in values.items()
@@ -463,7 +463,7 @@ def _place(bins: Bins) -> str:
 
 
 def _opening(objects: pd.DataFrame, what: str, ids: Iterable[int]) -> dict[str, Any]:
-    """What a click on a dot opens (the place of its pair among the run's pairs, the object's name), and its title."""
+    """Target of a click on a dot (index of its pair in the run, name of the object), and its title."""
     titles = [f"pair {in_chart(pair_id)}, {what} {i}" for pair_id, i in zip(objects.pair_id, ids, strict=True)]
     return {"customdata": objects[["pair", "name"]].to_numpy().tolist(), "text": titles}
 

@@ -1,4 +1,4 @@
-"""The look that pages and figures share: colours, which colour-blind readers tell apart, and names of any signs."""
+"""Look shared by pages and figures: colours that colour-blind readers can distinguish, and names of any characters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RAMPS = {
     "dark": ("#6a00a8", "#9c179e", "#cc4778", "#ed7953", "#fdb42f", "#f0f921"),
 }
 
-#: What a page has of its own, by theme: each name is a property of its style sheet, such as --ink.
+#: Properties of a page by theme: each name is a property of its style sheet, such as --ink.
 THEMES = {
     "light": {
         "ground": "#ffffff", "raised": "#f5f6f8", "ink": "#1b1e24", "soft": "#565d6a", "line": "#d5d9e0",

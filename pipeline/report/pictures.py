@@ -1,4 +1,4 @@
-"""How a page draws one object: as dots that a camera sees, and the address at which a report shows it in 3D.
+"""Pictures of one object: dots as seen by a camera, and the address at which a report shows it in 3D.
 
 The camera looks from the sensor's side, where the points are; the drawings have the colours of the page.
 """
@@ -108,7 +108,7 @@ def draw_piece(results: RunResults, piece: Piece) -> Picture:
 
 
 def draw_change(change: ObjectChange, runs: Sequence[FinishedRun], links: Sequence[str]) -> list[Picture]:
-    """What has become of an object: real points, simulated before and after, in one box and from one side.
+    """Fate of an object: real points, simulated before and after, in one box and from one side.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def inside(points: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
 
 
 def object_address(pair_id: str, name: str) -> str:
-    """What a report's address ends in to open one object.
+    """Fragment of a report's address that opens one object.
 
     Examples
     --------

@@ -18,7 +18,7 @@ from rich.text import Text
 from ..terminal import shown
 from .view import SHORTEST, Answers, Note, Part, Table, View, shortened
 
-#: Words with a colour of their own, wherever a cell holds nothing else.
+#: Colours of words that fill a cell.
 _COLOURS = {
     **dict.fromkeys(("worse", "mixed", "vanished", "FAIL", "NO", "does not hold", "cannot be used"), "red"),
     **dict.fromkeys(("better", "appeared", "pass", "yes", "holds"), "green"),

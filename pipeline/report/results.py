@@ -1,7 +1,7 @@
 """A finished run as a report reads it: its tables in one frozen object, and the points and spectra of one pair.
 
-All is checked before anything is drawn. Two things are computed anew: spectra, from the stored nodes, and only shown
-where their largest shift is the stored one; and the distance of each point to the other side.
+Everything is checked before anything is drawn. Two things are recomputed: spectra, from the stored nodes, and shown
+only if their largest shift is the stored one; and the distance of each point to the other side.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def read_results(folder: Path) -> RunResults:
     Raises
     ------
     RunError
-        The folder is no run, the run has not ended, a table is damaged, or no pair is scored.
+        The folder is not a run, the run has not ended, a table is damaged, or no pair is scored.
     """
     run = FinishedRun(folder)
     rows = run.pairs
@@ -140,7 +140,7 @@ class Spectra:
 
 
 class PairTables:
-    """The tables of one scored pair, each read when it is first asked for.
+    """The tables of one scored pair, each read when first requested.
 
     Raises
     ------

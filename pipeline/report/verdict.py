@@ -111,17 +111,15 @@ def limits_in_words() -> str:
 
 
 def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:
-    """The criteria of the folder's last gate, judged anew; else how to set some."""
+    """The criteria of the folder's last gate, evaluated again; or how to set some."""
     folder = results.run.folder
     criteria = _last_criteria(folder / "gate.json")
     if criteria is None:
-        return None, [
-            f"No acceptance limits are set yet: fidpipe gate {folder} --max r_lambda.mean=0.4 judges by yours."
-        ]
+        return None, [f"No acceptance limits are set yet: fidpipe gate {folder} --max r_lambda.mean=0.4 sets one."]
     try:
         result = judge_run(folder, criteria, None if excess is None else excess.floor)
     except (RunError, ValueError) as error:
-        return None, [f"The criteria of {folder / 'gate.json'} cannot be judged again: {error}"]
+        return None, [f"The criteria of {folder / 'gate.json'} cannot be evaluated again: {error}"]
     unmet = [verdict for verdict in result.judged if not verdict.passed]
     on_scores = [verdict for verdict in result.judged if not verdict.criterion.measure.startswith("pairs.")]
     n_met = sum(verdict.passed for verdict in on_scores)
@@ -136,7 +134,7 @@ _CRITERIA = TypeAdapter(list[Criterion])
 
 
 def _last_criteria(path: Path) -> list[Criterion] | None:
-    """The criteria that a gate wrote down; None where there are none that can be read."""
+    """The criteria that a gate wrote down; None if none can be read."""
     try:
         return _CRITERIA.validate_python(json.loads(path.read_text(encoding="utf-8"))["criteria"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):

@@ -1,4 +1,4 @@
-"""What people are shown, as plain data: a view is a list of lines and tables; `render` gives it to each medium."""
+"""Views as plain data: a view is a list of lines and tables; `render` renders it for each medium."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-#: A name is shortened to no less than so many characters.
+#: Least number of characters of a shortened name.
 SHORTEST = 8
 
 
@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Answers:
-    """Headings with their answers, each in words, with a detail and a setting, which may be empty."""
+    """Headings with their answers as text, each with a detail and a setting, which may be empty."""
 
     sections: Sequence[tuple[str, Sequence[tuple[str, str, str]]]]
 
@@ -63,7 +63,7 @@ View = Sequence[Part]
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number in so many digits; a dash if absent."""
+    """A number with the given decimals; a dash if absent."""
     return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 

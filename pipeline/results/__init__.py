@@ -1,1 +1,1 @@
-"""Finished runs: opened, measured, compared, judged."""
+"""Finished runs: open, measure, compare and check them."""

@@ -32,7 +32,7 @@ _FOLLOWS = 1 / 3
 _MORE_MISSING = 0.2
 #: Far surface begins at 20 m or beyond.
 _FIRST_FAR = BAND_EDGES_M.index(20.0)
-#: A band or a class is judged in pairs with this many points in it, and outside.
+#: A band or a class counts in pairs with this many points in it, and outside.
 _FEWEST_POINTS = 50
 
 
@@ -46,7 +46,7 @@ class CauseKind:
     words : with {size} (absolute estimate), {way} (of `ways`: above and below 0), {real}, {sim}, {count}
     setting : attributes of CARLA's LiDAR blueprint where they fit
     count : column whose mean over pairs is {count}
-    null_as : value of a null where the sensor of that side was recognised
+    null_as : value of a null if the sensor of that side was recognised
     """
 
     name: str

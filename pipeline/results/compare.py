@@ -40,7 +40,7 @@ from .followed import FOLLOWED_COLUMNS, GroupChange, ObjectChange, by_class, by_
 from .objects import object_parts
 from .sectors import N_SECTORS, sector_rows
 
-#: So many runs fit into one table, and into one look.
+#: Largest number of runs that fit into one table.
 MOST_RUNS = 8
 #: A cause changed if its estimate moved by more than this share of the tolerance within which it is not named.
 _LEAST_OF_TOLERANCE = 0.1
@@ -68,7 +68,7 @@ class Comparison:
     lost : of these, the pairs that the base has scored
     failed : of these, the pairs that failed in the other run, whose means would else look better without them
     unfollowed : pairs whose real communities differ, so that their objects cannot be followed
-    settings : settings that differ, in words
+    settings : settings that differ, as text
     notes : what else differs
     families : what is decided, see `families`
     causes : those whose estimate changed by more than a tenth of its tolerance: the interval excludes 0, or if there is
@@ -116,18 +116,18 @@ class Comparison:
 
     @property
     def kinds(self) -> dict[str, int]:
-        """How many real objects have become what."""
+        """Number of real objects by fate."""
         count = Counter(change.kind for change in self.objects)
         return {kind: count[kind] for kind in KINDS}
 
     @property
     def by_class(self) -> tuple[GroupChange, ...]:
-        """What has become of the real objects of each class, or shape."""
+        """Fates of the real objects of each class, or shape."""
         return by_class(self.objects)
 
     @property
     def by_range(self) -> tuple[GroupChange, ...]:
-        """What has become of the real objects of each band of range."""
+        """Fates of the real objects of each band of range."""
         return by_range(self.objects)
 
     def as_dict(self) -> JsonObject:
@@ -159,8 +159,8 @@ def compare_runs(
     Raises
     ------
     RunError
-        A folder is no finished run, settings that change scores differ and that is not allowed, no pair is common, or
-        the floor is another's.
+        A folder is not a finished run, settings that change scores differ and that is not allowed, no pair is
+        common, or the floor belongs to other runs.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
     return [compare_two(base, other, allow_different_settings, floor, independent=independent) for other in others]
@@ -196,7 +196,7 @@ def compare_two(
     failed = tuple(name for name in lost if name in tried and other.row(name)["status"] != "scored")
     if not comparable and not failed:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
-        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'none is scored'})")
+        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'no pair is scored'})")
     changes, unfollowed = _followed(base, other, names)
     excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
     blocks, blocking = _blocks(base, other, names, independent)
@@ -235,7 +235,7 @@ def compare_two(
 
 
 def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[list[ObjectChange], list[str]]:
-    """What has become of the real objects of the pairs, and the pairs whose real objects differ."""
+    """Fates of the real objects of the pairs, and the pairs whose real objects differ."""
     parts = (
         object_parts(run.store, names, FOLLOWED_COLUMNS, by_reference=run.is_by_reference, sides=("real",))
         for run in (base, other)
@@ -296,7 +296,7 @@ def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseCha
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
-    """What else differs and can change a number: stage code and libraries."""
+    """Other differences that can change a number: stage code and libraries."""
     a, b = base.record, other.record
     stages = [f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)]
     return stages + [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]

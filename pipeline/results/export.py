@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 class Status(IntEnum):
-    """What became of the object that a point belongs to; the first is that of points of no object."""
+    """Fate of the object that a point belongs to; the first one is for points without an object."""
 
     GROUND = 0
     SCORED = 1
@@ -46,7 +46,7 @@ class Status(IntEnum):
     HALLUCINATED = 5
 
 
-#: Of a point: metres in the real sensor's frame; object (-1: ground); NaN where there is no score.
+#: Of a point: metres in the real sensor's frame; object (-1: ground); NaN without a score.
 POINT = np.dtype(
     [
         *((name, "<f8") for name in ("x", "y", "z", "r_lambda", "cdc", "distance_m")),
@@ -56,7 +56,7 @@ POINT = np.dtype(
 )
 _SCORES = ("r_lambda", "cdc", "r_gap", "centroid_distance_m", "alignment_rms_m")
 _COVERAGE = ("covered_0p3m", "median_distance_m")
-#: Of an object, at its centroid: the columns of `metrics` and `coverage`; partner is -1 where there is none.
+#: Of an object, at its centroid: the columns of `metrics` and `coverage`; partner is -1 if absent.
 OBJECT = np.dtype(
     [
         *((name, "<f8") for name in ("x", "y", "z", *_SCORES, *_COVERAGE)),
@@ -77,7 +77,7 @@ _LATEST_S = 2**31  # seconds of a ROS stamp are int32
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
+    """Files written by an export.
 
     mcap : the file, or None
     ply : the files
@@ -239,7 +239,9 @@ def _refuse_others(files: Sequence[Path]) -> None:
     """Raises `RunError` if a file that is in the way was not written by fidpipe export."""
     for path in files:
         if path.exists() and not _is_ours(path):
-            raise RunError(f"{path}: is there already, not from fidpipe export; add --replace, or give another --out")
+            raise RunError(
+                f"{path}: already exists and is not from fidpipe export; add --replace, or choose another --out"
+            )
 
 
 def _is_ours(path: Path) -> bool:
@@ -265,7 +267,7 @@ def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) ->
     ]
     lines = [
         f" of {json.dumps(run.folder.resolve().name)}, pair {json.dumps(pair_id)}, side {side}, preset {run.preset}",
-        "comment metres in the real sensor's frame; community -1 is ground; NaN where there is no score",
+        "comment metres in the real sensor's frame; community -1 is ground; NaN without a score",
         f"comment status {LEGEND}",
         f"element vertex {len(points)}",
         *fields,
@@ -299,7 +301,7 @@ def _field(dtype: np.dtype[Any], name: str) -> tuple[int, int]:
 
 @contextmanager
 def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
-    """What writes messages to an MCAP file, which is there when all are written, or not at all."""
+    """Writer of messages to an MCAP file; the file appears once all are written."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 

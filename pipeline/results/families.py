@@ -84,7 +84,7 @@ class ScoreChange:
     towards : direction in which it moved, better or worse, decided or not; "" if it did not move
     why : reason for which its verdict does not count; "" if it counts
     is_direct : see `ComparedScore`
-    of_pairs : by pair, after minus before; None where a value is null
+    of_pairs : by pair, after minus before; None if a value is null
     seed_noise : largest difference of the two means that Louvain seeds alone make in 95 % of the cases; None if unknown
     floor : distance of the floor's mean from equal scans; None if unknown
     """

@@ -1,7 +1,7 @@
 """A finished run as it is read again: its record, its pairs, and the objects of one pair; nothing is computed.
 
-What is read is checked against the run's index, so that a damaged table is named and not believed. What `fidpipe show`
-tells of a run, a pair or an object stands below: the same values for the terminal and for JSON.
+What is read is checked against the run's index, so that a damaged table is reported and not used. The values
+that `fidpipe show` prints for a run, a pair or an object are defined here, for the terminal and for JSON.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 _STAGE_OF = {table: stage for stage in (*STAGES, *EXTRAS) for table in stage.gives}
 #: Tables of the whole run, in one file each.
 _OF_RUN = ("pairs", "timings")
-#: The scores of which it is said what another partition does to them.
+#: Scores that are shown with their spread over partitions.
 _BY_CHANCE = ("match_rate", "cdc_mean", "r_lambda_mean")
 
 
 class FinishedRun:
     """A run that has ended: its record, and its tables as pandas frames or as Arrow, each checked as it is read.
 
-    What it takes and raises is said by `open_run`, by which Python users make one.
+    Python users create one with `open_run`, which documents parameters and errors.
 
     Examples
     --------
@@ -62,8 +62,8 @@ class FinishedRun:
         record = finished_record(folder)
         if made_by := record.get("experiment"):
             raise RunError(
-                f"run {folder}: was written by fidpipe {made_by}, whose tables are {folder}/{made_by}*.parquet; "
-                "a folder written by fidpipe run is wanted"
+                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe {made_by}; its tables are "
+                f"{folder}/{made_by}*.parquet"
             )
         self.store = RunFolder(folder)
         try:
@@ -207,7 +207,7 @@ class FinishedRun:
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
-            raise RunError(f"run {self.folder}: no side {side!r}; one of {', '.join(SIDES)} is wanted")
+            raise RunError(f"run {self.folder}: expected side {' or '.join(SIDES)}, got {side!r}")
         return self.read_table(table, self._scored(pair_id), side)
 
     def _scored(self, pair_id: str) -> str:
@@ -236,7 +236,7 @@ def _frame(table: pa.Table) -> pd.DataFrame:
 
 
 def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] = ()) -> list[str]:
-    """Settings of the stages that every run has and that differ, in words; `but` names some that may."""
+    """Settings of the stages that every run has and that differ, as text; `but` names some that may."""
     groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
     return [
         f"{group}.{name} is {a} and {b}"
@@ -247,12 +247,12 @@ def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] =
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
-    """The keys whose values differ, with both values; None where there is none."""
+    """The keys whose values differ, with both values; None if absent."""
     return [(key, a.get(key), b.get(key)) for key in {**a, **b} if a.get(key) != b.get(key)]
 
 
 def partition_note(runs: Sequence[FinishedRun]) -> str:
-    """What chance does to scores of the paper's partition, in one line; "" where the real side fixes the objects."""
+    """Spread of the scores over partitions, in one line; "" if the real side fixes the objects."""
     if all(run.preset == "reference" for run in runs):
         return ""
     by_chance = {name: max(_repeatability(run, name) for run in runs) for name in _BY_CHANCE}
@@ -260,10 +260,10 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     chance = (
         f"another Louvain seed alone moves {moved} (95 %)"
         if moved
-        else ("how much of a difference that makes by chance is not known here (fidpipe run --seeds 5 tells)")
+        else ("how much scores vary with the partition is unknown here (measure it: fidpipe run --seeds 5)")
     )
     return (
-        f"objects are those of the paper's partition, each side divided by itself: {chance}; "
+        f"objects are those of the paper, each side partitioned independently: {chance}; "
         "for comparing simulators: fidpipe run --preset reference"
     )
 
@@ -279,9 +279,9 @@ class ObjectFacts:
     """One object of a pair; without the columns that name pair and side.
 
     status : matched, missing or hallucinated
-    real, sim : the rows of `objects`, each with that of `coverage`; None where the side does not have it. Of a missing
-        object whose number the real side fixed, `sim` is what little of it is simulated
-    scores : the row of `metrics`; None where it is not matched
+    real, sim : the rows of `objects`, each with that of `coverage`; None if the side does not have it. Of a missing
+        object with a number fixed by the real side, `sim` is its few simulated points
+    scores : the row of `metrics`; None if it is not matched
     """
 
     status: str
@@ -316,7 +316,7 @@ def open_run(folder: Path | str) -> FinishedRun:
     Raises
     ------
     RunError
-        The folder is no run, the run has not ended, or its table of pairs is damaged.
+        The folder is not a run, the run has not ended, or its table of pairs is damaged.
     """
     return FinishedRun(folder)
 

@@ -1,6 +1,6 @@
 """The scores of a run over its floor: what a perfect simulator would score on the same real scans.
 
-A floor is a run of `fidpipe floor`: as any other, with a recipe beside its scans that says how these were made.
+A floor is a run of `fidpipe floor`: like any other, with a recipe next to its scans that describes how they were made.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _OF_SIM_ALONE = ("input.sim_columns", "input.sim_flip_y", "input.sim_frame")
 
 @dataclass(frozen=True)
 class FloorRecipe:
-    """How the second measurements of a floor were made.
+    """Recipe of the second measurements of a floor.
 
     kind : "again": the same points with noise and dropout; "neighbours": the next real scan
     noise_m, lost_share : of "again"; "measured" for those that each scan shows, listed in `FLOOR_AMOUNTS`
@@ -79,7 +79,7 @@ class ScoreExcess:
     bias, area : double validation metric of both distributions, over all matched objects where `of` is "objects", else
         over the pairs; see `stages.statistics.validation`
     n, n_floor : how many values they have
-    of_pairs : by pair, score - floor; None where one of both is null
+    of_pairs : by pair, score - floor; None if either is null
     """
 
     column: str
@@ -97,7 +97,7 @@ class ScoreExcess:
 
     @property
     def floor_from_equal(self) -> float | None:
-        """How far the floor's mean is from the score of equal scans; None where that has no fixed value."""
+        """Distance of the floor's mean from the score of equal scans; None if that has no fixed value."""
         equal = metric_of(self.column).equal
         return None if self.floor is None or equal is None else abs(self.floor - equal)
 
@@ -129,7 +129,7 @@ _RECIPE = TypeAdapter(FloorRecipe)
 
 
 def read_recipe(run: Path) -> FloorRecipe | None:
-    """The recipe of a floor; None where the folder is no run of `fidpipe floor`."""
+    """The recipe of a floor; None if the folder is not a run of `fidpipe floor`."""
     try:
         recipe = tomllib.loads((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8"))
         return _RECIPE.validate_python(recipe)
@@ -138,7 +138,7 @@ def read_recipe(run: Path) -> FloorRecipe | None:
 
 
 def excess_over(run: FinishedRun, floor: Path, pairs: Sequence[str] | None = None) -> RunExcess:
-    """Each score of a run less that of the same pair in the floor, and how far both distributions are apart.
+    """Each score of a run minus that of the same pair in the floor, and the distance of both distributions.
 
     excess = mean over pairs of (score - floor)
 
@@ -152,13 +152,14 @@ def excess_over(run: FinishedRun, floor: Path, pairs: Sequence[str] | None = Non
     Raises
     ------
     RunError
-        The floor is none, is of other settings or other real scans, has none of the pairs, or a table is damaged.
+        The folder is not a floor, has other settings or other real scans, has none of the pairs, or a table is
+        damaged.
     """
     recipe = read_recipe(floor)
     if recipe is None:
         raise RunError(
-            f"floor {floor}: is no floor (no {FLOOR_DATASET}/{FLOOR_RECIPE} of ours in it); for run {run.folder} make "
-            f"one with: {_command(run)}"
+            f"floor {floor}: is not a floor (no {FLOOR_DATASET}/{FLOOR_RECIPE} of fidpipe in it); make one for run "
+            f"{run.folder} with: {_command(run)}"
         )
     other = FinishedRun(floor)
     _refuse_other_floor(run, other)
@@ -212,7 +213,7 @@ def _command(run: FinishedRun) -> str:
 
 
 def _of_objects(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:
-    """By score, its values of all matched objects of the pairs; NaN where null."""
+    """By score, its values of all matched objects of the pairs; NaN if null."""
     matched = run.objects_of(names, OBJECT_METRICS).query("side == 'real' and partner >= 0")
     return {name: matched[name].to_numpy() for name in OBJECT_METRICS}
 

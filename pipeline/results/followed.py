@@ -25,10 +25,10 @@ FOLLOWED_COLUMNS = (*_PLACE[1:], *SHARED_SCORES, "label", "shape", "range_m")
 
 @dataclass(frozen=True)
 class ObjectChange:
-    """A real object before and after; scores are None where it is missing or a score is null.
+    """A real object before and after; scores are None if it is missing or a score is null.
 
     shape : what it is called by where scans have no labels
-    sim_before, sim_after : the simulated object that it is matched with; None where it is missing
+    sim_before, sim_after : the simulated object that it is matched with; None if it is missing
     """
 
     pair_id: str
@@ -51,20 +51,20 @@ class ObjectChange:
         return max((step for score in SHARED_SCORES if (step := self.step(score)) is not None), key=abs, default=0.0)
 
     def step(self, score: str) -> float | None:
-        """How far a score has moved; None where it is null in either run."""
+        """Change of a score; None if it is null in either run."""
         before, after = getattr(self, f"{score}_before"), getattr(self, f"{score}_after")
         return None if before is None or after is None else float(after - before)
 
 
 @dataclass(frozen=True)
 class GroupChange:
-    """What has become of some real objects, counted: a description, of which no test says whether it is chance.
+    """Fates of some real objects, counted: a description without a test of significance.
 
     name : of the class, the shape or the band of range
     n : real objects; kinds : of these, how many have become what
     n_pairs : pairs that have such objects
     n_both : objects that both runs have matched
-    cdc, r_lambda : mean change over those of them that have the score in both runs; None where none has
+    cdc, r_lambda : mean change over those of them that have the score in both runs; None if no object has it
     """
 
     name: str
@@ -77,7 +77,7 @@ class GroupChange:
 
 
 def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange], list[int]]:
-    """What has become of each real object of some pairs, and the pairs whose real objects differ.
+    """Fate of each real object of some pairs, and the pairs whose real objects differ.
 
     Real objects differ if their number, their points or their centroids do.
 

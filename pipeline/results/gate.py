@@ -1,9 +1,8 @@
 """Acceptance criteria on a finished run: each has a measure, a bound and a verdict. And a run against a base, for CI.
 
-Four criteria are there unless the user gives another max for them: no pair failed, none is still to do, of none the
-simulated scan seems to lie in another frame, and none has scans, labels or T_real_sim other than those that were
-evaluated. A criterion on something that could not be computed
-fails. What can be measured is in `measures`.
+Four criteria are always checked unless the user sets another max for them: no pair failed, no pair is still to do, no
+simulated scan seems to lie in another frame, and no pair has scans, labels or T_real_sim other than those that were
+evaluated. A criterion on something that could not be computed fails. `measures` has everything that can be measured.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ FAIL_ON = ("worse", "undecided")
 
 @dataclass(frozen=True)
 class Criterion:
-    """What is wanted: `measure` at most (max) or at least (min) `limit`, both inclusive.
+    """Acceptance criterion: `measure` at most (max) or at least (min) `limit`, both inclusive.
 
     name : what people call it
-    reason : why it is wanted; may be empty
+    reason : why it is required; may be empty
     """
 
     name: str
@@ -58,7 +57,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class GateResult:
-    """All criteria of a run, judged; `notes` says what could not be looked at, and what else is to be known."""
+    """Results of all criteria of a run; `notes` has what could not be checked, and other remarks."""
 
     run: Path
     dataset: str
@@ -67,7 +66,7 @@ class GateResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every criterion is met."""
+        """True if every criterion is met."""
         return all(verdict.passed for verdict in self.judged)
 
     def as_dict(self) -> JsonObject:
@@ -85,7 +84,7 @@ class GateResult:
 
 
 def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = None) -> GateResult:
-    """Judges a finished run.
+    """Check a finished run against criteria.
 
     Parameters
     ----------
@@ -94,9 +93,9 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = 
     Raises
     ------
     RunError
-        The folder is no finished run, a table is damaged, or the floor is another's.
+        The folder is not a finished run, a table is damaged, or the floor is another's.
     SettingsError
-        A criterion names an unknown measure, or one that wants a floor where there is none.
+        A criterion names an unknown measure, or one that needs a floor without one.
     """
     run = FinishedRun(folder)
     excess = None if floor is None else excess_over(run, floor)
@@ -106,9 +105,7 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = 
     own = [
         Criterion("every pair is scored", "pairs.failed", "max", 0, "a gate is about the whole dataset"),
         Criterion("no pair is left to do", "pairs.to_do", "max", 0, "a gate is about the whole dataset"),
-        Criterion(
-            "both sides lie in one frame", "pairs.frame_suspect", "max", 0, "fidpipe check says what would mend it"
-        ),
+        Criterion("both sides lie in one frame", "pairs.frame_suspect", "max", 0, "fidpipe check shows how to fix it"),
     ]
     notes = [note] if (note := partition_note([run])) else []
     if excess is not None:
@@ -131,7 +128,7 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that is wanted, what is found, in words, and a word for the fault; "" where all is well."""
+    """A requirement, the value found as text, and the kind of violation; "" if it is met."""
 
     name: str
     found: str
@@ -140,7 +137,7 @@ class Check:
 
 @dataclass(frozen=True)
 class BaseResult:
-    """A comparison, judged for CI.
+    """A comparison, checked for CI.
 
     fail_on : words of `FAIL_ON`
     """
@@ -151,7 +148,7 @@ class BaseResult:
 
     @property
     def failed(self) -> tuple[Check, ...]:
-        """What is not as wanted."""
+        """Violated requirements."""
         return tuple(check for check in self.checks if check.fault)
 
     @property
@@ -167,7 +164,7 @@ class BaseResult:
         return "; ".join(notes)
 
     def as_dict(self) -> JsonObject:
-        """Plain values, for JSON: the comparison and what was judged."""
+        """Plain values, for JSON: the comparison and the requirements."""
         checks: JsonObject = {"fail_on": list(self.fail_on), "checks": [dict(vars(check)) for check in self.checks]}
         return self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
 
@@ -177,7 +174,7 @@ def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseRe
 
     A family fails if it is worse or mixed. Every pair that the base has scored must have been compared: one that fails
     now fails the gate, for a simulator that loses its hardest pairs looks better in the means. With "undecided" the
-    gate also fails if nothing is decided, for whatever reason: too few independent pairs, or changes within the noise.
+    gate also fails if nothing is decided: too few independent pairs, or changes within the noise.
     """
     n_base = len(comparison.pairs) + len(comparison.lost)
     why = [f"{name}: {comparison.left_out[name]}" for name in comparison.lost]
@@ -219,7 +216,7 @@ def parse_word(word: str, bound: Bound) -> Criterion:
     except ValueError:
         limit = math.nan
     if not measure or not math.isfinite(limit):
-        raise SettingsError(f"--{bound} {word!r}: MEASURE=NUMBER is wanted, such as r_lambda.mean=0.4")
+        raise SettingsError(f"--{bound} {word!r}: expected MEASURE=NUMBER, such as r_lambda.mean=0.4")
     return Criterion(f"{measure} {'<=' if bound == 'max' else '>='} {text}", measure, bound, limit)
 
 
@@ -243,7 +240,7 @@ def read_criteria(path: Path) -> list[Criterion]:
         fault = error.errors()[0]
         where = ".".join(str(part) for part in fault["loc"])
         raise SettingsError(
-            f"criteria file {path}: {where}: {fault['msg']}; tables [[criterion]] are wanted, each with "
+            f"criteria file {path}: {where}: {fault['msg']}; expected tables [[criterion]], each with "
             'name = "...", measure = "r_lambda.mean", max = 0.4 (or min), reason = "..."'
         ) from error
     criteria = []
@@ -251,9 +248,7 @@ def read_criteria(path: Path) -> list[Criterion]:
         limits: tuple[tuple[Bound, float | None], ...] = (("max", entry.max), ("min", entry.min))
         bounds = [(bound, limit) for bound, limit in limits if limit is not None]
         if not bounds:
-            raise SettingsError(
-                f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; max or min is wanted"
-            )
+            raise SettingsError(f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or min")
         criteria += [Criterion(entry.name, entry.measure, bound, limit, entry.reason) for bound, limit in bounds]
     return criteria
 

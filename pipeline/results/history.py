@@ -94,14 +94,14 @@ def read_history(
 
     Parameters
     ----------
-    folders : two or more, in the order that is wanted
+    folders : two or more, in order
     by_date : order them by when they were made instead
     independent : see `compare_runs`
 
     Raises
     ------
     RunError
-        A folder is no finished run, settings differ and that is not allowed, or no pair is scored by all.
+        A folder is not a finished run, settings differ and that is not allowed, or no pair is scored by all.
     """
     runs = [FinishedRun(folder) for folder in folders]
     dates = [run.record.written for run in runs]
@@ -112,7 +112,9 @@ def read_history(
     pairs = tuple(row["pair_id"] for row in first.scored if row["pair_id"] not in left_out)
     if not pairs:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
-        raise RunError(f"{len(runs)} runs from {first.folder} on: no pair is scored by all ({why or 'none is scored'})")
+        raise RunError(
+            f"{len(runs)} runs from {first.folder} on: no pair is scored by all ({why or 'no pair is scored'})"
+        )
 
     def compared(a: FinishedRun, b: FinishedRun) -> Comparison:
         return compare_two(a, b, allow_different_settings, only=pairs, independent=independent)

@@ -1,4 +1,4 @@
-"""How the numbers of a finished run are called, in criteria and in the shell; imports no library."""
+"""Names of the numbers of a finished run, in criteria and in the shell; imports no library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The numbers of a finished run by name, such as `r_lambda.mean` or `missing.within_20m`: what a gate can judge."""
+"""The numbers of a finished run by name, such as `r_lambda.mean` or `missing.within_20m`, for criteria of a gate."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Measures:
 
     @cached_property
     def dataset_is_gone(self) -> bool:
-        """Whether the dataset's folder is not on this machine; one that is there but broken is not gone."""
+        """True if the dataset's folder is not on this machine; a broken one is not gone."""
         try:
             Path(self.run.record.dataset).stat()
         except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -90,7 +90,7 @@ class Measures:
 
     def _over_floor(self, score: str, stat: str) -> float:
         if self._excess is None:
-            raise SettingsError(f"criterion 'excess.{score}.{stat}': no floor is given; --floor RUN is wanted")
+            raise SettingsError(f"criterion 'excess.{score}.{stat}': needs a floor; add --floor RUN")
         own = self._excess.scores[_column(score)]
         if stat in OF_DISTRIBUTIONS:
             apart: float | None = getattr(own, stat)

@@ -39,7 +39,7 @@ COLUMNS_OF = {
 
 
 def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArray) -> NDArray[np.str_]:
-    """Which of `SHAPES` objects are: the largest of the three, (n,) strings; "linear" where all are null.
+    """Shape of objects among `SHAPES`: the largest of the three, (n,) strings; "linear" if all are null.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def object_parts(
 ) -> Iterator[pd.DataFrame]:
     """The objects of scored pairs, 200 pairs at a time: one row per object, ordered by side, pair and id.
 
-    Each part has these columns, and those that are asked for:
+    Each part has these columns, and the requested ones:
 
     - pair_id, side, community_id, n_points
     - pair : index in `pair_ids`

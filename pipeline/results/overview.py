@@ -59,7 +59,7 @@ def alignment_is_bad(alignment_rms_m: FloatArray, diagonal_m: FloatArray) -> Boo
 
 
 def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | FloatArray) -> bool | BoolArray:
-    """Whether nodes are aligned so far apart that r_lambda says little, (n,) bool; or of one object.
+    """True if nodes are aligned so far apart that r_lambda is unreliable, (n,) bool; or of one object.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Tally:
             states["road"] += int((unmatched["road_share"] > ROAD).sum())
 
     def unmatched(self) -> MetricsSummary:
-        """Of the counted unmatched objects, how many have their surface on the other side, and how many are road."""
+        """Counts of unmatched objects whose surface the other side has, and of those that are road."""
         counts = {
             fate: SurfaceStates(**{state: states[state] for state in SurfaceStates.model_fields})
             for fate, states in self._unmatched.items()
@@ -160,7 +160,7 @@ def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
 
 
 def independence(findings: Findings | None) -> list[str]:
-    """Which pairs count as one, or that this is not known."""
+    """Statement of which pairs count as one, or that this is unknown."""
     if findings is None:
         return []
     n_pairs, n_independent = findings.n_pairs, findings.n_independent

@@ -30,7 +30,7 @@ def size_word(length_m: float, width_m: float, height_m: float) -> str:
 
 
 def short_label(label: str) -> str:
-    """The end of a long class name, which tells classes apart.
+    """The end of a long class name, which distinguishes classes.
 
     Examples
     --------

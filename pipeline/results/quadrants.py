@@ -29,7 +29,7 @@ def quadrant_of(cdc: FloatArray, r_lambda: FloatArray) -> NDArray[np.str_]:
 
     Parameters
     ----------
-    cdc, r_lambda : (n,) float64; NaN where a score is null
+    cdc, r_lambda : (n,) float64; NaN if a score is null
 
     Examples
     --------

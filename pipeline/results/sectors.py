@@ -18,7 +18,7 @@ from ...stages.arrays import FloatArray, IndexArray
 from .finished import FinishedRun
 from .objects import PAIRS_AT_ONCE, object_parts
 
-#: Directions are divided into this number of sectors, the first one from straight ahead to the left.
+#: Number of sectors of direction, the first one from straight ahead to the left.
 N_SECTORS = 8
 _COLUMNS = ("cx", "cy", *(f"covered_{reach}" for reach in COVERAGE_REACHES), "cdc", "r_lambda", "r_gap")
 _PIECES = ["side", "n_points", "cx", "cy"]

@@ -1,4 +1,4 @@
-"""How far a run is: stages by pairs, done, stale, failed, to do. Reads the run and its dataset, writes nothing."""
+"""Progress of a run: stages by pairs, done, stale, failed, to do. Reads the run and its dataset, writes nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STATES = ("done", "stale", "failed", "to do")
 
 @dataclass(frozen=True)
 class RunStatus:
-    """How far a run is.
+    """Progress of a run.
 
     stages : by stage, how many pairs are in which state
     failures : why each failed pair failed
@@ -39,19 +39,19 @@ class RunStatus:
 
 
 def run_status(folder: Path) -> RunStatus:
-    """How far a run is, judged by its dataset as it is now and by the settings that it was made with.
+    """Progress of a run, given its dataset as it is now and the settings that it was made with.
 
     Raises
     ------
     RunError
-        The folder is no run.
+        The folder is not a run.
     """
     record = finished_record(folder)
     if not {"dataset", "settings"} <= record.keys():
         raise RunError(f"run {folder}: run.json is damaged, it names no dataset or no settings; run it again")
     if "experiment" in record:
         raise RunError(
-            f"run {folder}: was written by fidpipe {record['experiment']}, which goes on when it is run again; "
+            f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is run again; "
             "status is for runs"
         )
     dataset = read_dataset(Path(record["dataset"]))

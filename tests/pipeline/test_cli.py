@@ -57,7 +57,7 @@ def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):
     (data / "sim" / "001.bin").write_bytes(b"")
     result = command("run", data, "--workers", 1, "--out", tmp_path / "run")
     assert result.returncode == 3
-    assert "1 of 2 pairs failed, as told above; again with: fidpipe show" in result.stdout
+    assert "1 of 2 pairs failed, as reported above; show them again with: fidpipe show" in result.stdout
     reason = "sim/001.bin: the file is empty; expected points"
     assert (result.stdout + result.stderr).count(reason) == result.stderr.count(reason) == 1
     shown = command("show", tmp_path / "run").stdout
@@ -72,7 +72,7 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
     (data / "sim" / "001.bin").write_bytes(b"")
     result = command("run", data, "--workers", 1, "--out", out, "--pairs", "001")
     assert result.returncode == 3
-    assert "2 of 2 pairs failed, 1 of them as told above" in result.stdout
+    assert "2 of 2 pairs failed, 1 of them as reported above" in result.stdout
     assert (result.stderr.count(reason), result.stdout.count(reason)) == (0, 1)
 
 
@@ -121,7 +121,7 @@ def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, tmp_pat
     (data / "real" / "000.bin").unlink()
     bad = command("check", data)
     assert bad.returncode == 1
-    assert "fault: pair 000:" in bad.stdout
+    assert "error: pair 000:" in bad.stdout
     assert "1 of 2 pairs can be evaluated" in bad.stdout
 
 

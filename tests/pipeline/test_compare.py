@@ -313,7 +313,7 @@ def test_markdown_and_csv_hold_the_scores_and_the_notes_name_what_is_left_out(ve
     text = markdown(compare_view(found, with_all=True))
     assert text.startswith("**worse: ")
     assert "| surface invented | worse |" in text
-    assert "described, not judged" in text
+    assert "described, not tested" in text
 
 
 @pytest.mark.exhaustive

@@ -236,7 +236,7 @@ def test_a_file_of_another_origin_stays_unless_it_is_to_be_replaced(exported, tm
     run, folder = exported
     other = b"ply\nformat ascii 1.0\nend_header\n"
     (tmp_path / name).write_bytes(other)
-    with pytest.raises(RunError, match=f"{name}: is there already, not from fidpipe export; add --replace"):
+    with pytest.raises(RunError, match=f"{name}: already exists and is not from fidpipe export; add --replace"):
         export_run(run, tmp_path, **options)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [other]
     export_run(run, tmp_path, **options, replace=True)

@@ -192,7 +192,7 @@ def test_a_floor_is_a_run_as_any_other_and_has_no_excess_over_itself(folder, tmp
 
 def test_a_wrong_floor_is_refused_and_both_are_named(folder, tmp_path):
     finished = FinishedRun(folder / "run")
-    with pytest.raises(RunError, match=r"floor .*run: is no floor .* fidpipe floor "):
+    with pytest.raises(RunError, match=r"floor .*run: is not a floor .* fidpipe floor "):
         excess_over(finished, folder / "run")
     floor(folder / "streets", tmp_path / "settings", settings=load(assignments=["graph.k=20"]))
     with pytest.raises(RunError, match=r"run .*run and floor .*settings: settings differ \(graph.k is 90 and 20\)"):
@@ -239,7 +239,7 @@ def test_a_gate_judges_excess_and_wants_a_floor_for_it(folder, tmp_path):
         shown(*with_floor, "--max", f"{measure}={value - 1e-9!r}", code=4)
     refused = command(*words, "--max", "excess.cdc.mean=1")
     assert refused.returncode == 1
-    assert "'excess.cdc.mean': no floor is given; --floor RUN is wanted" in " ".join(refused.stderr.split())
+    assert "'excess.cdc.mean': needs a floor; add --floor RUN" in " ".join(refused.stderr.split())
 
 
 def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, tmp_path):

@@ -210,9 +210,9 @@ def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp
     ("words", "fault"),
     [
         (["--max", "nose=1"], "no such measure"),
-        (["--max", "r_lambda.mean"], "MEASURE=NUMBER is wanted"),
-        (["--max", "r_lambda.mean=nan"], "MEASURE=NUMBER is wanted"),
-        (["--min", "r_lambda.mean=much"], "MEASURE=NUMBER is wanted"),
+        (["--max", "r_lambda.mean"], "expected MEASURE=NUMBER"),
+        (["--max", "r_lambda.mean=nan"], "expected MEASURE=NUMBER"),
+        (["--min", "r_lambda.mean=much"], "expected MEASURE=NUMBER"),
         (["--criteria", "nowhere.toml"], "cannot be read"),
     ],
 )

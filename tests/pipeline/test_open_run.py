@@ -77,7 +77,7 @@ def test_what_is_not_there_is_named(run, folder, tmp_path):
         run.table("metric")
     with pytest.raises(RunError, match="no pair '0000'"):
         run.points("0000", "real")
-    with pytest.raises(RunError, match="no side 'left'; one of real, sim is wanted"):
+    with pytest.raises(RunError, match="expected side real or sim, got 'left'"):
         run.points("000", "left")
     with pytest.raises(RunError, match="pair poor: it failed and has no objects"):
         run.edges("poor", "real")

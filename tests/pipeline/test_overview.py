@@ -195,7 +195,7 @@ def test_a_pair_warns_where_r_lambda_stands_on_a_bad_alignment(finished):
     assert "bad alignment" not in text_of(pair_view(facts), 300)
     scored[0].scores["alignment_rms_m"] = 20.0
     shown = text_of(pair_view(facts), 300)
-    assert f"r_lambda of 1 of {len(scored)} objects stands on a bad alignment" in shown
+    assert f"r_lambda of 1 of {len(scored)} objects depends on a poor alignment" in shown
     assert f"real:{scored[0].real['community_id']} (20.0 m apart" in shown
 
 

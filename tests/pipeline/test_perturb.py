@@ -349,7 +349,7 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
         perturbed(scan, tmp_path / "run")
     with pytest.raises(RunError, match="was written by fidpipe perturb, not by fidpipe run"):
         run(dataset, done.folder, SETTINGS)
-    with pytest.raises(RunError, match="was written by fidpipe perturb, which goes on when it is run again"):
+    with pytest.raises(RunError, match="was written by fidpipe perturb, which resumes if it is run again"):
         run_status(done.folder)
 
 

@@ -136,9 +136,9 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ru
         total = len(alone) / len(pairs)
         assert total > 0
         if absent == total:
-            assert f"the {total:.1f} {status} objects a pair are all absent" in said
+            assert f"the {total:.1f} {status} objects per pair are all absent" in said
         else:
-            assert f"of {total:.1f} {status} objects a pair, {there:.1f} are there" in said
+            assert f"of {total:.1f} {status} objects per pair, {there:.1f} exist" in said
             assert f"{total - there - absent:.1f} partly, {absent:.1f} absent" in said
 
 

@@ -70,7 +70,7 @@ def page(browser, opened, page_path):
     for name, value in (("theme", "auto"), ("pair", FIRST_PAIR), ("colour", "side"), ("object", "")):
         choose(browser, name, value)
     browser.execute_script(
-        "for (const [name, value] of [['lie', 'as_they_lie'], ['object_colour', 'side']])"
+        "for (const [name, value] of [['lie', 'as_given'], ['object_colour', 'side']])"
         " document.getElementById(name).value = value;"
         "for (const [name, isOn] of [['show_lines', false], ['show_others', false], ['show_road', true]])"
         " document.getElementById(name).checked = isOn"
@@ -467,7 +467,7 @@ def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, run
         "return document.getElementById('overlay').data.flatMap(({marker}) => marker?.color ?? [])"
     )
     assert len(set(colours)) > 10
-    choose(page, "lie", "as_they_lie")
+    choose(page, "lie", "as_given")
     assert drawn(page, "overlay", "own sim") == pytest.approx(as_lie)
 
 

@@ -1,4 +1,4 @@
-"""How the figures look: sizes, colours of many, names that cannot break a drawing; and how they are saved.
+"""Style of the figures: sizes, colours, names that cannot break a drawing; and how figures are saved.
 
 matplotlib is imported by its first use here, with a backend that needs no display.
 """
@@ -20,7 +20,7 @@ from ..look import GREY, RAMPS, clipped
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
 
-#: Formats in which each figure is written, each with what its file says of itself.
+#: Formats in which each figure is written, each with the metadata of its file.
 KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 

@@ -1,4 +1,4 @@
-"""What a page holds of a whole run: data for its JavaScript and words for its template."""
+"""Content of a page about a whole run: data for its JavaScript and texts for its template."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ _OBJECT_COLUMNS = (
     *(*_SCORES, "n_real", "n_sim", "n_keep", *OBJECT_COVERAGE),
 )
 
-#: Headings of the columns that are no scores; other words stand for themselves.
+#: Headings of columns without a score; other names are their own heading.
 _HEADINGS = {
     "pair_id": "pair", "range_m": "range (m)", "bearing_deg": "bearing (°, left positive)", "n_points": "points",
     "n_real": "points, real", "n_sim": "points, simulated", "n_keep": "nodes kept",
     **dict(zip(OBJECT_ROAD, ("real, road on sim side", "sim, road on real side"), strict=True)),
     **{name: name for name in ("object", "quadrant", "status", "reason")},
 }  # fmt: skip
-#: Decimals of what is told of an object: of metres so many that centimetres are seen.
+#: Decimals of the properties of an object; metres are shown to the centimetre.
 _FACT_DIGITS, _METRE_DIGITS = 3, 2
 
 
 def page_data(results: RunResults) -> dict[str, Any]:
-    """What the page's JavaScript reads of the whole run: charts, colours, tables; no points."""
+    """Data of the whole run for the page's JavaScript: charts, colours, tables; no points."""
     charts = run_charts(results)
     pairs_note = "Worst first, by the mean of the ranks in match rate, CDC and r_lambda."
     return {
@@ -84,7 +84,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
 
 
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """What the page's template shows of the whole run; versions by group, what made it; scores over a floor if any."""
+    """Values of the whole run for the page's template: versions by group, and scores over a floor if any."""
     record = results.run.record
     return {
         "title": results.run.folder.resolve().name,
@@ -123,7 +123,7 @@ def _headings(results: RunResults, columns: Iterable[str]) -> dict[str, str]:
 
 
 def _facts(results: RunResults) -> dict[str, dict[str, Any]]:
-    """By what is told of a chosen object, its heading and its decimals."""
+    """Heading and decimals of each property of a chosen object."""
     return {
         key: {
             "title": title,
@@ -134,7 +134,7 @@ def _facts(results: RunResults) -> dict[str, dict[str, Any]]:
 
 
 def _table(results: RunResults, rows: pd.DataFrame, columns: Sequence[str], note: str) -> dict[str, Any]:
-    """A table with its columns; `up` is set where the lowest values are the worst, `about` what a score tells."""
+    """A table with its columns; `up` is set if the lowest values are the worst, `about` describes a score."""
     described = []
     for key, title in _headings(results, columns).items():
         metric = METRIC.get(key.removesuffix("_mean"))
@@ -165,7 +165,7 @@ def _objects(results: RunResults) -> dict[str, Any]:
 
 
 def _notes(results: RunResults) -> dict[str, str]:
-    """What stands under those charts that may show a part only."""
+    """Notes below charts that may show only a part."""
     n_pairs, n_matched, n_unmatched = len(results.pairs), len(results.matched), len(results.unmatched)
     n_scored = int(results.matched.r_lambda.notna().sum())
     kind = "class (label)" if results.class_is == "class" else "shape of the real object (the scans have no labels)"
@@ -174,7 +174,7 @@ def _notes(results: RunResults) -> dict[str, str]:
     )
     chosen = f"{MOST_SCANS} of {n_pairs}, evenly from worst to best" if n_pairs > MOST_SCANS else "worst first"
     dots = " objects are drawn, evenly over the order from worst to best; the counts are of all"
-    binned = "Bars: the middle half of the objects, none where there are fewer than three; below, how many there are."
+    binned = "Bars: the middle half of the objects, only for three or more; below, their number."
     order = (
         "by the time of the real scan"
         if along_the_sequence(results, recorded_times_s(results.run)).has_times
@@ -195,5 +195,5 @@ def _notes(results: RunResults) -> dict[str, str]:
 
 
 def _part(most: int, n_all: int, how: str) -> str:
-    """Which part is shown, "" if all is."""
+    """Description of the part shown, "" for everything."""
     return f" {most:,} of {n_all:,}{how}." if most < n_all else ""

@@ -21,7 +21,7 @@ from .render import render
 PAGE = "report.html"
 PAGES = "report"
 FIGURES = "figures"
-#: A page holds the points of so many pairs, a third of them worst, median and best each, and of the largest pieces.
+#: Number of pairs with points on a page, a third each of the worst, median and best, and those of the largest pieces.
 MOST_VIEWS = 15
 _PLOTLY = "plotly.min.js"
 _INDEX = "index.html"
@@ -29,7 +29,7 @@ _INDEX = "index.html"
 
 @dataclass(frozen=True)
 class ReportFiles:
-    """What was written: the page to open, the number of pages, the figures, how many of the pairs are there in 3D."""
+    """Files written: the page to open, the number of pages, the figures, and the number of pairs in 3D."""
 
     page: Path
     n_pages: int
@@ -59,7 +59,7 @@ def write_report(
     Raises
     ------
     RunError
-        The folder is no finished run, has no scored pair or a damaged table, no pair matches, or a file cannot be
+        The folder is not a finished run, has no scored pair or a damaged table, no pair matches, or a file cannot be
         written; or the floor is another's.
     """
     results = read_results(folder)
@@ -79,7 +79,7 @@ def write_report(
             folder / PAGES / file: ([name], "This page shows one pair; the tables lead to the others.")
             for name, file in files.items()
         }
-        note = f"The 3D views of {len(chosen)} pairs have pages of their own: choose one in the tables."
+        note = f"The 3D views of {len(chosen)} pairs are on separate pages: choose one in the tables."
         pages[folder / PAGES / _INDEX] = ([], note)
         plotly_source = _PLOTLY
         write_whole(folder / PAGES / _PLOTLY, get_plotlyjs().encode())

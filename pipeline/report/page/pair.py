@@ -1,7 +1,7 @@
-"""What a page holds of one pair: its objects, the points of both sides, road, aligned nodes, spectra.
+"""Content of a page about one pair: its objects, the points of both sides, road, aligned nodes, spectra.
 
-Points are whole numbers of a small step. What is many is packed: sorted so that neighbours follow one another, each
-number less the one before it, low bytes before high ones, deflated, in base64. The browser undoes that.
+Points are integers in units of a small step. Large arrays are packed: sorted so that neighbours follow one another,
+as differences of successive numbers, low bytes before high ones, deflated, in base64. The browser reverses that.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ....stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from ..aggregates import plain_rows
 from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults, Spectra
 
-#: What is told of a chosen object.
+#: Properties shown of a chosen object.
 FACTS = (
     *("cdc", "r_lambda", "r_gap", "quadrant", *OBJECT_COVERAGE, *OBJECT_ROAD, "centroid_distance_m", "alignment_rms_m"),
     *("n_points", "n_real", "n_sim", "n_keep", "range_m", "bearing_deg", "group", "status", "reason"),
@@ -35,7 +35,7 @@ UNMATCHED_COLUMNS = (
 #: The distance of a point to the other side is a byte, the largest for this many metres and more.
 FAR_M = COVERAGE_DISTANCES_M[-1]
 _FAR = 255
-#: A page holds about so many object points at most, of an object at most `_MOST_OF_OBJECT`, at least `_FEWEST`.
+#: Largest number of object points of a page; of an object at most `_MOST_OF_OBJECT`, at least `_FEWEST`.
 MOST_POINTS = 1_000_000
 _MOST_OF_OBJECT, _FEWEST = 20_000, 80
 _MOST_ROAD_POINTS, _ROAD_CELL_M = 4000, 0.4
@@ -107,7 +107,7 @@ def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
 
 
 def _counted(tables: PairTables, side: str, shown: IndexArray) -> dict[str, Any]:
-    """How many points there are, and which objects those of the page belong to: ids, and so many points each."""
+    """Number of points, and the objects of those on the page: ids, and the number of points of each."""
     ids, counts = np.unique(tables.clouds[side].community[shown], return_counts=True)
     return {"n": len(tables.clouds[side].points), "ids": ids.tolist(), "counts": counts.tolist()}
 
@@ -141,7 +141,7 @@ def _marked(n: int, places: IndexArray) -> BoolArray:
 
 
 def _aligned_distances(tables: PairTables) -> dict[str, FloatArray]:
-    """Of each point of a matched object, the distance to its partner, the simulated one moved onto the real one.
+    """Distance of each point of a matched object to its partner, the simulated object moved onto the real one.
 
     Infinite for the points of other objects.
     """

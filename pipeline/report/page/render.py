@@ -1,4 +1,4 @@
-"""Fills the pages' templates: every text is escaped, data for JavaScript stand as JSON in which no sign ends a script.
+"""Fill the pages' templates: every text is escaped, data for JavaScript is JSON in which no character ends a script.
 
 Everything is inside the page: style, code, data, and plotly.js as installed.
 """
@@ -29,7 +29,7 @@ def render(template: str, report: dict[str, Any], plotly_source: str = "", **wor
     ----------
     template : its file in `templates`
     report : what JavaScript reads, plain values
-    plotly_source : address of plotly.js beside the page; by default it is inside
+    plotly_source : address of plotly.js next to the page; by default it is inside
     words : what the template shows
     """
     report = {"template": TEMPLATE, **report}
@@ -55,7 +55,7 @@ def _environment() -> Environment:
 
 
 def _asset(name: str) -> Markup:
-    """A file of `assets`, which is ours and stands in the page as it is."""
+    """A file of `assets`, inserted into the page unchanged."""
     return Markup(resources.files(__package__).joinpath("assets", name).read_text(encoding="utf-8"))
 
 

@@ -1,1 +1,1 @@
-"""What each command shows, as plain data: one file per subject."""
+"""The output of each command as plain data: one file per subject."""

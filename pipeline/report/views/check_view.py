@@ -1,4 +1,4 @@
-"""What would be read of a dataset, and what is wrong with it."""
+"""Views of a dataset check: what would be read, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RUNS = Path("runs")  #: where runs lie unless --out says otherwise
 
 
 def check_json(dataset: DatasetCheck) -> JsonObject:
-    """The same for programs: what was learnt of each scan by pair and side (null: it is missing), and what is wrong."""
+    """The same for programs: inspection of each scan by pair and side (null if it is missing), and problems."""
     pairs: list[JsonValue] = [
         {"pair_id": pair.pair_id, **{side: _scan_json(sides.get(side)) for side in SIDES}}
         for pair, sides in dataset.pairs
@@ -37,7 +37,7 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
 
 
 def check_view(dataset: DatasetCheck) -> View:
-    """The pairs of a dataset with points, extents and dropped points, then warnings and faults."""
+    """The pairs of a dataset with points, extents and dropped points, then warnings and errors."""
     rows: list[tuple[object, ...]] = []
     for pair, sides in dataset.pairs:
         for side in SIDES:
@@ -56,7 +56,7 @@ def check_view(dataset: DatasetCheck) -> View:
         *_sensor_lines(dataset.sensors),
         *map(Note, dataset.notes),
         *(Note(f"warning: {text}", "yellow") for text in dataset.warnings),
-        *(Note(f"fault: {text}", "red") for text in dataset.faults),
+        *(Note(f"error: {text}", "red") for text in dataset.faults),
         _space_needed(_disk_bytes(dataset)),
         Note(verdict, "red" if dataset.faults else "green"),
     ]
@@ -82,12 +82,12 @@ def _scan_json(facts: ScanCheck | None) -> JsonObject | None:
 
 
 def _disk_bytes(dataset: DatasetCheck) -> int:
-    """What the tables of a run may take."""
+    """Disk space that the tables of a run may take."""
     return CostModel().disk_bytes(sum(facts.n_raw for _, sides in dataset.pairs for facts in sides.values()))
 
 
 def _space_needed(need: int) -> Note:
-    """What the tables of a run may take, and what is free where runs lie by default."""
+    """Disk space that the tables of a run may take, and free space in the default folder of runs."""
     free = free_bytes(RUNS)
     text = f"a run needs about {megabytes(need)} on disk"
     if free is not None and need > free:

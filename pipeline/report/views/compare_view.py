@@ -16,15 +16,15 @@ from .floor_view import both_excesses_table, excess_notes
 _MOST_OBJECTS = 5
 _MOST_LEFT_OUT = 5
 _COLOURS = {"worse": "red", "mixed": "red", "better": "green", "undecided": "yellow"}
-#: What may have become of an object; those that are alike are not listed.
+#: Fates of an object that are listed; unchanged ones are not.
 _CHANGED = ("vanished", "worse", "mixed", "better", "appeared")
 OBJECTS_NOTE = (
     f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and neither the other way. "
     "Single objects also change where Louvain cuts the simulated side otherwise: trust many, not one."
 )
 GROUPS_NOTE = (
-    "Classes and ranges are described, not judged: no test says which of these changes chance makes, and of many "
-    "groups some always move. Mean changes are over the objects that both runs have matched; below 0 is better."
+    "Classes and ranges are described, not tested: some of these changes are due to chance, and of many groups "
+    "some always move. Mean changes are over the objects that both runs have matched; below 0 is better."
 )
 INTENSITY_NOTE = "intensity is not compared: no score uses it yet"
 
@@ -101,7 +101,7 @@ def decision(comparison: Comparison) -> str:
 
 
 def chance(comparison: Comparison) -> str:
-    """The second line: how pairs were counted, and how often equal simulators are called better or worse."""
+    """The second line: how pairs were counted, and the rate at which equal simulators are called better or worse."""
     counted = comparison.blocking
     if comparison.by_direction:
         counted += (
@@ -163,7 +163,7 @@ def changed(comparison: Comparison) -> list[ObjectChange]:
 
 
 def family_table(comparison: Comparison) -> Table:
-    """One row per family: verdict, and its most telling score before and after."""
+    """One row per family: verdict, and its clearest score before and after."""
     rows = []
     for family in comparison.families:
         score, own = family.scores[0], family.scores[0].difference

@@ -1,4 +1,4 @@
-"""A judged run or comparison, and JUnit XML for CI.
+"""Result of a gate on a run or comparison, and JUnit XML for CI.
 
 The XML is written with the standard library: it is three elements deep, and what a library would add is a dependency.
 """
@@ -33,7 +33,7 @@ def gate_view(result: GateResult) -> View:
 
 
 def base_view(result: BaseResult) -> View:
-    """What failed against the base, and the verdict."""
+    """Failures against the base, and the verdict."""
     failed = result.failed
     outcome = f"{len(failed)} of {len(result.checks)} checks failed" if failed else "passed"
     return [
@@ -44,7 +44,7 @@ def base_view(result: BaseResult) -> View:
 
 
 def gate_checks(result: GateResult) -> list[Check]:
-    """The criteria in words, as JUnit has them."""
+    """The criteria as text, for JUnit."""
     words = {True: "bound", False: "not computed"}
     return [
         Check(judged.criterion.name, _in_words(judged), "" if judged.passed else words[judged.value is not None])

@@ -49,7 +49,7 @@ def history_decision(history: History) -> str:
 
 
 def history_remarks(history: History) -> list[Note]:
-    """What a reader must know beside the numbers."""
+    """Notes that a reader needs next to the numbers."""
     share, n = 1 - CONFIDENCE, history.n_comparisons
     lines = [
         f"each of the {n} comparisons calls a family better or worse by chance in {100 * share:.0f} % of the cases or "

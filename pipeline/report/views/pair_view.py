@@ -12,7 +12,7 @@ from ...results.finished import ObjectFacts, PairFacts
 from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
 from ..view import Note, Table, View, number, percent
 
-#: Columns of `metrics` in the order in which an object shows them: r_lambda stands beside what it is made of.
+#: Columns of `metrics` in the order in which an object shows them: r_lambda is next to its components.
 _OBJECT_SCORES = (
     *("cdc", "r_lambda", "max_eigenvalue_shift", "laplacian_change", "r_gap", "gap_real", "gap_sim"),
     *("eigenspectrum_distance", "alignment_rms_m", "centroid_distance_m"),
@@ -168,7 +168,7 @@ def object_records(facts: ObjectFacts) -> Table:
 
 
 def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
-    """Objects whose r_lambda stands on a bad alignment, worst first; no note if none does."""
+    """Objects whose r_lambda depends on a poor alignment, worst first; no note without any."""
     scored = [
         (each.real["community_id"], each.scores["alignment_rms_m"], _diagonal_m(each.real))
         for each in objects
@@ -180,8 +180,8 @@ def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
     named = ", ".join(f"real:{i} ({rms:.1f} m apart, {size:.1f} m large)" for i, rms, size in bad[:_MOST_ALIGNMENTS])
     more = ", ..." * (len(bad) > _MOST_ALIGNMENTS)
     text = (
-        f"warning: r_lambda of {len(bad)} of {len(scored)} objects stands on a bad alignment ({BAD_ALIGNMENT_WORDS}), "
-        f"which alone lowers it: {named}{more}"
+        f"warning: r_lambda of {len(bad)} of {len(scored)} objects depends on a poor alignment "
+        f"({BAD_ALIGNMENT_WORDS}), which alone lowers it: {named}{more}"
     )
     return [Note(text, "yellow")]
 
@@ -191,7 +191,7 @@ def _diagonal_m(own: Row) -> float:
 
 
 def _alone_lines(facts: ObjectFacts) -> list[str]:
-    """Why an unmatched object has no scores, and whether its surface is on the other side."""
+    """Reason why an unmatched object has no scores, and whether the other side has its surface."""
     side, own = _only(facts)
     side, other = {"real": ("real", "simulated"), "sim": ("simulated", "real")}[side]
     why = f"only the {side} side has this object, so that it has no scores"
@@ -199,5 +199,5 @@ def _alone_lines(facts: ObjectFacts) -> list[str]:
         n_sim = facts.sim["n_points"] or "no"
         why = f"{n_sim} points of this object are simulated, too few to match it, so that it has no scores"
     covered, state = own["covered_0p3m"], surface_state(own["covered_0p3m"])
-    place = {"there": "there, only divided differently", "partly": "there in part"}.get(state, state)
+    place = {"there": "there, only partitioned differently", "partly": "there in part"}.get(state, state)
     return [why, f"its surface is {place}: {percent(covered)} of its points have a {other} one within 0.3 m"]

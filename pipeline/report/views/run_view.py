@@ -55,7 +55,7 @@ def summary_view(
     rows: Sequence[Row],
     record: RunRecord,
     overview: Overview | None,
-    told: Container[str] = frozenset(),
+    reported: Container[str] = frozenset(),
     excess: RunExcess | None = None,
     *,
     with_all: bool = False,
@@ -66,7 +66,7 @@ def summary_view(
     Parameters
     ----------
     overview : of the record, or over a floor
-    told : pairs whose failure was reported before
+    reported : pairs whose failure was reported before
     excess : the run over a floor
     took : time and reused jobs of a run that just ended
     """
@@ -76,14 +76,14 @@ def summary_view(
         *(baselines_view(record.baselines) if record.baselines else ()),
         *(seeds_view(record.seeds) if record.seeds else ()),
         *([*excess_view(excess, HEADLINES), Note("")] if excess else ()),
-        *_failures_parts(folder, rows, told),
+        *_failures_parts(folder, rows, reported),
         *(Note(f"warning: {words}", "yellow") for words in frames),
         *answer_view(folder, record, overview, excess, with_all=with_all, took=took),
     ]
 
 
 def _all_tables(rows: Sequence[Row], record: RunRecord) -> View:
-    """The pairs of a run, and what they say together."""
+    """The pairs of a run and their summary."""
     if record.findings is None:
         return []
     return [
@@ -107,16 +107,16 @@ def surface_table(overview: Overview) -> Table:
     return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
-def _failures_parts(folder: Path, rows: Sequence[Row], told: Container[str]) -> View:
-    """How many pairs failed, and why; of those that were told of already only where it can be read again."""
+def _failures_parts(folder: Path, rows: Sequence[Row], reported: Container[str]) -> View:
+    """Failed pairs with their reasons; failures already reported are only counted."""
     failures = [row for row in rows if row["status"] == "failed"]
     if not failures:
         return []
-    new = [row for row in failures if row["pair_id"] not in told]
-    count, n_told = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
-    which = "" if n_told == len(failures) else f"{n_told} of them "
-    above = f", {which}as told above; again with: fidpipe show {quote(str(folder))}"
-    parts = [Note(f"{count}{above if n_told else ''}{':' if new else ''}", "red")]
+    new = [row for row in failures if row["pair_id"] not in reported]
+    count, n_reported = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
+    which = "" if n_reported == len(failures) else f"{n_reported} of them "
+    above = f", {which}as reported above; show them again with: fidpipe show {quote(str(folder))}"
+    parts = [Note(f"{count}{above if n_reported else ''}{':' if new else ''}", "red")]
     parts += [Note(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
     if len(new) > _MOST_PAIRS:
         parts.append(Note(f"  and {len(new) - _MOST_PAIRS} more, see pairs.parquet"))
@@ -134,7 +134,7 @@ def baselines_view(rows: Sequence[BaselineSummary]) -> View:
     total_s = sum(row.seconds or 0.0 for row in rows)
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its two scans.",
-        f"s: seconds per pair, beside the first number of a method; all together {total_s:.1f}",
+        f"s: seconds per pair, next to the first number of a method; in total {total_s:.1f}",
         *(f"{row.baseline} is null for {row.n_null} of {row.n + row.n_null} {row.level}" for row in rows if row.n_null),
     )
     table = Table("Baselines (mean and standard deviation over pairs)", columns, cells, words=(0, 1))
@@ -142,7 +142,7 @@ def baselines_view(rows: Sequence[BaselineSummary]) -> View:
 
 
 def seeds_view(seeds: SeedSummary) -> View:
-    """Spread over seeds beside spread over pairs, and mean and deviation over seeds of each pair."""
+    """Spread over seeds next to spread over pairs, and mean and deviation over seeds of each pair."""
     spreads = [(metric_of(name).label, *vars(seeds.dataset[name]).values()) for name in HEADLINE_SCORES]
     headings = ("std over\npairs", "std over\nseeds", "repeatability\n(one pair)", "repeatability\n(all pairs)")
     title = f"How stable the scores are ({seeds.n_seeds} seeds, {seeds.n_pairs} pairs)"
@@ -157,7 +157,7 @@ def seeds_view(seeds: SeedSummary) -> View:
     ]
     pairs = Table(title, ("pair", *labels(_SEED_SCORES)), rows)
     lines = (
-        "repeatability limit (ISO 5725): two results under seeds of their own, of one pair or the means of all pairs,",
+        "repeatability limit (ISO 5725): two results with different seeds, of one pair or the means of all pairs,",
         "that differ by less may do so by chance alone (95 %); a simulator is better only if it is so by more",
     )
     return [dataset, *map(Note, lines), pairs]
@@ -209,7 +209,7 @@ def surface_line(record: RunRecord) -> str:
 
 
 def unmatched_lines(record: RunRecord) -> list[str]:
-    """What is behind the unmatched objects, a line for each side that has some."""
+    """State of the unmatched objects, a line for each side that has some."""
     lines: list[str] = []
     if record.metrics is None:
         return lines
@@ -219,18 +219,18 @@ def unmatched_lines(record: RunRecord) -> list[str]:
         total, near = there + partly + absent, f"of their points have a {other} one within 0.3 m"
         if there or partly:
             lines.append(
-                f"of {total:.1f} {status} objects a pair, {there:.1f} are there and only divided differently (over "
-                f"{100 * THERE:.0f} % {near}), {partly:.1f} partly, {absent:.1f} absent"
+                f"of {total:.1f} {status} objects per pair, {there:.1f} exist on the other side, partitioned "
+                f"differently (over {100 * THERE:.0f} % {near}), {partly:.1f} partly, {absent:.1f} absent"
             )
         elif absent:
             lines.append(
-                f"the {total:.1f} {status} objects a pair are all absent from the {other} side (at most "
+                f"the {total:.1f} {status} objects per pair are all absent from the {other} side (at most "
                 f"{100 * ABSENT:.0f} % {near})"
             )
         if states.road:
             lines.append(
                 f"{states.road} of the {states.there + states.partly + states.absent} {status} objects are road that "
-                f"the ground cut of the {other} side removed and that of their own side left (column road_share)"
+                f"the ground cut of the {other} side removed and that of their side kept (column road_share)"
             )
     return lines
 
@@ -242,13 +242,13 @@ def preset_line(record: RunRecord) -> str:
 
 
 def _findings_parts(findings: Findings) -> View:
-    """Distributions, ranges, classes and four scans, as the paper's section "Real experiments" tells them."""
+    """Distributions, ranges, classes and four scans, as in the paper's section "Real experiments"."""
     rank, ratio = findings.rank_correlation, findings.density_ratio
     return [
         _distributions(findings),
         Note(
             f"Rank correlation of CDC and r_lambda: Spearman {number(rank.spearman, 2)}, "
-            f"Kendall {number(rank.kendall, 2)} (near 0: each tells what the other does not)"
+            f"Kendall {number(rank.kendall, 2)} (near 0: they measure different things)"
         ),
         Note(
             f"Points, simulated / real: {number(ratio.min, 2)} to {number(ratio.max, 2)}, median "

@@ -1,4 +1,4 @@
-"""What `fidpipe show` shows: a finished run, a pair of it, or an object of a pair."""
+"""Views of `fidpipe show`: a finished run, a pair, or an object of a pair."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ _MOST_FAILURES = 3
 
 
 def status_view(status: RunStatus, more: View = ()) -> View:
-    """How far a run is in about ten lines: stages that all pairs have in one, the others one by one; failed pairs.
+    """Progress of a run in about ten lines: stages that all pairs have in one, the others one by one; failed pairs.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ const resizes = new ResizeObserver((changes) => {
   for (const { target } of changes) if (target.offsetWidth) Plotly.Plots.resize(target);
 });
 
-// Draws a chart, or draws it anew. It follows the size of its place, also when that was hidden meanwhile.
+// Draws or redraws a chart. It follows the size of its container, also if that was hidden meanwhile.
 export function draw(id, { data, layout }, config = {}) {
   // Buttons are listed one by one: plotly's own choice includes one that uploads the chart.
   const modeBarButtons = [["toImage"]];

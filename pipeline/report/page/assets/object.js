@@ -1,4 +1,4 @@
-// The panel of a chosen object: both sides in one box, as they lie or aligned, its numbers, its spectra.
+// The panel of a chosen object: both sides in one box, as given or aligned, its numbers, its spectra.
 
 import { byId, draw, paint, report } from "./draw.js";
 import {
@@ -168,27 +168,27 @@ function sayOverlay(object, places, lines, isAligned) {
     (side) => `${counted(places[side].length)} of ${counted(all(side))} ${SIDE_WORDS[side]} points`,
   );
   const isThinned = sides.some((side) => places[side].length < all(side));
-  const told = [`${parts.join(", ")}${isThinned ? ", thinned for display only" : ""}.`];
+  const notes = [`${parts.join(", ")}${isThinned ? ", thinned for display only" : ""}.`];
   if (object.side) {
     const road = roadWords(object);
-    told.push(
+    notes.push(
       `Unmatched: no counterpart, no score.${road ? ` ${road[0].toUpperCase()}${road.slice(1)}: below the ground cut there.` : ""}`,
     );
   } else {
-    told.push(`${counted(object.n_keep)} nodes a side are kept for the spectral scores.`);
+    notes.push(`${counted(object.n_keep)} nodes a side are kept for the spectral scores.`);
   }
-  if (lines.length) told.push(`${counted(lines.length)} of ${counted(lines.n)} alignment lines.`);
+  if (lines.length) notes.push(`${counted(lines.length)} of ${counted(lines.n)} alignment lines.`);
   if (object.move) {
     const [x, y, z] = object.move.map((value) => value.toFixed(2));
     const far = Math.hypot(...object.move).toFixed(2);
-    told.push(
+    notes.push(
       isAligned
         ? `Aligned: simulated points moved by (${x}, ${y}, ${z}) m, so that the kept nodes of both sides have one mean, as ` +
-            "node alignment and its RMS have it; nothing is turned. CDC is of the points as they lie."
-        : `As they lie in the frame of the real sensor, as CDC has them; aligned moves simulated ones by ${far} m.`,
+            "node alignment and its RMS use; without rotation. CDC uses the points as given."
+        : `As given, in the frame of the real sensor, as CDC uses them; aligned moves simulated ones by ${far} m.`,
     );
   }
-  say("overlay_note", told.join(" "));
+  say("overlay_note", notes.join(" "));
   drawOverlayLegend(isAligned);
 }
 

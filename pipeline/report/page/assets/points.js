@@ -135,7 +135,7 @@ export function objectTitle(object) {
   return `${ids}: ${shorten(object.group)}, ${scores}`;
 }
 
-// What share of an unmatched object is road to the other side, in words; "" if none is.
+// Share of an unmatched object that is road to the other side, as text; "" for 0.
 export function roadWords(object) {
   const share = object.side ? object[`road_share_${object.side}`] : null;
   return share >= 0.005

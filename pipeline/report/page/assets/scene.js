@@ -33,8 +33,8 @@ const FEWEST_DRAWN = 80;
 const BOX_MARGIN_M = 0.2;
 const SENSOR_AXIS_M = 4;
 const MOST_SUGGESTED = 6;
-// pair: {name, view, objects, points, drawn, ranges}, the one that is open; wanted: the name of the one being opened
-const scene = { pair: null, wanted: null, chosen: null, hovered: null };
+// pair: {name, view, objects, points, drawn, ranges}, the open one; opening: the name of the one being opened
+const scene = { pair: null, opening: null, chosen: null, hovered: null };
 const communityColour = (i) => `hsl(${Math.round((i * 137.508) % 360)}, 65%, ${[48, 62, 38][i % 3]}%)`;
 
 // The address of a pair, or of an object, within the page that shows it.
@@ -47,13 +47,13 @@ export function linkTo(pair, name) {
   return report.links[pair] ? report.links[pair] + linkWithin(pair, name) : null;
 }
 
-// Opens a pair without choosing an object; false if another one was asked for meanwhile.
+// Opens a pair without choosing an object; false if another one was requested meanwhile.
 async function openPair(name) {
-  scene.wanted = name;
+  scene.opening = name;
   const view = report.views[name];
   const objects = objectsOf(view);
   const points = await pointsOf(view, objects);
-  if (scene.wanted !== name) return false;
+  if (scene.opening !== name) return false;
   const drawn = Object.fromEntries(SIDES.map((side) => [side, drawnOf(points[side])]));
   const sensor = { x: [0, SENSOR_AXIS_M], y: [0, 0], z: [0, 0] };
   const ranges = extent([points.real, points.sim, points.road.real, points.road.sim, sensor]);
@@ -71,7 +71,7 @@ async function openPair(name) {
   return true;
 }
 
-// Every so many points of each object, so that about MOST_DRAWN remain.
+// Every Nth point of each object, so that about MOST_DRAWN remain.
 function drawnOf({ object, ranges }) {
   const every = Math.ceil(object.length / MOST_DRAWN);
   return [...ranges.values()].flatMap(([from, to]) => {
@@ -156,7 +156,7 @@ function redrawPair() {
   if (scene.pair !== null) drawScene();
 }
 
-// Draws pair and object anew, in the colours of the theme.
+// Redraws pair and object in the colours of the theme.
 export function redrawScene() {
   redrawPair();
   if (scene.chosen !== null) drawPanel(scene.pair, placeOf(scene.chosen), linkWithin(scene.pair.name, scene.chosen));
@@ -287,7 +287,7 @@ export function markRow() {
   }
 }
 
-// Shows what the address asks for: #pair=...&object=...; says so if there is no such thing here.
+// Shows the pair and object of the address, #pair=...&object=..., or a note if they do not exist.
 export async function showAsked() {
   const asked = new URLSearchParams(window.location.hash.slice(1));
   const [pair, name] = [asked.get("pair"), asked.get("object")];

@@ -89,7 +89,7 @@ function wantedBy(filter, columns, rows) {
   return { isWanted, problem: problems.join(" ") };
 }
 
-// Order of two values, nulls last whichever way the others go.
+// Order of two values, nulls last in both directions.
 function order(a, b, isUp) {
   if (a === null || b === null) return (a === null) - (b === null);
   const step =
