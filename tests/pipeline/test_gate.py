@@ -245,7 +245,7 @@ def test_a_file_of_criteria_gives_names_and_reasons(tmp_path):
     [
         ("", "criterion: Field required"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nmax = 1\n', "criterion.0.reason"),
-        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\n', "max or min is wanted"),
+        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\n', "expected max or min"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmax = nan\n', "criterion.0.max"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmaximum = 1\n', "criterion.0.maximum"),
         ("= 1", "not valid TOML"),

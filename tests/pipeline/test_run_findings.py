@@ -145,7 +145,7 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     console = Console(file=StringIO(), width=300)
     view = summary_view(outcome.folder, [first], outcome.record, outcome.record.overview, with_all=True)
     console.print(terminal(view))
-    (line,) = (line for line in console.file.getvalue().splitlines() if "geometry: 0 the same points" in line)
+    (line,) = (line for line in console.file.getvalue().splitlines() if "geometry: 0 for the same " in line)
     assert f"{n_scored - 1} of {n_scored} " in line
     assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line
     alone = run(data, tmp_path / "alone", pattern="000").record.summary["cdc_unmatched_worst_mean"].mean
