@@ -1,4 +1,4 @@
-"""What `run.json` holds: how a run was made, how its pairs went, and what it found (`results`)."""
+"""Fields of `run.json`: how a run was made, the outcomes of its pairs, and its results (`results`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class BaselineSummary(Result):
 
     level : "objects" (mean over the matched objects of a pair) or "scans" (all object points of its two scans)
     n, n_null : objects or scans with and without a value
-    seconds : per pair, beside the first number of a method; else null
+    seconds : per pair, with the first number of a method; else null
     """
 
     baseline: str
@@ -28,7 +28,7 @@ class BaselineSummary(Result):
 
 
 class Spread(Result):
-    """The spread of one score over seeds and pairs; null where there are too few values.
+    """The spread of one score over seeds and pairs; null for too few values.
 
     mean : over pairs, of each pair's mean over seeds
     std_pairs : standard deviation (n - 1) over pairs of each pair's mean over seeds
@@ -45,7 +45,7 @@ class Spread(Result):
 
 
 class MeanStd(Result):
-    """Mean and standard deviation (n - 1); null where there are too few values."""
+    """Mean and standard deviation (n - 1); null for too few values."""
 
     mean: float | None
     std: float | None
@@ -61,7 +61,7 @@ class SeedSummary(Result):
 
 
 class Machine(Result):
-    """Where a run was made."""
+    """Machine of a run."""
 
     python: str
     system: str
@@ -87,7 +87,7 @@ class Seconds(Result):
 class FrameSuspect(Result):
     """A pair whose simulated scan fits the real one much better in another reading than as it is evaluated.
 
-    reading : in words, such as "mirrored in y"
+    reading : the candidate transform as text, such as "mirrored in y"
     coverage, as_it_lies : 0 to 1, how well the scans cover each other in that reading, and as they are evaluated
     setting : what makes that reading the one that is evaluated
     """
@@ -99,12 +99,12 @@ class FrameSuspect(Result):
 
 
 class RunHeader(Result):
-    """What `run.json` holds from the start of a run: what it is made from and with.
+    """Fields of `run.json` from the start of a run: inputs, settings and versions.
 
     preset : whose objects they are, and in `departures` the settings that differ from its own
-    settings : by group and name, as they are in force
+    settings : effective settings by group and name
     stages : version of each stage's code
-    libraries : version of each library, null where it is not installed
+    libraries : version of each library, null if it is not installed
     previous : the finished results of this folder that these replace; None if there were no other ones
     """
 
@@ -124,7 +124,7 @@ class RunHeader(Result):
 class SurfaceStates(Result):
     """Unmatched objects of all pairs, by whether their surface is on the other side: see `stages.coverage`.
 
-    there : it is, and only divided differently
+    there : it is, only partitioned differently
     road : of all three, those that lie mostly below the other side's ground cut: road that only one side's cut left
     """
 
@@ -139,31 +139,31 @@ SURFACE_STATES = tuple(name for name in SurfaceStates.model_fields if name != "r
 
 
 class UnmatchedSurface(Result):
-    """What is behind the objects that only one side has."""
+    """Causes of the objects that only one side has."""
 
     missing: SurfaceStates
     hallucinated: SurfaceStates
 
 
 class MetricsSummary(Result):
-    """What the stage metrics says of all pairs."""
+    """Summary of the stage metrics over all pairs."""
 
     unmatched: UnmatchedSurface
 
 
 class RunRecord(RunHeader):
-    """What `run.json` holds at the end of a run.
+    """Fields of `run.json` at the end of a run.
 
     workers : of the last command; 0 where there was nothing to do
     wall_s : seconds of the last command by phase
     summary : by column of `pairs`; `cdc_unmatched_worst_mean` and the like: with unmatched objects counted as worst
     findings : None ({} in JSON) where no pair is scored
-    overview : None where no pair is scored
+    overview : None if no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     frames : by pair, those whose simulated scan seems to lie in another frame
     notes : by pair, notes on its ground cut
     metrics : what is behind the unmatched objects
-    baselines, seeds : only where they were asked for
+    baselines, seeds : only if requested
     """
 
     model_config = ConfigDict(extra="allow")  # what a later version adds is shown as it is

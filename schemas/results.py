@@ -1,4 +1,4 @@
-"""What a run found, as typed values: summaries of scores, findings over all objects, the overview; see also `record`.
+"""Results of a run as typed values: summaries of scores, findings over all objects, the overview; see also `record`.
 
 Contracts like the tables: the field names are the keys of the JSON, in that order. `as_dict` gives plain values for
 JSON, `from_dict` reads them again.
@@ -38,7 +38,7 @@ class Result(BaseModel):
 
 
 class ScoreSummary(Result):
-    """A score over the pairs of a dataset; null where too few pairs have it.
+    """A score over the pairs of a dataset; null if too few pairs have it.
 
     mean, std : over pairs, std with n - 1
     n_pairs : pairs that have the score
@@ -50,7 +50,7 @@ class ScoreSummary(Result):
 
 
 class Quantiles(Result):
-    """How many values there are, and their quantiles; null where there is none."""
+    """Number of values and their quantiles; null without any."""
 
     n: int
     min: float | None
@@ -63,7 +63,7 @@ class Quantiles(Result):
 
 
 class Distribution(Quantiles):
-    """Some values: how many, their quantiles, mean, standard deviation (n - 1); null where there are too few.
+    """Some values: their number, quantiles, mean, standard deviation (n - 1); null for too few.
 
     cv : coefficient of variation, std / mean
     peak_density : share of the values in the fullest bin of width 0.05, over that width
@@ -99,7 +99,7 @@ class DensityRatio(Quantiles):
 
 
 class Unmatched(Result):
-    """Objects of each side in a group, and how many of them the other side lacks; a share of none is null."""
+    """Objects of each side in a group, and how many of them the other side lacks; a share of no objects is null."""
 
     n_real: int
     n_missing: int
@@ -123,13 +123,13 @@ class _Band(Result):
 
 
 class RangeBand(Unmatched, _Band):  # in this order the distances come first in JSON
-    """Objects between two distances from the sensor; `to_m` is null where the band has no end."""
+    """Objects between two distances from the sensor; `to_m` is null if the band has no end."""
 
 
 class RangeFindings(Result):
     """Objects by distance from the sensor.
 
-    median_matched, median_unmatched : metres; unmatched of both sides, each of its own
+    median_matched, median_unmatched : metres; unmatched objects of both sides, each by its own side
     bands : of fixed edges
     halves : below and above the median range of all objects
     """
@@ -189,7 +189,7 @@ class Scans(Result):
 
 
 class ObjectFindings(Result):
-    """What the objects of all pairs say together: the numbers of the paper's section "Real experiments"."""
+    """Summary of the objects of all pairs: the numbers of the paper's section "Real experiments"."""
 
     n_pairs: int
     n_matched: int
@@ -278,8 +278,8 @@ class SurfaceGroup(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (none is known)
-    words : in one sentence
+    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (unknown)
+    words : one sentence
     """
 
     kind: str

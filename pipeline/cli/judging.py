@@ -30,7 +30,7 @@ def gate(
     """Check a finished run against acceptance criteria; exits with 0 if all are met, with 4 if one is not.
 
     A criterion on a measure that could not be computed fails. So does a run with failed pairs, an unfinished run, and
-    one whose scans have changed, unless there are other bounds for pairs.failed, pairs.to_do and pairs.changed. If the
+    one whose scans have changed, unless pairs.failed, pairs.to_do and pairs.changed have other bounds. If the
     run's folder is read-only, the result is only printed.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
@@ -147,7 +147,7 @@ def compare(
         raise typer.BadParameter(f"{len(runs)} run{'s' * (len(runs) > 1)} given; expected 2 to {MOST_RUNS}")
     output = format_of(as_json, as_markdown, as_csv)
     if fail_on is not None and fail_on not in FAIL_ON:
-        raise typer.BadParameter(f"--fail-on {fail_on}: {' or '.join(FAIL_ON)} is wanted")
+        raise typer.BadParameter(f"--fail-on: expected {' or '.join(FAIL_ON)}, got {fail_on!r}")
     if fail_on is None and (junit or json_file):
         raise typer.BadParameter("--junit and --json-file are what --fail-on writes; give it as well")
     if history and (fail_on or floor):

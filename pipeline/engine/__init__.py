@@ -1,1 +1,1 @@
-"""How keyed tasks run: keys, order, memory, pools, workers, progress."""
+"""Execution of keyed tasks: keys, order, memory, pools, workers, progress."""

@@ -1,4 +1,4 @@
-"""What has to be made: the wanted key of each job of a pair, and whether a whole result with that key is there."""
+"""Execution plan: the expected key of each job of a pair, and whether an intact result with that key exists."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..storage.record import library_versions
 from ..storage.tables import JobName, JobRecord
 from .time_limit import TimeLimit
 
-OUT_OF_DATE = "out of date"  #: the reason for which a result is not wanted that was made from or with something else
+OUT_OF_DATE = "out of date"  #: reason why a result that was made from or with something else is stale
 NOT_REQUESTED = "not requested"
 
 JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
@@ -27,7 +27,7 @@ JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
 @dataclass(frozen=True)
 class Part:
-    """A job of an experiment that is wanted of a pair, beside others of the same stage.
+    """A requested job of an experiment on a pair, next to others of the same stage.
 
     stage : of grain PAIR
     name : "dropout-0.4" or the like; only characters that are safe in a file's name
@@ -72,7 +72,7 @@ class Job:
 
     @property
     def name(self) -> JobId:
-        """What it is called among the jobs of its pair."""
+        """Name among the jobs of its pair."""
         return self.stage.name, self.part
 
     @property
@@ -120,7 +120,7 @@ class PairPlan:
 
     @property
     def is_counted(self) -> bool:
-        """True if `n_raw` is no estimate."""
+        """True if `n_raw` was counted, not estimated."""
         return self._counted().keys() >= self.inputs.keys()
 
     def _counted(self) -> dict[str, int]:
@@ -160,9 +160,9 @@ class Planner:
     Parameters
     ----------
     stages : in their order
-    settings : in force
+    settings : effective settings
     label_names : class names by number
-    sides : which sides of a pair are wanted
+    sides : requested sides of a pair
     """
 
     def __init__(
@@ -177,7 +177,7 @@ class Planner:
         self._layouts: dict[tuple[str, ...], list[_PlannedJob]] = {}
 
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
-        """The jobs of a pair with their wanted keys, none of them done yet.
+        """The jobs of a pair with their expected keys, none of them done yet.
 
         A job's key is a hash of its stage's name, version, settings and libraries, the columns of the tables that it
         gives, its part and arguments, and the keys of what it reads; that of an input file hashes its content, its
@@ -187,7 +187,7 @@ class Planner:
         ----------
         pair : the pair
         inputs : by side, what its file holds
-        parts : of experiments, wanted besides the stages
+        parts : of experiments, requested in addition to the stages
 
         Raises
         ------
@@ -271,17 +271,17 @@ def with_results(
     *,
     by_content: bool = False,
 ) -> tuple[PairPlan, dict[JobName, str]]:
-    """The plan knowing which jobs are done, and the finished jobs of the pair that are not wanted, with the reason.
+    """The plan knowing which jobs are done, and the stale finished jobs of the pair, with the reason.
 
-    The result of an extra that is not asked for is wanted as long as all that it was made of is.
+    The result of an optional stage that is not requested is kept while its inputs are current.
 
     Parameters
     ----------
     plan : as planned
     folder : of the run
-    redo : stages that are made again whatever their keys say
-    exhaustive : stages of which nothing is wanted but what the plan names
-    by_content : files are judged by their content, not only by length and times
+    redo : stages to recompute regardless of their keys
+    exhaustive : stages of which only the results in the plan are kept
+    by_content : compare files by content, not only by length and times
     """
     records = folder.ledger.jobs(plan.pair_id)
     whole, unwanted = [], {}
@@ -294,7 +294,7 @@ def with_results(
         elif not folder.is_whole(record, by_content=by_content):
             unwanted[record.name] = "damaged or gone"
         elif job.stage.name in redo:
-            unwanted[record.name] = "asked for by --from"
+            unwanted[record.name] = "requested by --from"
         else:
             whole.append(record)
     wanted = {job.key for job in plan.jobs} | {key for job in plan.jobs for key in job.reads}

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and hashes of what they hold."""
+"""Atomic file writes and content hashes."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def write_whole(
     before_rename: Callable[[], None] | None = None,
     advice: str = "; give another --out",
 ) -> None:
-    """Puts a file in place of another, if any: written beside it under a dot name, flushed, renamed.
+    """Write a file atomically: next to its path under a dot name, flushed, then renamed.
 
     Parameters
     ----------
-    path : of the file; its folder is made where there is none
-    content : all of it, or its parts one after the other, which then never are in memory together
+    path : of the file; its folder is created if missing
+    content : everything, or its parts one after the other, which are then never in memory together
     before_rename : may raise, and the file in place stays
     advice : ends the message of the error
 
@@ -73,7 +73,7 @@ def named_errors(path: Path, advice: str = "; give another --out") -> Iterator[N
 
 
 def free_bytes(path: Path) -> int | None:
-    """Bytes that may still be written where a file or folder is to be made; None where that cannot be told."""
+    """Free bytes at the path of a future file or folder; None if unknown."""
     for folder in (path, *path.absolute().parents):
         with suppress(OSError):
             return shutil.disk_usage(folder).free
@@ -88,7 +88,7 @@ def disk_full(path: Path, reason: object) -> DiskFullError:
 
 
 def megabytes(n_bytes: int) -> str:
-    """A number of bytes in words.
+    """A number of bytes as text.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def megabytes(n_bytes: int) -> str:
 
 
 def remove_stale(path: Path) -> None:
-    """Removes a file that an earlier report left, if it is there.
+    """Remove a file that an earlier report left, if it exists.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def remove_stale(path: Path) -> None:
 
 
 def path_exists(path: Path) -> bool:
-    """Whether something is at a path that a file names; none is where it is too long, or holds what no path holds."""
+    """True if a path read from a file exists; False also for one that is too long or not a valid path."""
     try:
         path.stat()
     except (OSError, ValueError):
@@ -126,7 +126,7 @@ def path_exists(path: Path) -> bool:
 def refuse_link(path: Path) -> None:
     """Raises `RunError` where a folder that is written into, and cleared, is a link to another."""
     if path.is_symlink():
-        raise RunError(f"{path}: is a symbolic link, a folder of its own is wanted; remove the link")
+        raise RunError(f"{path}: expected a folder, got a symbolic link; remove the link")
 
 
 def key_of(*parts: Any) -> str:

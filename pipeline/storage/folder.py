@@ -1,4 +1,4 @@
-"""A run's folder as the command sees it: its lock, its ledger, which results are whole, and which are nobody's."""
+"""A run's folder as the command sees it: its lock, its ledger, intact results, and orphaned files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RunFolder(TableFolder):
 
     @property
     def ledger(self) -> Ledger:
-        """The ledger: to be read, or while `locked` to be written; opened when first asked for."""
+        """The ledger, for reading, or while `locked` for writing; opened at first use."""
         if self._ledger is None:
             self._ledger = self._open_ledger(is_writable=False)
         return self._ledger
@@ -43,7 +43,7 @@ class RunFolder(TableFolder):
         try:
             with (self.folder / _LOCK).open() as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError as error:  # without a lock file, or a file system that locks, none is known of
+        except OSError as error:  # no lock file, or a file system without locks: no lock is known
             return isinstance(error, BlockingIOError)
         return False
 
@@ -91,9 +91,7 @@ class RunFolder(TableFolder):
         with os.scandir(self.folder) as entries:
             link = next((entry.name for entry in entries if entry.is_symlink()), None)
         if link is not None:
-            raise RunError(
-                f"run {self.folder}: {link} is a symbolic link, files of its own are wanted; remove the link"
-            )
+            raise RunError(f"run {self.folder}: expected a file, got the symbolic link {link}; remove the link")
 
     def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run if `pair_id` is "".
@@ -141,14 +139,14 @@ class RunFolder(TableFolder):
         }
 
     def damaged(self, name: str, cause: str = "") -> RunError:
-        """The error of a file that is not as it was stored, with the command that makes it again."""
+        """Error about a damaged file, with the command that recomputes it."""
         again = command_again(self.folder, read_run(self.folder).get("dataset", "DATASET"))
         return RunError(
             f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run it again with: {again}"
         )
 
     def is_whole(self, record: JobRecord, *, by_content: bool = False) -> bool:
-        """Whether the files of a job are as they were written; see `StoredFile.is_at`."""
+        """True if the files of a job are as they were written; see `StoredFile.is_at`."""
         files = record.files.items()
         return all(stored.is_at(f"{self.folder}/{name}", by_content=by_content) for name, stored in files)
 
@@ -159,14 +157,14 @@ class RunFolder(TableFolder):
         self.ledger.drop_job(record)
 
     def remove_strays(self) -> int:
-        """Removes files that no finished job accounts for, half-written ones among them; gives how many were whole."""
+        """Remove orphaned files, half-written ones included; return the number of intact ones."""
         strays = list(self._unknown_files(self.ledger))
         for name in strays:
             (self.folder / name).unlink()
         return sum(not Path(name).name.startswith(".") for name in strays)
 
     def _open_ledger(self, *, is_writable: bool) -> Ledger:
-        """The ledger; if it may not know every finished job, with those that the footers of their files tell of."""
+        """The ledger; if it may be incomplete, with the finished jobs found in the footers of files."""
         if self.folder.is_dir():
             self.refuse_links()
         ledger = Ledger(self.folder / LEDGER, is_writable=is_writable)
@@ -217,7 +215,7 @@ def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool, other
     Parameters
     ----------
     name : of the results, which begins the message, such as `run OUT`
-    kind : of the results, in words
+    kind : of the results, as text
     is_own : whether the folder already holds results of this kind
     other : what the user can give instead
     """
@@ -228,13 +226,13 @@ def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool, other
 
 
 def refuse_overwrite(name: str, lost: str, why: Iterable[str], other: str = "--out") -> None:
-    """Raise `RunError`: a finished result is replaced only if `--replace` asks for it.
+    """Raise `RunError`: a finished result is replaced only with `--replace`.
 
     Parameters
     ----------
     name, other : see `refuse_other_content`
     lost : what would be replaced
-    why : what has changed, in words
+    why : description of what has changed
     """
     changes = "; ".join(why)
     raise RunError(

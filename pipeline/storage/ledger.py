@@ -1,8 +1,8 @@
 """A run's ledger: finished jobs, hashes of input files, and why pairs failed. In SQLite.
 
-A cache that the command alone writes: the same stands in the footers of the tables. It is believed if it has the hash
-that was noted when it was closed in order; else it is deleted, and made again from the footers. Nothing of it is kept
-in memory, so that a command over ten thousand pairs stays small.
+A cache that only the command writes: the footers of the tables hold the same. It is trusted if it has the hash that was
+stored when it was closed properly; else it is deleted and rebuilt from the footers. Nothing of it is kept in memory, so
+that a command over ten thousand pairs stays small.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB) WITHOUT ROWID;
 
 
 class Ledger:
-    """The ledger of a run's folder, or an empty one in memory if there is none to be believed and none may be written.
+    """The ledger of a run's folder, or an empty one in memory if no intact one exists and none may be written.
 
     Parameters
     ----------
     path : of the file
-    is_writable : else nothing is written to disk, whatever is put in
+    is_writable : if False, nothing is written to disk
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Ledger:
         try:
             return [] if row is None else [job_record(entry) for entry in orjson.loads(row[0])]
         except (ValueError, TypeError, LookupError, AttributeError) as error:  # of a run that was not closed in order
-            raise RunError(f"{self._path}: damaged; remove it, it is made again from the tables") from error
+            raise RunError(f"{self._path}: damaged; remove it, it is rebuilt from the tables") from error
 
     def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
         if records:
@@ -158,7 +158,7 @@ class Ledger:
         return sha256
 
     def failure(self, pair_id: str) -> dict[str, Any] | None:
-        """Why a pair failed (`key` of the job that did, `reason`); None if it did not."""
+        """Failure of a pair (`key` of the failed job, `reason`); None if it did not fail."""
         return self._entry("SELECT entry FROM failures WHERE pair_id = ?", pair_id)
 
     def failed_pairs(self) -> list[str]:
@@ -238,7 +238,7 @@ def _plain(record: JobRecord) -> dict[str, Any]:
 
 
 def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:
-    """A connection that begins no transaction by itself, and that whichever thread collects the ledger may close."""
+    """A connection without implicit transactions that any thread may close."""
     db: sqlite3.Connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, **options)
     return db
 

@@ -32,7 +32,7 @@ from .tables import JobRecord
 SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *RUN_SCORES)
 
 RUN_JSON = "run.json"
-_SEAL = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n}\n\Z')  # of records that others have written anew there is none
+_SEAL = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n}\n\Z')  # records written by others have none
 _END = b"\n}\n"
 SETTINGS_TOML = "settings.toml"
 
@@ -55,7 +55,7 @@ LIBRARIES = (
 
 
 class _AnyRecord(BaseModel):
-    """What is read of a record of whichever version, even where the run has not ended."""
+    """The part of a record that is read for every version, even if the run has not ended."""
 
     model_config = ConfigDict(strict=True, extra="allow")
 
@@ -81,11 +81,11 @@ def _version(name: str) -> str:
     try:
         return version(name)
     except (PackageNotFoundError, ValueError):
-        return "absent"  # whatever calls it says what to install
+        return "absent"  # the caller says what to install
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """The record of a run; {} where there is none yet, or none that is as it was written.
+    """The record of a run; {} if it does not exist yet or is damaged.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     """
     path = folder / RUN_JSON
     if path.is_symlink():
-        raise RunError(f"run {folder}: {RUN_JSON} is a symbolic link, a file of its own is wanted; remove the link")
+        raise RunError(f"run {folder}: {RUN_JSON}: expected a file, got a symbolic link; remove the link")
     try:
         content = path.read_bytes()
         seal = _SEAL.search(content)
@@ -122,15 +122,15 @@ def finished_record(folder: Path) -> dict[str, Any]:
     """
     if folder.is_file():
         wanted = str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
-        raise RunError(f"run {folder}: is a file, {wanted} is wanted")
+        raise RunError(f"run {folder}: expected {wanted}, got a file")
     record = read_run(folder)
     if not record and (folder / RUN_JSON).exists():
         raise RunError(
             f"run {folder}: {RUN_JSON} is damaged; run it again with: {command_again(folder, 'DATASET')} "
-            "(what is whole is not computed again)"
+            "(intact results are reused)"
         )
     if not record:
-        raise RunError(f"run {folder}: no run.json of fidpipe run found; a folder written by fidpipe run is wanted")
+        raise RunError(f"run {folder}: expected a folder written by fidpipe run, found no run.json of one")
     return record
 
 
@@ -149,7 +149,7 @@ def dumps(record: Mapping[str, Any]) -> bytes:
 def run_header(
     dataset: Path, settings: Settings, stages: Mapping[str, int], previous: PreviousRun | None = None
 ) -> RunHeader:
-    """What `run.json` holds from the start of a run: what it is made from and with.
+    """Fields of `run.json` from the start of a run: inputs, settings and versions.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def run_record(
     notes: Mapping[str, Sequence[str]],
     extras: Mapping[str, Any],
 ) -> RunRecord:
-    """What `run.json` holds at the end of a run.
+    """Fields of `run.json` at the end of a run.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def run_record(
     n_to_do : pairs of the dataset that are neither scored nor failed
     frames : by pair, those whose simulated scan seems to lie in another frame
     notes : by pair, notes on its ground cut
-    extras : by name, what the extras say of all pairs together
+    extras : by name, summaries of the optional stages over all pairs
     """
     n_scored = sum(row["status"] == "scored" for row in rows)
     return RunRecord(
@@ -259,7 +259,7 @@ def unmatched_worst(metric: str) -> str:
 
 
 def _with_unmatched(rows: Sequence[Row], name: str) -> list[float | None]:
-    """Of each pair the mean of an object score with missing and hallucinated objects counted at its upper bound."""
+    """Mean of an object score of each pair with missing and hallucinated objects counted at its upper bound."""
     worst = METRIC[name].high
     if worst is None:
         raise ValueError(f"{name} has no upper bound that an unmatched object could count as")
@@ -320,7 +320,7 @@ def timing_rows(record: JobRecord, run_token: str) -> Iterator[Row]:
 
 
 def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]) -> list[str]:
-    """In words, what is other than in the record of the last run: settings, library versions, stage code."""
+    """Differences from the record of the last run, as text: settings, library versions, stage code."""
     if not before:
         return []
     changes = [text for texts in changed_settings(before, settings).values() for text in texts]
@@ -333,7 +333,7 @@ def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[
 
 
 def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str, list[str]]:
-    """By group, in words, which settings are other than in the record of the last run; only groups that changed."""
+    """Changed settings since the record of the last run, as text by group; only groups that changed."""
     changes = {}
     for group, values in settings.model_dump(mode="json").items():
         old = before.get("settings", {}).get(group, {})
@@ -348,12 +348,12 @@ def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str,
 
 
 def has_ended(record: Mapping[str, Any]) -> bool:
-    """Whether a record is that of a run or an experiment which came to its end: how long it took is written last."""
+    """True if a record is of a finished run or experiment: its duration is written last."""
     return "wall_s" in record
 
 
 def command_again(folder: Path, dataset: object) -> str:
-    """The command that goes on with a run under the settings that it has."""
+    """Command that resumes a run with its settings."""
     own = folder / SETTINGS_TOML
     settings = ["--settings", str(own)] if own.exists() else []
     return shlex.join(["fidpipe", "run", str(dataset), "--out", str(folder), *settings])

@@ -1,7 +1,7 @@
-"""The tables of a run's folder: where each lies, how it is written and read, and what its footer tells of the job.
+"""The tables of a run's folder: paths, writing and reading, and the job record in each footer.
 
 A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the job that made it: the
-wanted key and small metadata, so that the tables are the truth and the ledger next to them a cache.
+expected key and small metadata, so that the tables are the truth and the ledger next to them a cache.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ...schemas.tables import TABLES
 from .files import key_of, write_whole
 
 _TOKEN = ".writer"
-_READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for whoever writes to a named pipe
+_READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
 
 #: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
@@ -119,7 +119,7 @@ class JobRecord:
 
     @property
     def name(self) -> JobName:
-        """What the job is called."""
+        """Name of the job."""
         return self.stage, self.pair_id, self.part
 
 
@@ -147,7 +147,7 @@ def file_stem(pair_id: str) -> str:
 
 
 def table_name(table: str, pair_id: str, part: str = "") -> str:
-    """Where a table of a pair lies, relative to the run's folder."""
+    """Path of a table of a pair, relative to the run's folder."""
     return f"{table}/{file_stem(pair_id)}{'.' + part if part else ''}.parquet"
 
 
@@ -168,7 +168,7 @@ class TableFolder:
         return self.folder / _TOKEN
 
     def path(self, table: str, pair_id: str, part: str = "") -> Path:
-        """Where a table of a pair lies."""
+        """Path of a table of a pair."""
         return self.folder / table_name(table, pair_id, part)
 
     def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
@@ -194,7 +194,7 @@ class TableFolder:
     def write_at(
         self, path: Path, table: str, rows: pa.Table | Iterable[pa.Table], key: str, job: str | None = None
     ) -> StoredFile:
-        """Writes a table to a path of this run, whole or not at all.
+        """Write a table to a path of this run atomically.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class TableFolder:
             write_statistics=words,  # of numbers they cost a quarter of the time, and a file has one pair
             column_encoding={f.name: _ENCODINGS[f.type] for f in schema.schema if f.type in _ENCODINGS},
             store_schema=False,  # so that a dictionary is read as the strings it stands for
-            write_page_checksum=True,  # a file that the ledger does not know is judged by them
+            write_page_checksum=True,  # they are the check of a file that the ledger does not know
         ) as writer:
             for part in parts:
                 writer.write_table(schema.check(part))
@@ -290,9 +290,9 @@ def read_content(content: bytes, columns: list[str] | None = None, **options: An
 
 
 def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
-    """The job that made a table, told by its footer, and the names of all its files; None where it cannot be believed.
+    """The job that made a table, from its footer, and the names of all its files; None if it is damaged.
 
-    A file is believed if its job agrees with the hash beside it, every page with its checksum, the columns with the
+    A file is intact if its job agrees with the hash next to it, every page with its checksum, the columns with the
     table's schema, and all counts of rows with each other. `files` of the record holds this file alone.
 
     Parameters
@@ -345,7 +345,7 @@ def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
 
 
 def _row_counts(metadata: pq.FileMetaData) -> set[int]:
-    """What the footer says of the number of rows: in all, and of each column."""
+    """Numbers of rows in the footer: in total, and of each column."""
     groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
     columns = range(metadata.num_columns)
     in_columns = {sum(group.column(i).num_values for group in groups) for i in columns}

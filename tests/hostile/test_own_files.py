@@ -71,7 +71,7 @@ def test_a_side_that_is_a_link_is_not_cleared(tmp_path, side):
         out.mkdir()
         (out / name).write_text(recipe)
         (out / side).symlink_to(elsewhere)
-        with pytest.raises(RunError, match=f"{side}: is a symbolic link, a folder of its own is wanted"):
+        with pytest.raises(RunError, match=f"{side}: expected a folder, got a symbolic link"):
             twins(out) if name == twin.RECIPE else synth.make_dataset(out, QUIET, n_pairs=1, replace=True)
     assert (elsewhere / "0000.bin").read_text() == "precious"
 

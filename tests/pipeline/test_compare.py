@@ -425,7 +425,7 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
 @pytest.mark.parametrize(
     ("words", "fault"),
     [
-        (["--fail-on", "nose"], "worse or undecided is wanted"),
+        (["--fail-on", "nose"], "expected worse or undecided, got 'nose'"),
         (["--junit", "a.xml"], "give it as well"),
         (["--json", "--csv"], "give one of them"),
         (["--by-date"], "--history"),

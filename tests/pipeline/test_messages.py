@@ -171,9 +171,9 @@ def drop_search(first):
 def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     (tmp_path / "page.html").touch()
     assert one_error(command(words[0], tmp_path / "page.html", *words[1:])) == (
-        f"error: run {tmp_path}/page.html: is a file, a folder written by fidpipe run is wanted"
+        f"error: run {tmp_path}/page.html: expected a folder written by fidpipe run, got a file"
     )
-    assert one_error(command(words[0], finished / "run.json", *words[1:])).endswith(f"is a file, {finished} is wanted")
+    assert one_error(command(words[0], finished / "run.json", *words[1:])).endswith(f"expected {finished}, got a file")
 
 
 @pytest.mark.parametrize("address", ["foo", "tcp://host", "foo://host:1", "tcp://host:99999", ""])

@@ -127,7 +127,7 @@ def test_a_name_that_is_nearly_right_is_suggested(report_run):
 
 
 def test_a_folder_without_a_finished_run_is_refused(tmp_path):
-    with pytest.raises(RunError, match=r"no run.json of fidpipe run found"):
+    with pytest.raises(RunError, match=r"found no run.json of one"):
         FinishedRun(tmp_path)
     (tmp_path / "run.json").write_text('{"dataset": "/data/streets"}')
     with pytest.raises(RunError, match="the run has not ended"):
