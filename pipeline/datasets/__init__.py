@@ -1,1 +1,1 @@
-"""What a dataset holds: scan files, pairs, and what is wrong with them."""
+"""Datasets: scan files, pairs, and their problems."""

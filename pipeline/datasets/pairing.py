@@ -41,10 +41,10 @@ class Timeline:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Which frames of two time lines are of one time.
+    """Frames of two time lines that belong together.
 
     real_ids, sim_ids : (n,) positions in the time lines, side by side
-    gaps_s : (n,) float64, time of the simulated frame, offset added, less that of the real one
+    gaps_s : (n,) float64, time of the simulated frame plus the offset, minus that of the real one
     offset_s : added to simulated times
     others_s : offsets by which as many frames pair as well; a choice of one of them is arbitrary
     """
@@ -72,18 +72,18 @@ def read_timeline(source: Path) -> Timeline:
         times_ns = [address_of(frame).time_ns for frame in frames]
         return _in_order(source, frames, np.array([(ns or 0) // 1000 for ns in times_ns]) / 1e6)
     if not source.is_dir():
-        raise DatasetError(f"{source}: a recording (bag, capture) or a folder of scans is wanted")
+        raise DatasetError(f"{source}: expected a recording (bag, capture) or a folder of scans")
     frames = scans_in(source)
     times = next((source / name for name in _TIMES if (source / name).is_file()), None)
     if times is not None:
         seconds = read_numbers(times, (1, 8))[:, 0]
         if len(seconds) != len(frames):
-            raise DatasetError(f"{times}: {len(seconds)} times found for {len(frames)} scans; one for each is wanted")
+            raise DatasetError(f"{times}: expected one time per scan, got {len(seconds)} for {len(frames)} scans")
         return _in_order(source, frames, seconds)
     names = [stem_of(frame) for frame in frames]
     if not all(map(_SECONDS.fullmatch, names)):
         raise DatasetError(
-            f"{source}: no times found; {' or '.join(_TIMES)} with a line for each scan is wanted, or names such as "
+            f"{source}: no times found; expected {' or '.join(_TIMES)} with a line for each scan, or names such as "
             "12.100.ply"
         )
     return _in_order(source, frames, np.array(names, dtype=np.float64))
@@ -91,7 +91,7 @@ def read_timeline(source: Path) -> Timeline:
 
 def _in_order(source: Path, frames: Sequence[Path], times_s: FloatArray) -> Timeline:
     if not frames:
-        raise DatasetError(f"{source}: no frame found, at least one is wanted")
+        raise DatasetError(f"{source}: no frames found; expected at least one")
     order = np.argsort(times_s, kind="stable")
     return Timeline(source, tuple(frames[i] for i in order), times_s[order])
 
@@ -106,7 +106,7 @@ def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset
     Parameters
     ----------
     real_s, sim_s : (n,), (m,) float64, rising, at least one each
-    offset_s : added to simulated times; None where it is not known
+    offset_s : added to simulated times; None if unknown
 
     Examples
     --------
@@ -165,7 +165,7 @@ def write_dataset(
     """
     manifest = out / MANIFEST
     if manifest.exists() and not replace:
-        raise DatasetError(f"{manifest}: is there already; --replace replaces it")
+        raise DatasetError(f"{manifest}: already exists; use --replace to overwrite it")
     if not len(kept):
         raise DatasetError(
             f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, simulated "
@@ -190,7 +190,7 @@ def write_dataset(
 
 
 def _relative(frame: Path, folder: Path) -> str:
-    """What names a frame from a folder."""
+    """Address of a frame, relative to a folder."""
     return os.path.relpath(frame.absolute(), folder.absolute())
 
 

@@ -34,7 +34,7 @@ _IGNORED = "not a known scan format, ignored"
 class ScanPair:
     """One pair of scans.
 
-    real, sim : the scan files, or what names a frame in one; None where the partner is missing
+    real, sim : the scan files, or addresses of frames in one; None if the partner is missing
     timestamp_s : when the real scan was taken, if the manifest says so
     T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame; None if they are
         in it already
@@ -64,7 +64,7 @@ class ScanPair:
 class Dataset:
     """A folder of scan pairs.
 
-    pairs : sorted by pair_id; those with a fault too
+    pairs : sorted by pair_id, including those with an error
     label_names : class names by number, {} without a `labels.toml`
     warnings : files that were ignored, one line each
     """
@@ -76,7 +76,7 @@ class Dataset:
 
 
 def read_dataset(folder: Path) -> Dataset:
-    """The pairs of a dataset folder; a missing partner is a fault of its pair, not an error.
+    """The pairs of a dataset folder; a missing partner is an error of its pair alone.
 
     Raises
     ------
@@ -84,15 +84,17 @@ def read_dataset(folder: Path) -> Dataset:
         There is no such folder, no pair in it, the manifest or `labels.toml` is wrong, or two files have one stem.
     """
     if folder.is_file():
-        wanted = folder.parent if folder.name == MANIFEST else "fidpipe pair REAL SIM makes one of two recordings"
-        raise DatasetError(f"dataset {folder}: is a file, a folder is wanted: {wanted}")
+        hint = "fidpipe pair REAL SIM makes one of two recordings"
+        if folder.name == MANIFEST:
+            hint = f"its folder is {folder.parent}"
+        raise DatasetError(f"dataset {folder}: expected a folder, got a file; {hint}")
     if not folder.is_dir():
         raise DatasetError(f"dataset {folder}: no such folder")
     manifest = folder / MANIFEST
     warnings: list[str] = []
     pairs = read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
     if not pairs:
-        wanted = f"files are wanted in real/ and sim/, or a {MANIFEST}"
+        wanted = f"expected files in real/ and sim/, or a {MANIFEST}"
         why = f"{MANIFEST} is empty" if manifest.exists() else wanted
         raise DatasetError(f"dataset {folder}: no scan pairs found; {why}")
     pairs.sort(key=lambda pair: pair.pair_id)
@@ -100,7 +102,7 @@ def read_dataset(folder: Path) -> Dataset:
 
 
 def read_label_names(folder: Path) -> dict[int, str]:
-    """Class names by number from `labels.toml` in a folder; {} where there is none.
+    """Class names by number from `labels.toml` in a folder; {} without one.
 
     Raises
     ------
@@ -114,9 +116,9 @@ def read_label_names(folder: Path) -> dict[int, str]:
         lines = tomllib.loads(path.read_text(encoding="utf-8"))
         names = {int(number): str(name) for number, name in lines.items()}
     except (OSError, ValueError, RecursionError) as error:  # TOML and unicode errors are ValueErrors
-        raise DatasetError(f'{path}: lines such as 4 = "tree" are wanted ({error})') from error
+        raise DatasetError(f'{path}: expected lines such as 4 = "tree" ({error})') from error
     if (longest := max(map(len, names.values()), default=0)) > LONGEST_LABEL:  # each point takes room for the longest
-        raise DatasetError(f"{path}: a name of {longest} characters found, at most {LONGEST_LABEL} are wanted")
+        raise DatasetError(f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}")
     return names
 
 
@@ -125,7 +127,7 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     for side in SIDES:
         if not (folder / side).is_dir():
             near = next((path.name for path in sorted(folder.iterdir()) if path.is_dir() and _means(path, side)), None)
-            hint = f"; did you mean {near}/? rename it {side}/" if near else "; one of the two is wanted"
+            hint = f"; did you mean {near}/? rename it {side}/" if near else "; expected one of the two"
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
         by_side[side] = _scans_by_stem(folder / side, warnings)
     unread = {side: _unread_by_stem(folder / side) for side in SIDES}
@@ -135,12 +137,12 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     for stem in by_side["real"].keys() | by_side["sim"].keys():
         real, sim = by_side["real"].get(stem), by_side["sim"].get(stem)
         absent = "sim" if real else "real"
-        fault = f"{real or sim}: no partner; a scan named {stem} is wanted in {folder / absent}"
+        fault = f"{real or sim}: no partner; expected a scan named {stem} in {folder / absent}"
         number = _frame_number(stem)
         if stem in unread[absent]:
             fault = f"{unread[absent][stem]}: not readable; known formats are {', '.join(formats())}"
             if not (real and sim):
-                warnings.remove(f"{unread[absent][stem]}: {_IGNORED}")  # the fault says it
+                warnings.remove(f"{unread[absent][stem]}: {_IGNORED}")  # the error says it
         elif number is not None and number in by_number[absent]:
             other = by_side[absent][by_number[absent][number]].name
             fault += f"; {other} has the same number: a {MANIFEST} (pair_id,real,sim) pairs files of different names"
@@ -149,7 +151,7 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
 
 
 def _means(path: Path, side: str) -> bool:
-    """Whether a folder's name is a side's in other letters, or longer: `Real`, `simulated`."""
+    """True if a folder's name is a variant of a side's: `Real`, `simulated`."""
     name = path.name.lower()
     return name.startswith(side) or bool(get_close_matches(name, [side], 1, 0.7))
 
@@ -160,7 +162,7 @@ def _unread_by_stem(folder: Path) -> dict[str, Path]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """What may be a scan: no hidden file, folder, labels or settings."""
+    """Files that may be scans: no hidden files, folders, labels or settings."""
     return [
         path
         for path in sorted(folder.iterdir())
@@ -169,7 +171,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _is_text(name: str) -> bool:
-    """Whether a file's name is made of whole signs; bytes that are none come as halves of them."""
+    """True if a file name is valid Unicode (without lone surrogates)."""
     return not any("\ud800" <= sign <= "\udfff" for sign in name)
 
 
@@ -187,10 +189,10 @@ def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
             continue
         stem = stem_of(path)
         if not stem or not _is_text(stem):
-            raise DatasetError(f"{path}: a name of the pair in UTF-8 is wanted; rename the file")
+            raise DatasetError(f"{path}: the name is not UTF-8; rename the file")
         if stem in scans:
             raise DatasetError(
-                f"{folder}: {scans[stem].name} and {path.name} have the same stem {stem}; one of them is wanted"
+                f"{folder}: {scans[stem].name} and {path.name} have the same stem {stem}; keep one of them"
             )
         scans[stem] = path
     return scans
@@ -202,12 +204,12 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     Parameters
     ----------
     warnings : gets a line for each column that is not known
-    needs_sim : whether the column sim is wanted; without one the pairs have no simulated scan
+    needs_sim : require the column sim; without it pairs have no simulated scan
 
     Raises
     ------
     DatasetError
-        It is no table, lacks a column, names a pair twice, or a number is none.
+        The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
     import pandas as pd
 
@@ -218,9 +220,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     wanted = ("pair_id", "real", "sim") if needs_sim else ("pair_id", "real")
     missing = [name for name in wanted if name not in rows.columns]
     if missing:
-        raise DatasetError(
-            f"{manifest}: columns {', '.join(map(str, rows.columns))} found; {', '.join(missing)} wanted as well"
-        )
+        raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(map(str, rows.columns))}")
     for name in map(str, rows.columns):
         if name not in _MANIFEST_COLUMNS:
             near = get_close_matches(name.lower(), [known.lower() for known in _MANIFEST_COLUMNS], 1)
@@ -234,11 +234,9 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
         where = f"{manifest}, line {line}"
         pair_id = row["pair_id"].strip()
         if not pair_id:
-            raise DatasetError(f"{where}: pair_id is empty, a name is wanted")
+            raise DatasetError(f"{where}: pair_id is empty; expected a name")
         if pair_id in seen:
-            raise DatasetError(
-                f"{where}: pair_id {pair_id} stands in line {seen[pair_id]} already; each may stand once"
-            )
+            raise DatasetError(f"{where}: pair_id {pair_id} is already in line {seen[pair_id]}; expected unique names")
         seen[pair_id] = line
         (real, no_real), (sim, no_sim) = (
             _named_scan(where, manifest.parent, row.get(side, ""), side) for side in SIDES
@@ -258,7 +256,7 @@ def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | 
         is_there = is_scan_path(path)
     except (OSError, ScanError) as error:  # a name that no file can have, or that names no frame
         return None, f"{where}: {error.strerror or error if isinstance(error, OSError) else error}"
-    return (path, None) if is_there else (None, f"{where}: {path} is no file; the {side} scan is wanted")
+    return (path, None) if is_there else (None, f"{where}: {path} is not a file; expected the {side} scan")
 
 
 def _number(where: str, name: str, text: str) -> float | None:
@@ -269,7 +267,7 @@ def _number(where: str, name: str, text: str) -> float | None:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise DatasetError(f"{where}: {name} is {text!r}, a number is wanted")
+        raise DatasetError(f"{where}: {name}: expected a number, got {text!r}")
     return value
 
 
@@ -291,26 +289,26 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
     Raises
     ------
     DatasetError
-        There are not 12 numbers, R is no rotation, or t is beyond a million kilometres.
+        There are not 12 numbers, R is not a rotation, or t is beyond a million kilometres.
     """
     if len(numbers) != 12:
-        raise DatasetError(f"{where}: {name} has {len(numbers)} numbers, 12 are wanted ([R | t] row by row)")
+        raise DatasetError(f"{where}: {name}: expected 12 numbers ([R | t] row by row), got {len(numbers)}")
     motion = numbers.reshape(3, 4)
     rotation = motion[:, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is no rotation
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite values are not a rotation
         off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
         raise DatasetError(
-            f"{where}: {name} is no rigid motion (R R^T is off the identity by {off:.2g}, "
+            f"{where}: {name} is not a rigid motion (R R^T is off the identity by {off:.2g}, "
             f"at most {_ROTATION_TOLERANCE:g} is taken for rounding)"
         )
     if (shift_m := float(np.abs(motion[:, 3]).max())) > FARTHEST_M:
-        raise DatasetError(f"{where}: {name} moves by {shift_m:g} m, at most {FARTHEST_M:g} m is wanted")
+        raise DatasetError(f"{where}: {name}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m")
     if np.linalg.det(rotation) < 0:
         hint = (
             'set input.sim_frame = "carla" for a left-handed simulator'
             if name == "T_real_sim"
-            else "det R = 1 is wanted"
+            else "expected det R = 1"
         )
         raise DatasetError(f"{where}: {name} is a mirror image; {hint}")
     return motion

@@ -70,11 +70,11 @@ def read_recording(folder: Path, poses: Path | None = None, calibration: Path | 
     Raises
     ------
     DatasetError
-        There is no such folder, no pose, not one pose for each scan, a pose is no rigid motion, or there are fewer
-        than three frames.
+        The folder does not exist, poses are missing, are not one per scan or are not rigid motions, or there are
+        fewer than three frames.
     """
     if not folder.is_dir():
-        raise DatasetError(f"recording {folder}: no such folder; one with scans and poses is wanted")
+        raise DatasetError(f"recording {folder}: no such folder; expected one with scans and poses")
     manifest = folder / MANIFEST
     if poses is None and manifest.exists():
         poses, frames = manifest, _frames_of_manifest(manifest)
@@ -83,12 +83,12 @@ def read_recording(folder: Path, poses: Path | None = None, calibration: Path | 
         frames = _frames_of_poses(folder, poses, calibration)
     if len(frames) < FEWEST_FRAMES:
         raise DatasetError(
-            f"recording {folder}: {len(frames)} frames found, at least {FEWEST_FRAMES} are wanted: each is scanned "
-            "again in a model of the others"
+            f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: each is re-scanned "
+            "in a model of the others"
         )
     stem, n_alike = Counter(stem_of(frame.path) for frame in frames).most_common(1)[0]
     if n_alike > 1:
-        raise DatasetError(f"recording {folder}: {n_alike} scans are called {stem}; names that differ are wanted")
+        raise DatasetError(f"recording {folder}: expected unique names; {n_alike} scans are called {stem}")
     labelled = next((place for place in (folder, frames[0].path.parent) if (place / LABEL_NAMES).exists()), folder)
     return Recording(folder, poses, tuple(frames), read_label_names(labelled))
 
@@ -99,15 +99,15 @@ def _frames_of_manifest(manifest: Path) -> list[Frame]:
     for pair in pairs:
         if pair.T_world_sensor is None:
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} has no T_world_sensor; 12 numbers are wanted ([R | t] row by row), "
+                f"{manifest}: pair {pair.pair_id} has no T_world_sensor; expected 12 numbers ([R | t] row by row), "
                 "or a file of poses (--poses)"
             )
         if pair.real is None:
             raise DatasetError(f"{manifest}: pair {pair.pair_id} has no real scan ({pair.fault})")
         if holds_frames(pair.real):
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real.name}; a file of one scan is "
-                "wanted: write its frames with fidpipe convert"
+                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real.name}; expected a file with "
+                "one scan: write the frames with fidpipe convert"
             )
         frames.append(Frame(pair.pair_id, pair.real, pair.T_world_sensor, pair.timestamp_s))
     return frames
@@ -118,8 +118,8 @@ def _find_poses(folder: Path) -> Path:
     found = next((place for place in places if place.is_file()), None)
     if found is None:
         raise DatasetError(
-            f"recording {folder}: no poses found; {', '.join(_POSE_FILES)}, a {MANIFEST} with T_world_sensor, or "
-            "a file named by --poses is wanted"
+            f"recording {folder}: no poses found; expected {', '.join(_POSE_FILES)}, a {MANIFEST} with "
+            "T_world_sensor, or a file named by --poses"
         )
     return found
 
@@ -128,12 +128,12 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
     places = [folder / name for name in _SCAN_FOLDERS if (folder / name).is_dir()]
     scans = next(filter(None, map(scans_in, places)), [])
     if not scans:
-        raise DatasetError(f"recording {folder}: no scans found; files are wanted in velodyne/, real/ or the folder")
+        raise DatasetError(f"recording {folder}: no scans found; expected files in velodyne/, real/ or the folder")
     rows = read_numbers(poses, (_TUM_NUMBERS, _KITTI_NUMBERS))
     if len(rows) != len(scans):
         raise DatasetError(
-            f"{poses}: {len(rows)} poses found for {len(scans)} scans ({scans[0].name} to {scans[-1].name}); one pose "
-            "for each scan is wanted, in the order of their names"
+            f"{poses}: expected one pose per scan in the order of their names, got {len(rows)} poses for "
+            f"{len(scans)} scans ({scans[0].name} to {scans[-1].name})"
         )
     if rows.shape[1] == _TUM_NUMBERS:
         motions, times = _tum_motions(poses, rows[:, 1:]), rows[:, 0].tolist()
@@ -168,11 +168,11 @@ def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
     except ValueError as error:
-        raise DatasetError(f"{path}: lines of {wanted} numbers are wanted ({error})") from error
+        raise DatasetError(f"{path}: expected lines of {wanted} numbers ({error})") from error
     counts = {len(row) for row in rows}
     if len(counts) != 1 or counts.pop() not in widths:
         found = ", ".join(map(str, sorted({len(row) for row in rows}))) or "no"
-        raise DatasetError(f"{path}: lines of {found} numbers found, lines of {wanted} numbers are wanted")
+        raise DatasetError(f"{path}: expected lines of {wanted} numbers, got lines of {found}")
     return np.array(rows)
 
 
@@ -184,8 +184,8 @@ def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
     wrong = np.flatnonzero(~(np.abs(length - 1) <= _QUATERNION_TOLERANCE) | ~np.isfinite(rows).all(axis=1))
     if len(wrong):
         raise DatasetError(
-            f"{poses}, pose {wrong[0] + 1}: no rigid motion (its quaternion has the length {length[wrong[0]]:.3g}, 1 "
-            "is wanted); lines are time tx ty tz qx qy qz qw"
+            f"{poses}, pose {wrong[0] + 1}: not a rigid motion (expected a quaternion of length 1, got "
+            f"{length[wrong[0]]:.3g}); lines are time tx ty tz qx qy qz qw"
         )
     R = Rotation.from_quat(rows[:, 3:]).as_matrix()
     return np.concatenate([R, rows[:, :3, None]], axis=2)
@@ -203,8 +203,8 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
     if not path.is_file():
         raise DatasetError(
-            f"{path}: no such file; {poses.name} holds 12 numbers a line, KITTI's poses of the camera, and a "
-            "calibration with the line Tr is wanted with them (--calib); poses of the sensor are read in TUM format"
+            f"{path}: no such file; {poses.name} holds 12 numbers per line, KITTI's poses of the camera, which "
+            "need a calibration with the line Tr (--calib); poses of the sensor are read in TUM format"
         )
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -226,7 +226,7 @@ def _kitti_times(path: Path, n_frames: int) -> list[float] | list[None]:
         return [None] * n_frames
     times: list[float] = read_numbers(path, (1,))[:, 0].tolist()
     if len(times) != n_frames:
-        raise DatasetError(f"{path}: {len(times)} times found for {n_frames} scans; one for each is wanted")
+        raise DatasetError(f"{path}: expected one time per scan, got {len(times)} for {n_frames} scans")
     return times
 
 

@@ -28,36 +28,36 @@ def convert(
     """Writes a scan into a file, or each frame of a recording into a folder; gives the files.
 
     Numbers keep their value to the last bit: in PLY and PCD a coordinate is a float where that holds all of it, else a
-    double. Labels that are words are numbers there, which `labels.toml` beside the file names.
+    double. Labels that are words are numbers there, which `labels.toml` next to the file names.
 
     Parameters
     ----------
     source : a scan, a frame, or a recording of which no frame is named
-    out : a file, whose suffix tells the format; or, without a suffix, a folder
+    out : a file, whose suffix determines the format; or, without a suffix, a folder
     to : format of the files in a folder
     columns : names of the columns of a raw file, if not the usual ones
 
     Raises
     ------
     FidpipeError
-        The scan cannot be read, the format is not written, a file is there already and `replace` is False, or other
+        The scan cannot be read, the format is not written, a file already exists and `replace` is False, or other
         names are in `labels.toml`.
     """
     suffix = f".{(out.suffix or to).lower().lstrip('.')}"
     if suffix not in _WRITERS:
-        raise DatasetError(f"{suffix} files are not written; one of {', '.join(_WRITERS)} is wanted")
+        raise DatasetError(f"cannot write {suffix} files; expected one of {', '.join(_WRITERS)}")
     is_recording = holds_frames(source) and address_of(source).frame is None
     sources = frames_of(source) if is_recording else [source]
     if out.suffix and len(sources) > 1:
         raise DatasetError(f"{source}: {len(sources)} frames found, {out} is one file; name a frame, or a folder")
     files = [out] if out.suffix else [out / f"{stem_of(frame)}{suffix}" for frame in sources]
     if not replace and (present := [file for file in files if file.exists()]):
-        raise DatasetError(f"{present[0]}: is there already; --replace replaces it")
+        raise DatasetError(f"{present[0]}: already exists; use --replace to overwrite it")
     folder = address_of(source).file.resolve().parent
     names = read_label_names(folder) or read_label_names(folder.parent)
     for frame, file in zip(sources, files, strict=True):
         if file.resolve() == address_of(frame).file.resolve():
-            raise DatasetError(f"{file}: is the scan that is read; another name is wanted")
+            raise DatasetError(f"{file}: is the scan being read; choose another name")
         write, holds_words = _WRITERS[suffix]
         written, named = _columns(read_scan(frame, columns, names), names, holds_words)
         if named:
@@ -67,7 +67,7 @@ def convert(
 
 
 def _columns(scan: Scan, names: dict[int, str], holds_words: bool) -> tuple[Columns, dict[int, str]]:
-    """What is known of the points, by the names that `scan_from_columns` reads; and names of the labels' numbers."""
+    """Known columns of the points, by the names that `scan_from_columns` reads; and names of label numbers."""
     columns: Columns = {name: _narrow(scan.points[:, axis]) for axis, name in enumerate("xyz")}
     numbers = {"intensity": scan.intensity, "time": scan.times_s, "incidence": scan.incidence}
     columns |= {name: _narrow(column) for name, column in numbers.items() if column is not None}

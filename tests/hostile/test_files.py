@@ -172,7 +172,7 @@ def test_a_frame_of_a_bag_without_a_time_is_refused(tmp_path, time):
             f"INSERT INTO messages SELECT id, topic_id, {time}, data FROM old;"
         )
     db.close()
-    with pytest.raises(ScanError, match="a frame without a time found|not a whole ROS bag"):
+    with pytest.raises(ScanError, match="expected a time in nanoseconds for each frame|not a whole ROS bag"):
         frames_of(path)
 
 
@@ -215,19 +215,19 @@ def test_a_table_of_text_is_bounded(tmp_path):
     wide = "x,y,z" + ",a" * 2000 + "\n" + "1,2,3" + ",0" * 2000 + "\n"
     with pytest.raises(ScanError, match="2003 columns found, at most 1000 are read"):
         read_scan(written(tmp_path, "wide.csv", wide.encode()))
-    with pytest.raises(ScanError, match="a label of 300 characters found"):
+    with pytest.raises(ScanError, match="got one of 300"):
         read_scan(written(tmp_path, "label.csv", b"x,y,z,label\n1,2,3,a\n1,2,3," + b"b" * 300 + b"\n"))
     big = written(tmp_path, "big.csv", b"x,y,z,ring\n1,2,3,4\n1,2,3," + b"9" * 400 + b"\n")
     if pd.__version__.startswith("2."):  # to which it is infinite
         assert len(read_scan(big).points) == 2
     else:
-        with pytest.raises(ScanError, match="row 2, column ring: 9999"):
+        with pytest.raises(ScanError, match="row 2, column ring: expected a number, got 9999"):
             read_scan(big)
 
 
 def test_a_class_name_is_not_a_book(tmp_path):
     (tmp_path / "labels.toml").write_text(f'1 = "{"a" * 1000}"\n')
-    with pytest.raises(DatasetError, match="a name of 1000 characters found"):
+    with pytest.raises(DatasetError, match="got one of 1000"):
         read_label_names(tmp_path)
 
 
@@ -246,7 +246,7 @@ def test_a_file_name_that_is_no_text_is_named(tmp_path):
     for side in ("real", "sim"):
         (tmp_path / side).mkdir()
         Path(os.fsdecode(os.fsencode(tmp_path / side) + b"/\xff.bin")).write_bytes(bytes(160))
-    with pytest.raises(DatasetError, match="UTF-8 is wanted"):
+    with pytest.raises(DatasetError, match="the name is not UTF-8"):
         read_dataset(tmp_path)
     done = command("check", tmp_path)
     assert done.returncode == 1

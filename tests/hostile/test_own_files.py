@@ -106,6 +106,6 @@ def test_names_of_labels_of_any_content_are_added_to_or_refused(tmp_path, names)
     (tmp_path / "scan.csv").write_text("x,y,z,label\n1,2,3,car\n4,5,6,tree\n")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "labels.toml").write_text(names)
-    with pytest.raises(DatasetError, match=r'labels\.toml: lines such as 4 = "tree" are wanted|labels.toml: 1 is'):
+    with pytest.raises(DatasetError, match=r'labels\.toml: expected lines such as 4 = "tree"|labels.toml: 1 is'):
         convert(tmp_path / "scan.csv", tmp_path / "out" / "a.ply")
     assert (tmp_path / "out" / "labels.toml").read_text() == names

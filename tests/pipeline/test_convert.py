@@ -103,17 +103,17 @@ def test_what_is_there_is_not_replaced_unasked_and_the_source_never(tmp_path):
     path = write_bin(tmp_path / "a.bin", street())
     (written,) = convert(path, tmp_path / "a.ply")
     before = written.read_bytes()
-    with pytest.raises(DatasetError, match="is there already; --replace replaces it"):
+    with pytest.raises(DatasetError, match="already exists; use --replace to overwrite it"):
         convert(path, written)
     assert convert(path, written, replace=True) == [written]
-    with pytest.raises(DatasetError, match="is the scan that is read"):
+    with pytest.raises(DatasetError, match="is the scan being read"):
         convert(written, written, replace=True)
     assert written.read_bytes() == before
 
 
 @pytest.mark.parametrize(("out", "to", "wanted"), [("b.xyz", "ply", ".xyz"), ("b", "bag", ".bag")])
 def test_a_format_that_is_not_written_is_named(tmp_path, out, to, wanted):
-    with pytest.raises(DatasetError, match=rf"\{wanted} files are not written; one of \.parquet, \.ply, \.pcd is"):
+    with pytest.raises(DatasetError, match=rf"cannot write \{wanted} files; expected one of \.parquet, \.ply, \.pcd"):
         convert(write_bin(tmp_path / "a.bin", street()), tmp_path / out, to)
 
 

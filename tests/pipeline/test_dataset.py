@@ -34,8 +34,8 @@ def test_a_missing_partner_is_a_fault_of_its_pair(tmp_path):
     dataset = read_dataset(folders(tmp_path, ("a", "b"), ("a", "c")))
     faults = {pair.pair_id: pair.fault for pair in dataset.pairs}
     assert faults["a"] is None
-    assert "b.bin: no partner; a scan named b is wanted in" in faults["b"]
-    assert "c.bin: no partner; a scan named c is wanted in" in faults["c"]
+    assert "b.bin: no partner; expected a scan named b in" in faults["b"]
+    assert "c.bin: no partner; expected a scan named c in" in faults["c"]
 
 
 def test_two_files_of_one_stem_stop_everything(tmp_path):
@@ -73,28 +73,28 @@ def test_a_manifest_wins_over_folders(tmp_path):
 
 def test_a_manifest_file_that_is_not_there_is_a_fault_of_its_pair(tmp_path):
     dataset = read_dataset(manifest(tmp_path, ["p,real/a.bin,sim/b.bin,,", "q,,sim/a.bin,,"]))
-    assert "sim/b.bin is no file; the sim scan is wanted" in dataset.pairs[0].fault
+    assert "sim/b.bin is not a file; expected the sim scan" in dataset.pairs[0].fault
     assert "line 3: no real scan is named" in dataset.pairs[1].fault
 
 
 @pytest.mark.parametrize(
     ("row", "fault"),
     [
-        ("p,real/a.bin,sim/a.bin,soon,", "line 3: timestamp_s is 'soon', a number is wanted"),
-        ("p,real/a.bin,sim/a.bin,,1 2 3", "line 3: T_real_sim has 3 numbers, 12 are wanted"),
-        ("p,real/a.bin,sim/a.bin,,2 0 0 0 0 1 0 0 0 0 1 0", "line 3: T_real_sim is no rigid motion"),
-        ("p,real/a.bin,sim/a.bin,,1e200 0 0 0 0 1e200 0 0 0 0 1 0", "line 3: T_real_sim is no rigid motion"),
+        ("p,real/a.bin,sim/a.bin,soon,", "line 3: timestamp_s: expected a number, got 'soon'"),
+        ("p,real/a.bin,sim/a.bin,,1 2 3", "line 3: T_real_sim: expected 12 numbers ([R | t] row by row), got 3"),
+        ("p,real/a.bin,sim/a.bin,,2 0 0 0 0 1 0 0 0 0 1 0", "line 3: T_real_sim is not a rigid motion"),
+        ("p,real/a.bin,sim/a.bin,,1e200 0 0 0 0 1e200 0 0 0 0 1 0", "line 3: T_real_sim is not a rigid motion"),
         (
             "p,real/a.bin,sim/a.bin,,1 0 0 1e300 0 1 0 0 0 0 1 0",
-            "line 3: T_real_sim moves by 1e+300 m, at most 1e+09 m is wanted",
+            "line 3: T_real_sim: expected a translation of at most 1e+09 m, got 1e+300 m",
         ),
         (
             "p,real/a.bin,sim/a.bin,,1 0 0 0 0 -1 0 0 0 0 1 0",
             "line 3: T_real_sim is a mirror image; set input.sim_frame",
         ),
-        ("p,real/a.bin,sim/a.bin,,1 0 0 x 0 1 0 0 0 0 1 0", "line 3: T_real_sim is 'x', a number is wanted"),
+        ("p,real/a.bin,sim/a.bin,,1 0 0 x 0 1 0 0 0 0 1 0", "line 3: T_real_sim: expected a number, got 'x'"),
         (" ,real/a.bin,sim/a.bin,,", "line 3: pair_id is empty"),
-        ("first,real/a.bin,sim/a.bin,,", "line 3: pair_id first stands in line 2 already"),
+        ("first,real/a.bin,sim/a.bin,,", "line 3: pair_id first is already in line 2"),
     ],
 )
 def test_a_bad_manifest_stops_everything(tmp_path, row, fault):
@@ -104,14 +104,14 @@ def test_a_bad_manifest_stops_everything(tmp_path, row, fault):
 
 
 def test_a_manifest_without_its_columns_stops_everything(tmp_path):
-    with pytest.raises(DatasetError, match="columns name, real found; pair_id, sim wanted as well"):
+    with pytest.raises(DatasetError, match="missing columns pair_id, sim; got name, real"):
         read_dataset(manifest(tmp_path, ["a,b"], header="name,real"))
 
 
 def test_bad_label_names_stop_everything(tmp_path):
     folders(tmp_path)
     (tmp_path / "labels.toml").write_text("tree = 4\n")
-    with pytest.raises(DatasetError, match=r'labels\.toml: lines such as 4 = "tree" are wanted'):
+    with pytest.raises(DatasetError, match=r'labels\.toml: expected lines such as 4 = "tree"'):
         read_dataset(tmp_path)
 
 

@@ -96,10 +96,10 @@ def test_a_finished_run_of_all_scenes_is_shown_and_reported(files, tmp_path):
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ({"z": "c16"}, "column z: complex128 values found, one real number a row is wanted"),
-        ({"x": "?"}, "column x: bool values found"),
-        ({"y": ("f8", 2)}, r"column y: float64 values of shape \(20, 2\) found"),
-        ({"intensity": "c8"}, "column intensity: complex64 values found"),
+        ({"z": "c16"}, "column z: expected one real number per row, got complex128 values"),
+        ({"x": "?"}, "column x: .* got bool values"),
+        ({"y": ("f8", 2)}, r"column y: .* got float64 values of shape \(20, 2\)"),
+        ({"intensity": "c8"}, "column intensity: .* got complex64 values"),
     ],
 )
 def test_a_column_of_no_real_numbers_is_refused_by_its_name(tmp_path, columns, words):
@@ -112,7 +112,7 @@ def test_a_column_of_no_real_numbers_is_refused_by_its_name(tmp_path, columns, w
 
 def test_records_in_rows_and_columns_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.ones((6, 10), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8")]))
-    with pytest.raises(ScanError, match=r"values of shape \(6, 10\) found"):
+    with pytest.raises(ScanError, match=r"got float64 values of shape \(6, 10\)"):
         read_scan(tmp_path / "a.npy")
 
 

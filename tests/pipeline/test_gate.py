@@ -165,7 +165,7 @@ def test_a_dataset_that_is_there_but_broken_fails_with_the_reason(moved):
     assert not any("is not here" in note for note in result.notes)
     for measure in ("pairs.changed", "pairs.to_do"):
         assert (found[measure].value, found[measure].passed) == (None, False)
-        assert "sim wanted as well" in found[measure].why
+        assert "missing columns sim" in found[measure].why
 
 
 def test_a_min_does_not_switch_off_the_max_of_failed_pairs(incomplete):

@@ -28,13 +28,15 @@ def one_error(result):
 
 def test_a_manifest_in_place_of_its_folder_is_named_as_a_file(tmp_path):
     (tmp_path / "pairs.csv").write_text("pair_id,real,sim\n")
-    with pytest.raises(DatasetError, match=rf"pairs\.csv: is a file, a folder is wanted: {tmp_path}"):
+    with pytest.raises(DatasetError, match=rf"pairs\.csv: expected a folder, got a file; its folder is {tmp_path}"):
         read_dataset(tmp_path / "pairs.csv")
 
 
 def test_a_recording_in_place_of_a_dataset_leads_to_the_command_that_pairs(tmp_path):
     (tmp_path / "drive.bag").write_bytes(b"#ROSBAG V2.0")
-    with pytest.raises(DatasetError, match=r"drive\.bag: is a file, .* fidpipe pair REAL SIM makes one"):
+    with pytest.raises(
+        DatasetError, match=r"drive\.bag: expected a folder, got a file; fidpipe pair REAL SIM makes one"
+    ):
         read_dataset(tmp_path / "drive.bag")
 
 

@@ -124,7 +124,9 @@ def test_a_folder_has_its_times_from_a_file_or_from_its_names(tmp_path):
     for i in range(3):
         write_bin(tmp_path / "listed" / f"{i:06}.bin", street(i))
         write_bin(tmp_path / "named" / f"{9 + i}.250.bin", street(i))
-    with pytest.raises(DatasetError, match=r"no times found; times\.txt or poses\.tum with a line for each scan"):
+    with pytest.raises(
+        DatasetError, match=r"no times found; expected times\.txt or poses\.tum with a line for each scan"
+    ):
         read_timeline(tmp_path / "listed")
     (tmp_path / "listed" / "times.txt").write_text("0.5\n0.6\n0.8\n")
     assert read_timeline(tmp_path / "listed").times_s.tolist() == [0.5, 0.6, 0.8]

@@ -556,7 +556,7 @@ def test_a_filter_on_no_column_says_so_and_which_there_are(page):
     assert set(found["class"]) == {"wall"}, "the word holds all the same"
     assert filtered(page, "rang (m) > 3")[1].startswith("no such column: rang (m). ")
     found, said = filtered(page, "r_lambda > x")
-    assert said.startswith("r_lambda > x: a number is wanted.")
+    assert said.startswith("r_lambda > x: expected a number.")
     assert len(found) == len(everything)
 
 

@@ -132,7 +132,7 @@ def test_a_broken_pair_fails_alone_with_its_reason(dataset, tmp_path):
     outcome = run(data, tmp_path / "run")
     rows = {row["pair_id"]: row for row in outcome.rows}
     assert [rows[name]["status"] for name in ("000", "001", "002")] == ["failed", "failed", "scored"]
-    assert "5 bytes found, a multiple of 16 wanted" in rows["000"]["reason"]
+    assert "expected a multiple of 16 bytes" in rows["000"]["reason"]
     assert rows["001"]["reason"].startswith(
         "stage ground, sim: expected at least 8 object points after ground removal, got 0"
     )

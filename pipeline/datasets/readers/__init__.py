@@ -1,4 +1,4 @@
-"""Which suffix is which format. One file per format, each with one `read`; a new format is a file and a row here.
+"""Formats by suffix. One file per format, each with one `read`; a new format is a file and a row here.
 
 Another package adds one by an entry point of the group `fidpipe.readers`: its name is the suffix without the dot, its
 value the module whose `read(path) -> Scan` reads such files.
@@ -23,15 +23,15 @@ _NUSCENES = (*_KITTI, "ring")
 
 
 class Format(NamedTuple):
-    """How files of one suffix are read.
+    """Reader of the files of one suffix.
 
     module : whose `read(path) -> Scan` reads them: a file of this folder, with a dot before its name, or a module of
         another package; it is imported when first used
     columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
-        these, or those of the setting `input.columns`; () where the shape tells them
+        these, or those of the setting `input.columns`; () if the shape determines them
     holds_frames : whether a file is a recording; `read` then takes an `Address`, and `frames` lists those of all frames
     may_crash : whether a damaged file may end the process that reads it, or fill the memory: formats whose libraries
-        trust what a file says of its compressed parts, and the readers of other packages
+        trust a file's declared sizes of its compressed parts, and the readers of other packages
     """
 
     module: str
@@ -89,7 +89,7 @@ def may_crash(path: Path) -> bool:
 
 
 def stem_of(path: Path) -> str:
-    """The file name less its known suffix: the name of the pair; of a frame with its topic and number or time."""
+    """The file name without its known suffix: the name of the pair; of a frame with its topic and number or time."""
     file, topic, frame = address_of(path)
     suffix = suffix_of(file) or ""
     name = file.name if suffix.startswith("/") else file.name[: -len(suffix) or None]
@@ -97,13 +97,13 @@ def stem_of(path: Path) -> str:
 
 
 def is_scan_path(path: Path) -> bool:
-    """Whether there is a file at a path, or a recording whose frame it names."""
+    """True if a path is a file, or the address of a frame in an existing recording."""
     file = address_of(path).file
     return file.is_file() or (suffix_of(file) or "").startswith("/")
 
 
 def holds_frames(path: Path) -> bool:
-    """Whether a path is a recording, or a frame of one."""
+    """True if a path is a recording, or a frame of one."""
     suffix = suffix_of(path)
     return suffix is not None and formats()[suffix].holds_frames
 
@@ -115,16 +115,16 @@ def files_of(path: Path) -> list[Path]:
 
 
 def frames_of(path: Path) -> list[Path]:
-    """What names each frame of a recording, in the order of time.
+    """Addresses of the frames of a recording, in order of time.
 
     Raises
     ------
     ScanError
-        The recording is missing or broken, or has several topics and none is named.
+        The recording is missing or broken, or has several topics and no topic is given.
     """
     suffix = suffix_of(path)
     if suffix is None or not formats()[suffix].holds_frames:
-        raise ScanError(f"{path}: holds no frames; a bag or a capture of packets is wanted")
+        raise ScanError(f"{path}: expected a bag or a capture of packets: files of this format hold no frames")
     with _reader(path, formats()[suffix]) as reader:
         found: list[Path] = reader.frames(address_of(path))
     return found
@@ -137,14 +137,14 @@ def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: d
 
     Parameters
     ----------
-    path : the file; its suffix tells the format; of a recording with the frame, `drive.mcap#/points@12`
+    path : the file; its suffix determines the format; of a recording with the frame, `drive.mcap#/points@12`
     columns : names of the columns of a raw file (.bin, .pcd.bin), if not the usual ones; ignored for other formats
     label_names : class names for labels that are numbers, of a .label file or of a file that names its columns
 
     Raises
     ------
     ScanError
-        The file is missing, empty, truncated or not what its suffix says; or the library that reads it is missing.
+        The file is missing, empty, truncated or of another format; or the library that reads it is missing.
     """
     suffix, address = suffix_of(path), address_of(path)
     if suffix is None:
@@ -154,13 +154,13 @@ def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: d
         raise ScanError(f"{path}: a {suffix} file holds one scan; it is named without #")
     with _reader(path, known) as reader:
         if address.file.stat().st_size == 0:
-            raise ScanError(f"{path}: the file is empty, points are wanted")
+            raise ScanError(f"{path}: the file is empty")
         if known.holds_frames:
             scan: Scan = reader.read(address)
         else:
             scan = reader.read(path) if known.columns is None else reader.read(path, columns or known.columns)
     if not len(scan.points):
-        raise ScanError(f"{path}: no points in the file, at least one is wanted")
+        raise ScanError(f"{path}: the file has no points")
     labelled = with_label_file(scan, address.file, stem_of(path))
     names = label_names if label_names and (labelled is not scan or not known.columns) else {}
     return with_label_names(labelled, names)
@@ -182,21 +182,21 @@ def _reader(path: Path, known: Format) -> Iterator[Any]:
         raise
     except OSError as error:
         raise ScanError(f"{path}: cannot be read ({error.strerror or cause_of(error)})") from error
-    except Exception as error:  # whatever a library, or a reader of another package, meets in a broken file
+    except Exception as error:  # any error of a library, or of a reader of another package, in a broken file
         raise ScanError(f"{path}: cannot be read ({cause_of(error)})") from error
 
 
 @cache
 def _other_formats() -> dict[str, Format]:
-    """What other packages declare in the group `fidpipe.readers`, by suffix."""
+    """Readers that other packages declare in the group `fidpipe.readers`, by suffix."""
     found: dict[str, Format] = {}
     for entry in entry_points(group="fidpipe.readers"):
         suffix = f".{entry.name.lower()}"
         other = found.get(suffix) or FORMATS.get(suffix)
         if other is not None:
             raise DatasetError(
-                f"two readers of {suffix} files are installed, {other.module.strip('.')} and {entry.value}; one is "
-                f"wanted: uninstall the package of {entry.value}"
+                f"two readers of {suffix} files are installed, {other.module.strip('.')} and {entry.value}; "
+                f"uninstall the package of {entry.value}"
             )
         found[suffix] = Format(entry.value, may_crash=True)
     return found

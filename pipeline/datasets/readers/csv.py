@@ -7,7 +7,7 @@ from pathlib import Path
 from ....schemas.errors import ScanError
 from .scan import Scan, refused_unless, scan_from_columns
 
-_LONGEST_HEADER_BYTES, _MOST_COLUMNS = 2**20, 1000  # a column costs pandas a thousand bytes, whatever is in it
+_LONGEST_HEADER_BYTES, _MOST_COLUMNS = 2**20, 1000  # a column costs pandas a thousand bytes, regardless of its content
 
 
 def read(path: Path) -> Scan:
@@ -16,7 +16,7 @@ def read(path: Path) -> Scan:
     Raises
     ------
     ScanError
-        It is no table, a column is missing, or a coordinate is no number.
+        The file is not a table, a column is missing, or a coordinate is not a number.
     """
     import pandas as pd
 

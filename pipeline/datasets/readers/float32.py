@@ -20,26 +20,26 @@ def read(path: Path, columns: tuple[str, ...]) -> Scan:
     Raises
     ------
     ScanError
-        The file's length is no multiple of a row's, or x, y or z is not among the columns.
+        The file's length is not a multiple of the row length, or x, y or z is not among the columns.
     """
     n_bytes = path.stat().st_size
     if (n_columns := _float64_columns(path, columns)) is not None:
         raise ScanError(
-            f"{path}: holds float64 rows of {n_columns} columns, float32 is wanted; convert it: "
+            f"{path}: expected float32, got float64 in rows of {n_columns} columns; convert it: "
             f"np.fromfile(file, '<f8').astype('<f4').tofile(file)"
         )
     if n_bytes % (4 * len(columns)):
         raise ScanError(
-            f"{path}: {n_bytes} bytes found, a multiple of {4 * len(columns)} wanted ({len(columns)} float32 columns: "
-            f"{' '.join(columns)}); the file is truncated, or has other columns: name them in input.columns, "
-            "or of one side alone in input.real_columns or input.sim_columns"
+            f"{path}: expected a multiple of {4 * len(columns)} bytes ({len(columns)} float32 columns: "
+            f"{' '.join(columns)}), got {n_bytes}; the file is truncated, or has other columns: name them "
+            "in input.columns, or of one side alone in input.real_columns or input.sim_columns"
         )
     rows = np.fromfile(path, dtype="<f4").reshape(-1, len(columns))
     return scan_from_columns(path, {name: rows[:, i] for i, name in enumerate(columns)})
 
 
 def _float64_columns(path: Path, columns: tuple[str, ...]) -> int | None:
-    """How many columns of float64 the file holds, where its values make sense as these alone; else None.
+    """Number of float64 columns if the values are plausible only as float64; else None.
 
     The lower half of a float64 is noise when it is read as float32: of all magnitudes, NaN among them. Of the widths
     that divide the file that is taken under which x, y and z change least from row to row; the usual one in a tie.

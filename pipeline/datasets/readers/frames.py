@@ -1,4 +1,4 @@
-"""How one frame of a recording is named: `FILE#FRAME`, `FILE#TOPIC` or `FILE#TOPIC@FRAME`.
+"""Addresses of frames of a recording: `FILE#FRAME`, `FILE#TOPIC` or `FILE#TOPIC@FRAME`.
 
 FRAME is a number from 0, in the order of time, or a time in seconds with its decimal point, as it is listed. A time is
 found by the recording's own index; a number wants the times of all frames, once in a process.
@@ -30,7 +30,7 @@ class Address(NamedTuple):
 
     @property
     def time_ns(self) -> int | None:
-        """The time that is named; None where it is a number, or nothing."""
+        """The time in the address; None if it has a number, or nothing."""
         if self.frame is None or "." not in self.frame:
             return None
         seconds, _, rest = self.frame.partition(".")
@@ -43,7 +43,7 @@ class Address(NamedTuple):
 
 
 def address_of(path: Path) -> Address:
-    """What a path names: a file, or a frame of one.
+    """Target of a path: a file, or a frame of one.
 
     Examples
     --------
@@ -59,12 +59,12 @@ def address_of(path: Path) -> Address:
     if not at:
         topic, frame = ("", fragment) if _NUMBER.fullmatch(fragment) else (fragment, "")
     if frame and not _NUMBER.fullmatch(frame):
-        raise ScanError(f"{path}: frame {frame!r} found; a number from 0 or a time in seconds is wanted")
+        raise ScanError(f"{path}: expected a frame number from 0 or a time in seconds, got {frame!r}")
     return Address(Path(file), topic or None, frame or None)
 
 
 def frame_number(address: Address, times_ns: Sequence[int]) -> int:
-    """Which frame of a recording is named, from 0.
+    """Number of the addressed frame of a recording, from 0.
 
     Parameters
     ----------
@@ -73,11 +73,11 @@ def frame_number(address: Address, times_ns: Sequence[int]) -> int:
     Raises
     ------
     ScanError
-        There is none of this number or time, or several and none is named.
+        No frame has this number or time, or there are several and no frame is given.
     """
     name = f"{address.file.name}#{address.topic}@" if address.topic else f"{address.file.name}#"
     if not times_ns:
-        raise ScanError(f"{address.file}: no frame found, at least one is wanted")
+        raise ScanError(f"{address.file}: no frames found; expected at least one")
     if address.frame is None:
         if len(times_ns) > 1:
             raise ScanError(
@@ -90,11 +90,11 @@ def frame_number(address: Address, times_ns: Sequence[int]) -> int:
             return times_ns.index(time_ns)
         nearest = min(range(len(times_ns)), key=lambda i: abs(times_ns[i] - time_ns))
         raise ScanError(
-            f"{address.file}: {times_ns.count(time_ns)} frames at {address.frame} s, one is wanted; the nearest is "
+            f"{address.file}: expected one frame at {address.frame} s, got {times_ns.count(time_ns)}; the nearest is "
             f"number {nearest}, {name}{_seconds(times_ns[nearest])}"
         )
     if int(address.frame) >= len(times_ns):
-        raise ScanError(f"{address.file}: frame {address.frame} is wanted, the last is {len(times_ns) - 1}")
+        raise ScanError(f"{address.file}: no frame {address.frame}; the last is {len(times_ns) - 1}")
     return int(address.frame)
 
 

@@ -22,28 +22,28 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     """
     with refused_unless(path, "a whole .npy array"):
         _check_head(path)
-        np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory, and refuses a file shorter than its array
+        np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory, and rejects a file shorter than its array
         array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})
     if array.ndim == 2 and array.dtype.kind in "fiu" and array.shape[1] == len(columns):
         return scan_from_columns(path, dict(zip(columns, array.T, strict=True)))
     if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] > 4:
-        raise ScanError(f"{path}: array of shape {array.shape} found, one row per point is wanted; save array.T")
+        raise ScanError(f"{path}: expected one row per point, got an array of shape {array.shape}; save array.T")
     if array.ndim == 2 and array.shape[1] > 4:
         raise ScanError(
-            f"{path}: array of shape {array.shape} found, (n, 3) or (n, 4) wanted; name its {array.shape[1]} columns "
-            "in input.columns, or of one side alone in input.real_columns or input.sim_columns"
+            f"{path}: expected an array of shape (n, 3) or (n, 4), got {array.shape}; name its {array.shape[1]} "
+            "columns in input.columns, or of one side alone in input.real_columns or input.sim_columns"
         )
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         raise ScanError(
-            f"{path}: {array.dtype} array of shape {array.shape} found, numbers of shape (n, 3) or (n, 4) wanted"
+            f"{path}: expected numbers of shape (n, 3) or (n, 4), got a {array.dtype} array of shape {array.shape}"
         )
     return scan_from_columns(path, dict(zip(_COLUMNS, array.T, strict=False)))
 
 
 def _check_head(path: Path) -> None:
-    """Refuses a description of the array that is longer than the file: NumPy takes memory for it."""
+    """Reject a description of the array that is longer than the file: NumPy takes memory for it."""
     with path.open("rb") as file:
         if np.lib.format.read_magic(file) == (1, 0):
             return  # it has two bytes for the length

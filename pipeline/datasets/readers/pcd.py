@@ -35,7 +35,7 @@ def read(path: Path) -> Scan:
 
 
 def _check_head(path: Path) -> None:
-    """Refuses a header that speaks of more than the file can hold, or can unpack to: pypcd4 believes it."""
+    """Reject a header that declares more than the file can hold or unpack to: pypcd4 trusts it."""
     from pypcd4.pypcd4 import MetaData
 
     lines: list[str] = []
@@ -56,7 +56,7 @@ def _check_head(path: Path) -> None:
         check_promise(path, head.points, point_bytes)
     elif n_unpacked != head.points * point_bytes or n_packed > path.stat().st_size:
         raise ScanError(
-            f"{path}: {n_unpacked} bytes packed in {n_packed} found, {head.points} points of {point_bytes} bytes wanted"
+            f"{path}: expected {head.points} points of {point_bytes} bytes, got {n_unpacked} bytes packed in {n_packed}"
         )
     else:
         check_unpacked(path, n_unpacked)

@@ -38,7 +38,7 @@ def read(address: Address) -> Scan:
     Raises
     ------
     ScanError
-        It is no whole bag, has not one topic of this name, or not one frame of this time or number.
+        The bag is damaged, or has no such topic or frame, or several.
     """
     with _opened(address.file) as bag:
         topic = _topic(bag, address)
@@ -68,12 +68,12 @@ def read(address: Address) -> Scan:
 
 
 def frames(address: Address) -> list[Path]:
-    """What names each frame of the topic, in the order of time.
+    """Addresses of the frames of the topic, in order of time.
 
     Raises
     ------
     ScanError
-        It is no whole bag, or has not one topic of this name.
+        The bag is damaged, or has no such topic, or several.
     """
     with _opened(address.file) as bag:
         topic = _topic(bag, address)
@@ -82,12 +82,12 @@ def frames(address: Address) -> list[Path]:
 
 
 def topics(file: Path) -> list[str]:
-    """The topics of a bag, of whatever messages.
+    """The topics of a bag, with any type of message.
 
     Raises
     ------
     ScanError
-        It is no whole bag.
+        The bag is damaged.
     """
     with _opened(file) as bag:
         return [connection.topic for connection in bag.connections]
@@ -122,7 +122,7 @@ def _topic(bag: Any, address: Address) -> str:
     listed = ", ".join(f"{topic} ({n} frames)" for topic, n in sorted(known.items()))
     if not known:
         others = ", ".join(sorted({f"{one.topic} ({one.msgtype})" for one in bag.connections})) or "no topics"
-        raise ScanError(f"{address.file}: {others} found; a topic of {_CLOUD} or {_PACKETS} is wanted")
+        raise ScanError(f"{address.file}: expected a topic of {_CLOUD} or {_PACKETS}, got {others}")
     if address.topic is not None:
         if address.topic not in known:
             raise ScanError(f"{address.file}: no point clouds on topic {address.topic}; they are on {listed}")
@@ -147,7 +147,7 @@ def _times_ns(file: Path, marks: tuple[tuple[int, int], ...], topic: str) -> lis
         connections = [connection for connection in bag.connections if connection.topic == topic]
         times_ns = [time_ns for _, time_ns, _ in bag.messages(connections)]
         if not all(isinstance(time_ns, int) and time_ns >= 0 for time_ns in times_ns):
-            raise ScanError(f"{file}: a frame without a time found, one in nanoseconds is wanted for each")
+            raise ScanError(f"{file}: expected a time in nanoseconds for each frame; a frame has none")
         return times_ns
 
 
@@ -185,7 +185,7 @@ def _cloud_columns(file: Path, cloud: Any) -> dict[str, NDArray[Any]]:
     wanted = max(cloud.height - 1, 0) * row_step + cloud.width * cloud.point_step
     if len(cloud.data) < wanted or row_step < cloud.width * cloud.point_step:
         raise ScanError(
-            f"{file}: {len(cloud.data)} bytes in rows of {row_step} found in a cloud, {wanted} wanted "
+            f"{file}: expected {wanted} bytes in a cloud, got {len(cloud.data)} in rows of {row_step} "
             f"({cloud.height} x {cloud.width} points of {cloud.point_step})"
         )
     points = np.ndarray((cloud.height, cloud.width), layout, cloud.data, strides=(row_step, cloud.point_step))

@@ -1,4 +1,4 @@
-"""What every reader returns, and how it is made from named columns and a label file."""
+"""The result of every reader, built from named columns and a label file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ KNOWN_COLUMNS = frozenset(("x", "y", "z", *_INTENSITY, *_LABEL, *_INSTANCE, *_IN
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
-#: What a compressed file may unpack to: so many bytes, and so many more for each byte that it is long.
+#: Largest unpacked size of a compressed file: this number of bytes, plus a multiple of its length.
 MOST_UNPACKED_BYTES = 64 * 2**20
 MOST_UNPACKED_A_BYTE = 100
 
@@ -48,7 +48,7 @@ CARLA_TAGS = dict(
 
 @dataclass(frozen=True)
 class Scan:
-    """One scan as it lies in its file.
+    """One scan as stored in its file.
 
     points : (n, 3) float64, metres, the scan's own frame
     intensity : (n,) float64, or None
@@ -103,7 +103,7 @@ def scan_from_columns(
     Raises
     ------
     ScanError
-        x, y or z is missing, or a value is no number (named by row and column). NaN and infinity are let through in
+        x, y or z is missing, or a value is not a number (named by row and column). NaN and infinity are kept in
         coordinates and intensity.
     """
     check_names(path, columns)
@@ -111,9 +111,9 @@ def scan_from_columns(
     for name, column in by_name.items():
         if column.ndim != 1:
             kind = f"{column.dtype} values of shape {column.shape}"
-            raise ScanError(f"{path}: column {name}: {kind} found, one real number a row is wanted")
+            raise ScanError(f"{path}: column {name}: expected one real number per row, got {kind}")
     if len(lengths := sorted({len(column) for column in by_name.values()})) > 1:
-        raise ScanError(f"{path}: columns of the lengths {lengths} found, one real number a row is wanted in each")
+        raise ScanError(f"{path}: expected columns of equal length, got lengths {lengths}")
 
     def first(names: tuple[str, ...]) -> NDArray[Any] | None:
         return next((by_name[name] for name in names if name in by_name), None)
@@ -138,12 +138,12 @@ def check_names(path: Path, names: Iterable[str]) -> None:
     missing = [name for name in ("x", "y", "z") if name not in map(str.lower, known)]
     if missing:
         found = cause_of(", ".join(known)) if known else "none"
-        raise ScanError(f"{path}: columns {found} found; {', '.join(missing)} wanted as well")
+        raise ScanError(f"{path}: missing columns {', '.join(missing)}; got {found}")
 
 
 @contextmanager
 def refused_unless(path: Path, wanted: str) -> Iterator[None]:
-    """Around the call of a format's library, which on a broken file raises whatever its parser met.
+    """Context around the call of a format's library, which may raise any error on a broken file.
 
     Parameters
     ----------
@@ -195,13 +195,13 @@ def check_unpacked(path: Path, n_unpacked: int) -> None:
 
 
 def cause_of(error: object) -> str:
-    """What an error of a library says, in one line; its name where it says nothing."""
+    """Message of a library's error in one line; its type if it has no message."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= _LONGEST_CAUSE else f"{text[:_LONGEST_CAUSE]} ..."
 
 
 def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
-    """The scan with the labels of the `.label` file beside it, if there is one: uint32 per point.
+    """The scan with the labels of the `.label` file next to it, if any: uint32 per point.
 
     The low 16 bits are the class, the high 16 bits the instance, 0 for none (SemanticKITTI).
 
@@ -216,8 +216,8 @@ def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
     n_bytes = label_path.stat().st_size
     if n_bytes != 4 * len(scan.points):
         raise ScanError(
-            f"{label_path}: {n_bytes} bytes found, {4 * len(scan.points)} wanted (one uint32 for each of the "
-            f"{len(scan.points)} points of {path.name})"
+            f"{label_path}: expected {4 * len(scan.points)} bytes (one uint32 for each of the "
+            f"{len(scan.points)} points of {path.name}), got {n_bytes}"
         )
     numbers = np.fromfile(label_path, dtype="<u4")
     upper = (numbers >> 16).astype(np.int32)
@@ -239,13 +239,13 @@ def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
 
 
 def label_path_of(path: Path, stem: str) -> Path:
-    """Where the labels of a scan file lie, if it has any; the file may be absent."""
+    """Path of the labels of a scan file, if its format has them; the file may not exist."""
     return path.with_name(stem + ".label")
 
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
     if column.dtype.kind in _NO_NUMBERS:
-        raise ScanError(f"{path}: column {name}: {column.dtype} values found, one real number a row is wanted")
+        raise ScanError(f"{path}: column {name}: expected one real number per row, got {column.dtype} values")
     try:
         with np.errstate(over="ignore"):  # what float64 does not hold is infinite
             return column.astype(np.float64)
@@ -255,8 +255,8 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
                 float(value)
             except (TypeError, ValueError, OverflowError):
                 found = cause_of(repr(value))
-                raise ScanError(f"{path}: row {row + 1}, column {name}: {found} found, a number wanted") from None
-        raise ScanError(f"{path}: column {name} is of type {column.dtype}, numbers are wanted") from None
+                raise ScanError(f"{path}: row {row + 1}, column {name}: expected a number, got {found}") from None
+        raise ScanError(f"{path}: column {name}: expected numbers, got type {column.dtype}") from None
 
 
 def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
@@ -272,7 +272,7 @@ def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
 
 
 def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
-    """Numbers of beams; None where the column holds others than whole ones."""
+    """Numbers of beams; None if the column holds other than integers."""
     numbers = np.nan_to_num(_numbers(path, "ring", column), nan=-1.0)
     is_whole = bool(np.all((np.abs(numbers) < 2**31) & (numbers == np.round(numbers))))
     return numbers.astype(np.int32) if is_whole else None
@@ -281,7 +281,7 @@ def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
 def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
     """Labels as text; all take the room of the longest, so that there is a limit to that."""
     if column.dtype.kind == "O" and (longest := max(map(len, map(str, column.tolist())), default=0)) > LONGEST_LABEL:
-        raise ScanError(f"{path}: a label of {longest} characters found, at most {LONGEST_LABEL} are wanted")
+        raise ScanError(f"{path}: expected labels of at most {LONGEST_LABEL} characters, got one of {longest}")
     if column.dtype.kind == "f" and np.all((np.abs(column) < 2**53) & (column == np.round(column))):
         column = column.astype(np.int64)
     return column.astype(np.str_)

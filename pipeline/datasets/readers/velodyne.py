@@ -33,7 +33,7 @@ def read(address: Address) -> Scan:
     Raises
     ------
     ScanError
-        It is no whole capture, holds no packets of Velodyne, or not one turn of this time or number.
+        The capture is damaged, has no Velodyne packets, or no such revolution, or several.
     """
     known = _frames(address.file, address.file.stat().st_mtime_ns)
     frame = known[frame_number(address, [each.time_ns for each in known])]
@@ -42,12 +42,12 @@ def read(address: Address) -> Scan:
 
 
 def frames(address: Address) -> list[Path]:
-    """What names each turn of the sensor, in the order of time.
+    """Addresses of the revolutions of the sensor, in order of time.
 
     Raises
     ------
     ScanError
-        It is no whole capture, or holds no packets of Velodyne.
+        The capture is damaged, or has no Velodyne packets.
     """
     return [Address(address.file).at(frame.time_ns) for frame in _frames(address.file, address.file.stat().st_mtime_ns)]
 

@@ -47,9 +47,9 @@ function columnAtEnd(text, columns) {
   return found && { column: found[1], before: text.slice(0, text.length - found[0].length) };
 }
 
-// What rows a filter such as "wall range (m) > 30" wants: all its words and all its bounds hold. A bound that cannot be
-// read leaves the rows as they are, and says why in `problem`.
-function wantedBy(filter, columns, rows) {
+// Rows that match a filter such as "wall range (m) > 30": all its words and all its bounds hold. A bound that cannot be
+// read is ignored, with the reason in `problem`.
+function filterRows(filter, columns, rows) {
   const text = (row) =>
     columns
       .filter((column) => column.text)
@@ -77,16 +77,16 @@ function wantedBy(filter, columns, rows) {
     }
     add(own.before);
     const { key, title, text: isText } = own.column;
-    const wanted = right.replaceAll('"', "");
-    if (isText && sign === "=") bounds.push((row) => plainText(row[key] ?? "") === plainText(wanted));
-    else if (isText) problems.push(`${title} holds words: ${title} = "some words" is wanted.`);
-    else if (wanted === "" || Number.isNaN(Number(wanted)))
-      problems.push(`${title} ${sign} ${wanted || "?"}: a number is wanted.`);
-    else bounds.push((row) => typeof row[key] === "number" && COMPARE[sign](row[key], Number(wanted)));
+    const value = right.replaceAll('"', "");
+    if (isText && sign === "=") bounds.push((row) => plainText(row[key] ?? "") === plainText(value));
+    else if (isText) problems.push(`${title} is text: expected ${title} = "some text".`);
+    else if (value === "" || Number.isNaN(Number(value)))
+      problems.push(`${title} ${sign} ${value || "?"}: expected a number.`);
+    else bounds.push((row) => typeof row[key] === "number" && COMPARE[sign](row[key], Number(value)));
   }
   add(filter.slice(end));
-  const isWanted = (row) => bounds.every((holds) => holds(row)) && words.every((word) => text(row).includes(word));
-  return { isWanted, problem: problems.join(" ") };
+  const isShown = (row) => bounds.every((holds) => holds(row)) && words.every((word) => text(row).includes(word));
+  return { isShown, problem: problems.join(" ") };
 }
 
 // Order of two values, nulls last in both directions.
@@ -157,8 +157,8 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
   }
 
   function fill() {
-    const { isWanted, problem } = wantedBy(filter.value, columns, rows);
-    const chosen = rows.filter(isWanted);
+    const { isShown, problem } = filterRows(filter.value, columns, rows);
+    const chosen = rows.filter(isShown);
     if (state.sort !== null) chosen.sort((a, b) => order(a[state.sort], b[state.sort], state.isUp));
     const first = chosen.slice(0, state.n);
     body.replaceChildren(
