@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.frames import check_frames
+from fidpipe.stages.inspect.frame_search import check_frames
 from fidpipe.stages.inspect.sensor_models import SENSORS
 
 

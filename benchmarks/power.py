@@ -25,7 +25,7 @@ import fidpipe
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import StageError
-from fidpipe.schemas.metrics import metric_of
+from fidpipe.schemas.metric_catalogue import metric_of
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.flaws import FLAWS
 from power_analysis import effect_size, paired_t, pairs_needed

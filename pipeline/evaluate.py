@@ -17,24 +17,24 @@ from ..schemas.errors import ScanError
 from ..schemas.settings import Settings, parse
 from ..schemas.tables import TABLES
 from ..stages.arrays import FloatArray, IntArray
-from ..stages.inspect.frames import check_frames
+from ..stages.inspect.frame_search import check_frames
 from ..stages.method import Evaluation, evaluate, n_communities
 from .datasets.readers.scan import Scan
 from .engine.pool import one_blas_thread
 from .inspect.frame_checks import frame_warning
 from .jobs import stages_under
-from .jobs.communities import communities_result
-from .jobs.coverage import coverage_result
-from .jobs.graph import graph_result
-from .jobs.ground import ground_result
-from .jobs.matching import matching_result
-from .jobs.metrics import metrics_result
-from .jobs.pieces import pieces_result
-from .jobs.selection import selection_result
-from .jobs.sensor import sensor_result
-from .jobs.surface import surface_result
+from .jobs.communities_job import communities_result
+from .jobs.coverage_job import coverage_result
+from .jobs.graph_job import graph_result
+from .jobs.ground_job import ground_result
+from .jobs.matching_job import matching_result
+from .jobs.metrics_job import metrics_result
+from .jobs.pieces_job import pieces_result
+from .jobs.selection_job import selection_result
+from .jobs.sensor_job import sensor_result
+from .jobs.surface_job import surface_result
 from .stage import OF_PAIR, Inputs, JobResult, Metadata
-from .storage.tables import plain_metadata
+from .storage.table_files import plain_metadata
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,8 +82,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     Warns
     -----
     UserWarning
-        The simulated scan seems to be in another frame: mirrored, rotated, shifted (`stages.inspect.frames`). If the
-        warning names 12 numbers of `T_real_sim` = [R | t], pass `sim @ R.T + t`.
+        The simulated scan seems to be in another frame: mirrored, rotated, shifted (`stages.inspect.frame_search`).
+        If the warning names 12 numbers of `T_real_sim` = [R | t], pass `sim @ R.T + t`.
 
     Raises
     ------

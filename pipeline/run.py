@@ -33,12 +33,12 @@ from .engine.progress import Reporter
 from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
-from .results.findings import describe_objects
 from .results.overview import Tally, overview_of
+from .results.run_findings import describe_objects
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
-from .storage.record import (
+from .storage.run_record import (
     SETTINGS_TOML,
     SUMMARISED,
     StageSeconds,
@@ -54,7 +54,7 @@ from .storage.record import (
     what_changed,
     write_record,
 )
-from .storage.tables import JobRecord
+from .storage.table_files import JobRecord
 
 _PAIRS_AT_ONCE = 500
 _PEAKS = ("ground_real_peak_m", "ground_sim_peak_m")

@@ -19,14 +19,14 @@ import pyarrow as pa
 from ..schemas.columns import SIDES
 from ..schemas.settings import Settings
 from .datasets.readers.scan import Scan
-from .storage.tables import JobRecord
+from .storage.table_files import JobRecord
 
 SCAN = "scan"  #: among the inputs of a stage: the side's input file
 OBJECTS = "objects"  #: metadata: the objects that later stages process one by one
 OF_PAIR = "pairs"  #: metadata: columns of the pair's row in `pairs`
 N_RAW = "n_raw"  #: metadata: number of points in a side's input file
 INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stages.inspect.plausibility`
-FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.inspect.frames`
+FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.inspect.frame_search`
 
 Metadata = dict[str, Any]
 Tables = dict[str, pa.Table]

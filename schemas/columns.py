@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from .metrics import OBJECT_METRICS, Metric
+from .metric_catalogue import OBJECT_METRICS, Metric
 
 SIDES = ("real", "sim")
 #: A row of a table by column; the schema of the table has names and types.

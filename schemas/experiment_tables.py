@@ -5,7 +5,7 @@ from __future__ import annotations
 import pyarrow as pa
 
 from .columns import FLOAT64, INT32, PAIR, STRING, column, mean_columns, table
-from .metrics import OBJECT_METRICS
+from .metric_catalogue import OBJECT_METRICS
 
 _LEVEL = [
     column("kind", STRING, "perturbation: null, noise, dropout, rigid, hallucination or density"),

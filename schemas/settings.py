@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from .errors import SettingsError
-from .metrics import BASELINE_NAMES
+from .metric_catalogue import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
 

@@ -28,7 +28,7 @@ from .columns import (
     table,
 )
 from .experiment_tables import EXPERIMENT_TABLES
-from .metrics import (
+from .metric_catalogue import (
     COVERAGE_REACHES,
     COVERAGE_SCORES,
     METRIC,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..schemas.errors import StageError
-from ..schemas.metrics import OBJECT_METRICS
+from ..schemas.metric_catalogue import OBJECT_METRICS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
@@ -23,7 +23,7 @@ from .communities import find_communities
 from .coverage import Coverage, below_cut, cover, nearest_distances
 from .graph import build_graph
 from .ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
-from .inspect.sensor import SensorDescription, describe_sensor
+from .inspect.sensor_description import SensorDescription, describe_sensor
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object

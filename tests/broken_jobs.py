@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from fidpipe.pipeline.jobs import STAGES, graph, matching
+from fidpipe.pipeline.jobs import STAGES, graph_job, matching_job
 from runs import run
 
 POISON = "001"
@@ -45,14 +45,14 @@ def poisoned_graph(context):
     """The graph job, which kills its worker for one pair."""
     if context.pair_id == POISON:
         os.kill(os.getpid(), signal.SIGKILL)
-    return graph.make_graph(context)
+    return graph_job.make_graph(context)
 
 
 def buggy_matching(context):
     """The matching job, with a bug for one pair."""
     if context.pair_id == POISON:
         raise ZeroDivisionError("a bug")
-    return matching.make_matching(context)
+    return matching_job.make_matching(context)
 
 
 def with_job(name, make, stages=STAGES):

@@ -24,7 +24,7 @@ from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.run import run_dataset
 from fidpipe.pipeline.storage.folder import RunFolder
-from fidpipe.pipeline.storage.tables import StoredFile
+from fidpipe.pipeline.storage.table_files import StoredFile
 from fidpipe.schemas.settings import Settings
 
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))

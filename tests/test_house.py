@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.jobs import graph
+from fidpipe.pipeline.jobs import graph_job
 from fidpipe.stages.graph import build_graph
 from runs import run
 from scenes import write_dataset
@@ -28,7 +28,7 @@ def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, mo
         ways.append([frame.name for frame in frames if set(PACKAGE) & set(Path(frame.filename).parents)])
         return build_graph(points, settings)
 
-    monkeypatch.setattr(graph, "build_graph", watched)
+    monkeypatch.setattr(graph_job, "build_graph", watched)
     assert not run(write_dataset(tmp_path / "streets", 1), tmp_path / "run").failures
     for way in ways:
         calls = [*way, "build_graph"]

@@ -13,7 +13,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from fidpipe.pipeline.storage.record import library_versions
+from fidpipe.pipeline.storage.run_record import library_versions
 from licences import is_allowed, libraries, licence
 from runs import FIDPIPE, some_of
 

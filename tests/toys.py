@@ -6,7 +6,7 @@ import pyarrow.compute as pc
 from pydantic import BaseModel, ConfigDict
 
 from fidpipe.pipeline.jobs import STAGES
-from fidpipe.pipeline.jobs.points import column as values_of
+from fidpipe.pipeline.jobs.points_job import column as values_of
 from fidpipe.pipeline.stage import Grain, JobResult, Stage
 from fidpipe.schemas.columns import COMMUNITY, FLOAT64, INT32, PAIR, SIDE, SIDES, Table, column
 from fidpipe.schemas.settings import Settings

@@ -12,7 +12,7 @@ import numpy as np
 
 from fidpipe import evaluate_pair
 from fidpipe.schemas.errors import FidpipeError
-from fidpipe.schemas.metrics import METRIC
+from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.schemas.tables import TABLES
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))

@@ -12,7 +12,7 @@ import pandas as pd
 
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor import describe_sensor, sensor_row
+from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 from fidpipe.stages.inspect.sensor_models import SENSORS
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))

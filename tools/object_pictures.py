@@ -12,9 +12,9 @@ from PIL import Image
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import SIDE_COLOURS
-from fidpipe.pipeline.report.results import PairTables
+from fidpipe.pipeline.report.run_frames import PairTables
 from fidpipe.schemas.columns import SIDES
-from fidpipe.schemas.metrics import METRIC
+from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.stages.coverage import nearest_distances
 from fidpipe.stages.linalg.laplacian import induced_laplacian
 from fidpipe.stages.linalg.spectrum import eigenvalues

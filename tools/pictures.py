@@ -13,10 +13,10 @@ from matplotlib.patches import Circle
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
-from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairTables, read_results
 from fidpipe.pipeline.results.quadrants import CDC_LIMIT, R_LAMBDA_LIMIT
 from fidpipe.schemas.columns import SIDES
-from fidpipe.schemas.metrics import METRIC
+from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
 from fidpipe.stages.ground import WINDOW_M

@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
-from fidpipe.schemas import metrics, settings_text, tables
+from fidpipe.schemas import metric_catalogue, settings_text, tables
 
 DOCS = Path(__file__).parents[1] / "docs"
 TABLES = {
-    DOCS / "scores.md": {"scores": metrics.to_markdown},
+    DOCS / "scores.md": {"scores": metric_catalogue.to_markdown},
     DOCS / "settings.md": {"settings": settings_text.to_markdown},
     DOCS / "tables.md": {"tables": tables.to_markdown},
 }

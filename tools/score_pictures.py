@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import SIDE_COLOURS
-from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairTables, read_results
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.pieces import CutScan, find_pieces

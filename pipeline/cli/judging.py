@@ -49,7 +49,7 @@ def gate(
     """
     from ..report.views.gate_view import gate_checks, gate_view, junit_xml
     from ..results.gate import judge_run, parse_word, read_criteria
-    from ..storage.record import dumps
+    from ..storage.run_record import dumps
 
     wanted = read_criteria(criteria) if criteria else []
     wanted += [parse_word(word, "max") for word in at_most or []]
@@ -135,13 +135,13 @@ def compare(
 
     fidpipe compare runs/build4? --history --html history.html    how has the simulator developed?
     """
-    from ..report.page.compare import compare_page
+    from ..report.page.compare_page import compare_page
     from ..report.views.compare_view import compare_records, compare_view
     from ..report.views.gate_view import base_view, junit_xml
     from ..results.compare import MOST_RUNS, compare_runs
     from ..results.gate import FAIL_ON, judge_comparison
     from ..storage.files import write_whole
-    from ..storage.record import dumps
+    from ..storage.run_record import dumps
 
     if not 2 <= len(runs) <= MOST_RUNS:
         raise typer.BadParameter(f"{len(runs)} run{'s' * (len(runs) > 1)} given; expected 2 to {MOST_RUNS}")
@@ -221,7 +221,7 @@ def verify(
 
 
 def _history(runs: list[Path], page: Path | None, output: str, **options: bool) -> None:
-    from ..report.page.compare import history_page
+    from ..report.page.compare_page import history_page
     from ..report.views.history_view import history_records, history_view
     from ..results.history import read_history
     from ..storage.files import write_whole

@@ -20,8 +20,8 @@ from .datasets import convert, pair, synth, twin
 from .experiments import ablate, perturb
 from .judging import compare, gate, verify
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from .results import export, report, show
 from .running import check, floor, run, settings, status
+from .show_report_export import export, report, show
 
 _SECONDS_TO_STOP = 10.0
 _STOPPING = (signal.SIGINT, signal.SIGTERM)  # a batch system that ends a job means what Ctrl-C means

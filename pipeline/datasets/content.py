@@ -12,7 +12,7 @@ from ...schemas.errors import ScanError
 from ..storage.files import file_marks, hash_file, key_of
 from .pairs import ScanPair
 from .readers import files_of, formats, stem_of, suffix_of
-from .readers.frames import address_of
+from .readers.frame_address import address_of
 from .readers.scan import label_path_of
 
 _BYTES_PER_POINT = 16

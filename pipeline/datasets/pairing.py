@@ -18,7 +18,7 @@ from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import write_whole
 from .pairs import MANIFEST, UNPAIRED
 from .readers import frames_of, holds_frames, stem_of
-from .readers.frames import address_of
+from .readers.frame_address import address_of
 from .sequences import read_numbers, scans_in
 
 _TIMES = ("times.txt", "poses.tum")

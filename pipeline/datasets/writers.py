@@ -15,7 +15,7 @@ from ...schemas.errors import DatasetError
 from ..storage.files import write_whole
 from .pairs import LABEL_NAMES, read_label_names
 from .readers import frames_of, holds_frames, read_scan, stem_of
-from .readers.frames import address_of
+from .readers.frame_address import address_of
 from .readers.scan import Scan
 
 Columns = dict[str, NDArray[Any]]

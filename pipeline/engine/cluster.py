@@ -23,7 +23,7 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import FidpipeError, RunError
-from ..storage.record import library_versions
+from ..storage.run_record import library_versions
 from . import prefork
 from .costs import CostModel
 from .pool import (

@@ -22,8 +22,8 @@ from ..datasets.readers import may_crash
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder
-from ..storage.record import LIBRARIES, library_versions
-from ..storage.tables import JobName, JobRecord
+from ..storage.run_record import LIBRARIES, library_versions
+from ..storage.table_files import JobName, JobRecord
 from .cluster import start_pool
 from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool

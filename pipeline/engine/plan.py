@@ -15,8 +15,8 @@ from ..datasets.pairs import ScanPair
 from ..stage import N_RAW, OBJECTS, SCAN, Grain, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
-from ..storage.record import library_versions
-from ..storage.tables import JobName, JobRecord
+from ..storage.run_record import library_versions
+from ..storage.table_files import JobName, JobRecord
 from .time_limit import TimeLimit
 
 OUT_OF_DATE = "out of date"  #: reason why a result that was made from or with something else is stale

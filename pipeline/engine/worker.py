@@ -21,7 +21,7 @@ from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..stage import N_RAW, SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
-from ..storage.tables import JobRecord, TableFolder, plain_metadata, table_name
+from ..storage.table_files import JobRecord, TableFolder, plain_metadata, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan, Source
 from .time_limit import Clock, OutOfTimeError

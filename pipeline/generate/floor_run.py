@@ -19,7 +19,7 @@ from ...schemas.errors import DatasetError, RunError, ScanError
 from ...schemas.settings import FARTHEST_M, FrameName, InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import remeasure
-from ...stages.inspect.sensor import describe_sensor
+from ...stages.inspect.sensor_description import describe_sensor
 from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
@@ -32,8 +32,8 @@ from ..run import RunOutcome, run_dataset, select_pairs
 from ..storage.files import key_of, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import Ledger
-from ..storage.record import has_ended, read_run
-from ..storage.tables import file_stem
+from ..storage.run_record import has_ended, read_run
+from ..storage.table_files import file_stem
 from .dataset_folder import write_table
 
 RECIPE_VERSION = 2  # increase it when the same recipe results in other measurements

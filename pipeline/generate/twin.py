@@ -30,7 +30,7 @@ from ..datasets.sequences import Frame, Recording
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..storage.files import hash_file, key_of, path_exists, write_whole
-from ..storage.record import library_versions
+from ..storage.run_record import library_versions
 from .dataset_folder import Recipe, prepare_folder, write_table, writing
 
 RECIPE = "twin.toml"

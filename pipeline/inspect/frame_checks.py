@@ -9,11 +9,11 @@ from pathlib import Path
 
 from ...schemas.columns import SIDES
 from ...schemas.record import FrameSuspect
-from ...stages.inspect.frames import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
+from ...stages.inspect.frame_search import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
 from ...stages.inspect.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
 from ..datasets.pairs import ScanPair
 from ..stage import FRAMES, INSPECTION
-from ..storage.tables import JobRecord
+from ..storage.table_files import JobRecord
 
 _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 

@@ -13,7 +13,7 @@ from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.clean import clean_scan, too_few_left
 from ...stages.ground import MIN_OBJECT_POINTS
-from ...stages.inspect.frames import FrameCheck, check_frames
+from ...stages.inspect.frame_search import FrameCheck, check_frames
 from ...stages.inspect.plausibility import ScanInspection, inspect_points
 from ..datasets.content import scan_content
 from ..datasets.pairs import ScanPair, read_dataset

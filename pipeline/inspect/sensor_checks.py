@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ...schemas.columns import SIDES
 from ...schemas.settings import InputSettings
 from ...stages.clean import as_ros
-from ...stages.inspect.sensor import SensorDescription, describe_sensor, differences, unlike_others
+from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, differences, unlike_others
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 

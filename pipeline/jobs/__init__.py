@@ -9,27 +9,27 @@ from __future__ import annotations
 from ...schemas.settings import Settings
 from ..stage import Stage
 from . import (
-    baselines,
-    communities,
-    coverage,
-    graph,
-    ground,
-    matching,
-    metrics,
-    pieces,
-    seeds,
-    selection,
-    sensor,
-    surface,
+    baselines_job,
+    communities_job,
+    coverage_job,
+    graph_job,
+    ground_job,
+    matching_job,
+    metrics_job,
+    pieces_job,
+    seeds_job,
+    selection_job,
+    sensor_job,
+    surface_job,
 )
 
 STAGES = (
-    *(ground.STAGE, sensor.STAGE, graph.STAGE, communities.STAGE, matching.STAGE),
-    *(coverage.STAGE, surface.STAGE, pieces.STAGE, selection.STAGE, metrics.STAGE),
+    *(ground_job.STAGE, sensor_job.STAGE, graph_job.STAGE, communities_job.STAGE, matching_job.STAGE),
+    *(coverage_job.STAGE, surface_job.STAGE, pieces_job.STAGE, selection_job.STAGE, metrics_job.STAGE),
 )
 
 #: Additional stages that the settings may request; no stage above depends on them.
-EXTRAS = (baselines.STAGE, seeds.STAGE)
+EXTRAS = (baselines_job.STAGE, seeds_job.STAGE)
 
 
 def stages_under(settings: Settings) -> tuple[Stage, ...]:

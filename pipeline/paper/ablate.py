@@ -20,7 +20,7 @@ import pyarrow as pa
 from ...schemas.columns import SIDES
 from ...schemas.errors import SettingsError
 from ...schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
-from ...schemas.metrics import DATASET_SCORES, OBJECT_METRICS
+from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...stages.arrays import FloatArray
 from ...stages.method import Memo, compare, n_communities, partition
@@ -29,8 +29,8 @@ from ..datasets.readers import is_scan_path
 from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
-from ..jobs import seeds
-from ..jobs.points import ANNOTATED_COLUMNS, annotation, object_points
+from ..jobs import seeds_job
+from ..jobs.points_job import ANNOTATED_COLUMNS, annotation, object_points
 from ..stage import Grain, Inputs, JobResult, Stage
 from .experiment import ExperimentOutcome, experimenting, mean_rows, read_source
 
@@ -81,7 +81,7 @@ STAGE = Stage(
     grain=Grain.PAIR,
     version=2,
     make=make_rows,
-    libraries=seeds.STAGE.libraries,
+    libraries=seeds_job.STAGE.libraries,
 )
 
 

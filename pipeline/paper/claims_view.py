@@ -9,7 +9,7 @@ from ...stages.paper.run_claims import check_run_claims
 from ..report.view import Note, Table, View, number
 from ..results.compare import recorded_times_s
 from ..results.finished import FinishedRun
-from ..results.objects import STATISTICS_COLUMNS, arrays_of
+from ..results.object_frame import STATISTICS_COLUMNS, arrays_of
 from ..results.overview import independence
 
 

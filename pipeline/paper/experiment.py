@@ -26,7 +26,7 @@ from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers import is_scan_path, stem_of, suffix_of
-from ..datasets.readers.frames import address_of
+from ..datasets.readers.frame_address import address_of
 from ..engine.engine import Machines, RunEngine, Survey
 from ..engine.plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
@@ -36,7 +36,7 @@ from ..run import select_pairs
 from ..stage import Stage
 from ..storage.files import key_of, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
-from ..storage.record import (
+from ..storage.run_record import (
     SETTINGS_TOML,
     changed_settings,
     has_ended,
@@ -45,7 +45,7 @@ from ..storage.record import (
     what_changed,
     write_record,
 )
-from ..storage.tables import JobRecord
+from ..storage.table_files import JobRecord
 
 _SEED = "seed"  # another seed is another experiment; for other numbers a larger one includes the smaller
 _VERSIONS = {stage.name: stage.version for stage in STAGES}

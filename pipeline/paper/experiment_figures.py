@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.metrics import metric_of
+from ...schemas.metric_catalogue import metric_of
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.generate.perturbations import Perturbation
 from ...stages.paper.sweep_means import Means

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from ...schemas.metrics import METRIC, PaperMean, labels, metric_of, narrow_labels
+from ...schemas.metric_catalogue import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ...stages.generate.perturbations import Perturbation
 from ...stages.paper.paper_values import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ...stages.paper.parameter_choice import RULE

@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, SettingsError
 from ...schemas.experiment_tables import PERTURB_SUMMARY
-from ...schemas.metrics import DATASET_SCORES, OBJECT_METRICS
+from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.generate.perturbations import KINDS, Perturbation
@@ -27,7 +27,7 @@ from ...stages.statistics.typical_objects import ChosenObject
 from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
-from ..jobs.points import column
+from ..jobs.points_job import column
 from ..stage import Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder

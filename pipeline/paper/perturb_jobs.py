@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from ...schemas.columns import Row
 from ...schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
-from ...schemas.metrics import OBJECT_METRICS
+from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...schemas.settings import CommunitySettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_objects
@@ -19,9 +19,9 @@ from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.method import PartitionedScan, compare, describe, graph_of, n_communities, partition, score
 from ...stages.metrics import MIN_NODES
 from ...stages.selection import select_nodes
-from ..jobs import seeds
-from ..jobs.baselines import baseline_libraries
-from ..jobs.points import EDGE_COLUMNS, POINT_COLUMNS, column, edges_in, points_in
+from ..jobs import seeds_job
+from ..jobs.baselines_job import baseline_libraries
+from ..jobs.points_job import EDGE_COLUMNS, POINT_COLUMNS, column, edges_in, points_in
 from ..stage import Grain, Inputs, JobResult, Stage
 
 _SUMMARY = ("n_matched", "n_identical", "n_too_small", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
@@ -137,7 +137,7 @@ GLOBAL = Stage(
     grain=Grain.PAIR,
     version=2,
     make=make_global,
-    libraries=seeds.STAGE.libraries,
+    libraries=seeds_job.STAGE.libraries,
 )
 OBJECT = replace(GLOBAL, name="perturb_objects", gives=("perturb_objects",), version=1, make=make_objects)
 BASELINE = replace(

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from ...schemas.errors import DatasetError
 from ...stages.statistics.typical_objects import SHAPES, ChosenObject, ScanObjects, typical_of_class, typical_of_shapes
-from ..jobs.points import column
+from ..jobs.points_job import column
 from ..storage.folder import RunFolder
 
 #: The classes of the paper, section "Controlled Perturbation Analysis".

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ...schemas.metrics import METRIC
+from ...schemas.metric_catalogue import METRIC
 from ...stages.arrays import IntArray
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from ..results.quadrants import QUADRANTS, UNKNOWN
-from .results import RunResults
+from .run_frames import RunResults
 
 #: The two scores that are drawn side by side.
 SCORES = ("r_lambda", "cdc")

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
-from ...schemas.metrics import METRIC
+from ...schemas.metric_catalogue import METRIC
 from ..results.compare import recorded_times_s
 from ..results.families import ScoreChange
 from ..results.history import FamilyHistory
@@ -40,7 +40,7 @@ from .aggregates import (  # fmt: skip
     stage_times,
 )
 from .look import FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
-from .results import RunResults
+from .run_frames import RunResults
 
 Chart = dict[str, Any]  #: data and layout
 Told = tuple[Chart, str]  #: a chart, and a sentence with its main numbers

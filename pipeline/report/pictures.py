@@ -13,13 +13,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ...schemas.columns import SIDES
-from ...schemas.metrics import METRIC
+from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Piece
 from ...stages.arrays import BoolArray, FloatArray
 from ..results.finished import FinishedRun
 from ..results.followed import SHARED_SCORES, ObjectChange
 from .figures.style import VIEW
-from .results import Cloud, PairTables, RunResults
+from .run_frames import Cloud, PairTables, RunResults
 from .view import number
 
 #: Width and height of a drawing, in the units of its paths.

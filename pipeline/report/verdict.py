@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from ...schemas.errors import RunError
-from ...schemas.metrics import metric_of
+from ...schemas.metric_catalogue import metric_of
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause
 from ..results.floor import RunExcess
@@ -20,7 +20,7 @@ from ..results.gate import Criterion, judge_run
 from ..results.overview import over_floor
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .pictures import Picture, draw_piece
-from .results import RunResults
+from .run_frames import RunResults
 from .view import Note, View, number, sentence
 from .views.answer_view import change_words, headline_scores, pieces_words, surface_words
 from .views.run_view import coverage_table, dataset_table, surface_line, surface_table, unmatched_lines

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, RunError
-from ...schemas.metrics import SEEDED_SCORES
+from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import (
@@ -31,13 +31,13 @@ from ...stages.statistics.comparison import (
 from ...stages.statistics.neighbours import neighbours
 from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
-from ..storage.tables import table_name
+from ..storage.table_files import table_name
 from .causes import CAUSE_KINDS
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
 from .followed import FOLLOWED_COLUMNS, GroupChange, ObjectChange, by_class, by_range, follow
-from .objects import object_parts
+from .object_frame import object_parts
 from .sectors import N_SECTORS, sector_rows
 
 #: Largest number of runs that fit into one table.

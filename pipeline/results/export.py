@@ -24,7 +24,7 @@ from ...schemas.errors import DatasetError, FidpipeError, RunError, ScanError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
 from ..storage.files import named_errors, write_whole
-from ..storage.tables import file_stem
+from ..storage.table_files import file_stem
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.metrics import COVERAGE_REACHES, SHIFT_COLUMNS, metric_of, reach_words
+from ...schemas.metric_catalogue import COVERAGE_REACHES, SHIFT_COLUMNS, metric_of, reach_words
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     CONFIDENCE,

@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
-from ...schemas.metrics import metric_of
+from ...schemas.metric_catalogue import metric_of
 from ...schemas.record import RunRecord
 from ...schemas.results import JsonObject
 from ...schemas.tables import TABLES
@@ -28,9 +28,9 @@ from ...stages.arrays import FloatArray
 from ..jobs import EXTRAS, STAGES
 from ..stage import Grain
 from ..storage.folder import RunFolder
-from ..storage.record import command_again, finished_record
-from ..storage.tables import plain_strings
-from .objects import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
+from ..storage.run_record import command_again, finished_record
+from ..storage.table_files import plain_strings
+from .object_frame import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
 
 if TYPE_CHECKING:
     import pandas as pd

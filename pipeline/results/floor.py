@@ -17,12 +17,12 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from ...schemas.errors import RunError
-from ...schemas.metrics import OBJECT_METRICS, RUN_SCORES, metric_of
+from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
 from ...schemas.results import JsonObject
 from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
-from ..storage.record import SETTINGS_TOML
+from ..storage.run_record import SETTINGS_TOML
 from .finished import FinishedRun, differences, settings_changes
 
 FLOOR_DATASET = "dataset"

@@ -14,7 +14,7 @@ import pandas as pd
 
 from ...stages.statistics.comparison import KINDS, kinds_of_change
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
-from .objects import plain_rows
+from .object_frame import plain_rows
 
 #: Scores that are followed, columns of `metrics`.
 SHARED_SCORES = ("cdc", "r_lambda")

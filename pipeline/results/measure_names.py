@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...schemas.metrics import COVERAGE_SCORES, DISTRIBUTED, OBJECT_METRICS, PIECE_SCORES, SURFACE_SCORES
+from ...schemas.metric_catalogue import COVERAGE_SCORES, DISTRIBUTED, OBJECT_METRICS, PIECE_SCORES, SURFACE_SCORES
 
 OF_PAIRS = ("mean", "std", "min", "median", "max")
 OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")

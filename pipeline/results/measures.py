@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import DatasetError, ScanError, SettingsError
-from ...schemas.metrics import DISTRIBUTED, METRIC, OBJECT_METRICS
+from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.content import input_hashes
@@ -31,7 +31,7 @@ from .measure_names import (
     PLAIN_NAMES,
     STATES,
 )
-from .objects import STATISTICS_COLUMNS, arrays_of
+from .object_frame import STATISTICS_COLUMNS, arrays_of
 
 _UNMATCHED = {"missing": 0, "hallucinated": 1}
 

@@ -28,7 +28,7 @@ from ..storage.folder import RunFolder
 from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
 from .finished import FinishedRun
 from .floor import FLOOR_RECIPE
-from .objects import PAIRS_AT_ONCE, plain_rows
+from .object_frame import PAIRS_AT_ONCE, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:

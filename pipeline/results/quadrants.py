@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.metrics import QUADRANT_LIMITS
+from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...stages.arrays import FloatArray
 
 CDC_LIMIT, R_LAMBDA_LIMIT = QUADRANT_LIMITS["cdc"], QUADRANT_LIMITS["r_lambda"]

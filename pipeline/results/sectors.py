@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metrics import COVERAGE_REACHES, METRIC, SHIFT_COLUMNS
+from ...schemas.metric_catalogue import COVERAGE_REACHES, METRIC, SHIFT_COLUMNS
 from ...stages.arrays import FloatArray, IndexArray
 from .finished import FinishedRun
-from .objects import PAIRS_AT_ONCE, object_parts
+from .object_frame import PAIRS_AT_ONCE, object_parts
 
 #: Number of sectors of direction, the first one from straight ahead to the left.
 N_SECTORS = 8

@@ -16,7 +16,7 @@ from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
 from ..storage.folder import RunFolder
-from ..storage.record import StageSeconds, finished_record
+from ..storage.run_record import StageSeconds, finished_record
 
 STATES = ("done", "stale", "failed", "to do")
 

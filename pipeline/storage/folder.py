@@ -15,8 +15,8 @@ from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from .ledger import LEDGER, Ledger
-from .record import command_again, read_run
-from .tables import JobRecord, TableFolder, read_footer, table_name
+from .run_record import command_again, read_run
+from .table_files import JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
 

@@ -20,7 +20,7 @@ import orjson
 
 from ...schemas.errors import RunError
 from .files import disk_full, file_marks, hash_file, write_whole
-from .tables import JobRecord, job_record
+from .table_files import JobRecord, job_record
 
 LEDGER = "ledger.sqlite"
 _SEAL = "ledger.sha256"

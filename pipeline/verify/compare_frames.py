@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ...schemas.metrics import SHIFT_COLUMNS
+from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...stages.arrays import BoolArray, FloatArray
 
 #: Tolerance of every number without a rule: metres, shares, eigenvalues. Counts and ids are exact all the same.

@@ -14,14 +14,14 @@ import pandas as pd
 from scipy.spatial.distance import cdist
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metrics import BASELINES, COVERAGE_REACHES, METRIC, OBJECT_METRICS, SHIFT_COLUMNS
+from ...schemas.metric_catalogue import BASELINES, COVERAGE_REACHES, METRIC, OBJECT_METRICS, SHIFT_COLUMNS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.clean import as_ros
-from ...stages.inspect.sensor import PAIR_COLUMNS, describe_sensor, sensor_row
-from ...stages.literal import baselines as distances
-from ...stages.literal import method, surfaces
-from ...stages.literal import pieces as surface_pieces
+from ...stages.inspect.sensor_description import PAIR_COLUMNS, describe_sensor, sensor_row
+from ...stages.literal import literal_baselines as distances
+from ...stages.literal import literal_method, literal_surfaces
+from ...stages.literal import literal_pieces as surface_pieces
 from ..jobs import EXTRAS, STAGES
 from ..stage import Stage
 from .compare_frames import DEFAULT_TOLERANCE
@@ -84,7 +84,7 @@ def scan(pair: StoredPair) -> Parts:
         T = np.array(transform).reshape(3, 4) if transform else None
         limits = settings.min_range_m, settings.max_range_m, settings.exclude_box, T
         frame_of_side, box = settings.frame_of(side), settings.include_box
-        kept, points = method.clean(read.points, *limits, frame=frame_of_side, include_box=box)
+        kept, points = literal_method.clean(read.points, *limits, frame=frame_of_side, include_box=box)
         frame = pd.DataFrame(points, columns=list("xyz"), index=pd.Index(kept, name="point_id", dtype=np.intp))
         for name, own in (("intensity", read.intensity), ("instance", read.instances), ("label", read.labels)):
             frame[name] = None if own is None else own[kept]
@@ -123,20 +123,20 @@ def _cut(pair: StoredPair, side: str) -> tuple[dict[str, Any], FloatArray, bool]
     """Cut of a side from its metadata, heights of its points, and True if the points determine the axis."""
     settings, points = pair.settings.ground, pair.sides[side].all_points
     limits = settings.prior_m, settings.max_variance_loss, settings.loss
-    own = method.ground(points, *limits, default_axis=np.array(pair.metadata("ground", side)["axis"]))
+    own = literal_method.ground(points, *limits, default_axis=np.array(pair.metadata("ground", side)["axis"]))
     heights = own.height_m
     cut = {name: getattr(own, name) for name in ("axis", "tilt_deg", "peak_m", "threshold_m", "loss", "iterations")}
     if side == "sim" and (settings.shared or settings.peak == "real"):
         real = pair.metadata("ground", "real")
         axis = np.array(real["axis"])
-        offset_m = 0.0 if settings.shared else method.road_offset(pair.sides["real"].all_points, points, axis)
+        offset_m = 0.0 if settings.shared else literal_method.road_offset(pair.sides["real"].all_points, points, axis)
         if offset_m is not None:
             cut = {name: real[name] for name in cut} | {"axis": axis, "peak_m": real["peak_m"] + offset_m}
             heights = np.array([float(p @ axis) for p in points])
             if real["threshold_m"] is not None:
                 cut["threshold_m"] = real["threshold_m"] + offset_m
             threshold_m = cut["threshold_m"] or 0.0
-            cut["loss"] = method.variance_loss(points, heights, threshold_m, cut["peak_m"], settings.loss)
+            cut["loss"] = literal_method.variance_loss(points, heights, threshold_m, cut["peak_m"], settings.loss)
     if settings.method != "pca":
         cut |= dict.fromkeys(("threshold_m", "loss", "iterations"))
     return cut, heights, own.is_unique
@@ -169,7 +169,7 @@ def graph(pair: StoredPair) -> Parts:
         yield Part("graph", next(frames), next(frames), side)
         length = np.sqrt(((own.points[src] - own.points[dst]) ** 2).sum(axis=1)).astype(np.float32)
         for i in np.flatnonzero(length != stored_length).tolist():  # a fixed order of operations: the last bit matters
-            length[i] = method.distances(own.points[dst[i], None], own.points[src[i]])[0]
+            length[i] = literal_method.distances(own.points[dst[i], None], own.points[src[i]])[0]
         stored = pair.table("graph", side).set_index(["src", "dst"])
         yield Part("graph", stored, pd.DataFrame({"length_m": length}, index=stored.index), side, is_whole=False)
 
@@ -186,7 +186,8 @@ def _drawn_nodes(pair: StoredPair, side: str) -> IndexArray:
 def _edges_of(pair: StoredPair, own: StoredSide, node: int) -> list[tuple[int, int]]:
     """Edges of a node: those that it requires, and those stored ones that the other end requires."""
     settings = pair.settings.graph
-    within = set(np.flatnonzero(method.distances(own.points, own.points[node]) <= settings.tau_m).tolist()) - {node}
+    distances = literal_method.distances(own.points, own.points[node])
+    within = set(np.flatnonzero(distances <= settings.tau_m).tolist()) - {node}
     is_union = settings.edges == "union"
     needed = own.nearest(node) | within if is_union else own.nearest(node) & within
     of_others = {j for j in own.neighbours(node) - needed if node in own.nearest(j) and (is_union or j in within)}
@@ -202,14 +203,14 @@ def communities(pair: StoredPair) -> Parts:
         if is_reference and side == "sim":
             labels = _reference_labels(pair, own)
         else:
-            order = np.array(surfaces.visiting_order(own.points, settings.seed) if is_reference else range(n))
+            order = np.array(literal_surfaces.visiting_order(own.points, settings.seed) if is_reference else range(n))
             labels = _canonical(own.labels, order)
             if is_reference and settings.reference != "louvain":
                 yield Skipped(f"objects by {settings.reference} of the input")
             else:
                 if own.edges[2].any():
                     what = "modularity gained by joining two communities"
-                    gain = max(0.0, method.best_merge_gain(own.labels, *own.edges))
+                    gain = max(0.0, literal_method.best_merge_gain(own.labels, *own.edges))
                     yield values("communities", {what: gain}, {what: 0.0}, side)
                 if settings.backend != "scikit-network" or not pair.has_same_library("scikit-network"):
                     yield Skipped("communities of a graph by another Louvain than that of the installed scikit-network")
@@ -217,7 +218,7 @@ def communities(pair: StoredPair) -> Parts:
                     yield Skipped("connected components of a graph without lengths")
                 else:
                     visits = order if is_reference else np.random.RandomState(settings.seed).permutation(n)
-                    labels = _canonical(np.array(method.louvain(n, *own.edges, visits)), order)
+                    labels = _canonical(np.array(literal_method.louvain(n, *own.edges, visits)), order)
         frame = pd.DataFrame({"community_id": labels}, index=pd.Index(own.point_ids, name="point_id"))
         yield pair.part("communities", frame, side)
 
@@ -232,14 +233,16 @@ def _reference_labels(pair: StoredPair, own: StoredSide) -> IndexArray:
     n_real, expected, sizes = int(real.labels.max()) + 1, own.labels.copy(), np.bincount(stored[stored >= 0])
 
     def number(points: IndexArray, groups: IndexArray) -> IndexArray:
-        return _canonical(groups, np.array(surfaces.visiting_order(own.points[points], settings.seed), dtype=np.intp))
+        return _canonical(
+            groups, np.array(literal_surfaces.visiting_order(own.points[points], settings.seed), dtype=np.intp)
+        )
 
     hallucinated = np.flatnonzero(stored >= n_real)
     expected[hallucinated] = n_real + number(hallucinated, stored[hallucinated])
     checked = [i for community in pair.drawn_ids("sim") for i in own.members(community).tolist()]
     found = np.zeros(len(stored), dtype=bool)
     if pair.sample.whole_sides:
-        outside = np.flatnonzero(method.nearest_distances(own.points, real.points) > settings.reach_m)
+        outside = np.flatnonzero(literal_method.nearest_distances(own.points, real.points) > settings.reach_m)
         groups = np.array(surface_pieces.components(own.points[outside], pair.settings.pieces.link_m), dtype=np.intp)
         groups = number(outside, groups)
         is_object = np.bincount(groups)[groups] >= settings.min_points
@@ -247,7 +250,7 @@ def _reference_labels(pair: StoredPair, own: StoredSide) -> IndexArray:
         expected[found] = n_real + groups[is_object]
         checked = [i for i in {*checked, *hallucinated.tolist()} if not found[i]]
     for i in checked:
-        apart = method.distances(real.points, own.points[i])
+        apart = literal_method.distances(real.points, own.points[i])
         near = real.labels[apart <= apart.min() * (1 + 1e-12)]
         is_out_of_reach = (
             stored[i] >= n_real and sizes[stored[i]] >= settings.min_points and apart.min() > settings.reach_m
@@ -261,7 +264,7 @@ def _canonical(labels: IndexArray, order: IndexArray) -> IndexArray:
     """Renumber a partition by size and then by the first of its points in an order; -1 is kept."""
     numbered = np.full(len(labels), -1, dtype=np.intp)
     in_object = order[labels[order] >= 0]
-    numbered[in_object] = method.canonical(labels[in_object].tolist())
+    numbered[in_object] = literal_method.canonical(labels[in_object].tolist())
     return numbered
 
 
@@ -276,7 +279,7 @@ def objects(pair: StoredPair) -> Parts:
             members = own.members(community)
             expected: list[float | None] = [None] * len(_DESCRIBED)
             if len(members):
-                about = method.describe(own.points[members])
+                about = literal_method.describe(own.points[members])
                 expected = [*about.centroid, about.range_m, *about.extent, *about.shape]
             row: Row = {"community_id": community, "label": _most_frequent(words[members])}
             drawn.append(row | dict(zip(_DESCRIBED, expected, strict=True)))
@@ -302,7 +305,7 @@ def matching(pair: StoredPair) -> Parts:
         pairs = [(i, i) for i in range(len(real)) if n_sim[i] >= min(least, n_real[i])]
         unmatched_sim = set(range(len(real), len(sim)))
     elif settings.method == "greedy":
-        found = method.match_greedy(real, sim, settings.delta_m, dict(pairs), DEFAULT_TOLERANCE)
+        found = literal_method.match_greedy(real, sim, settings.delta_m, dict(pairs), DEFAULT_TOLERANCE)
         pairs = [(i, j) for i, j, _ in found]
     else:
         yield _optimum(real, sim, pairs, settings.delta_m)
@@ -326,7 +329,7 @@ def _optimum(real: FloatArray, sim: FloatArray, pairs: list[tuple[int, int]], de
     total = math.fsum(apart[i, j] for i, j in pairs) + (least - len(pairs)) * forbidden
     what, within = "mean distance, m", "matches nearer than delta"
     stored = {what: total / n, within: sum(apart[i, j] < delta_m for i, j in pairs)}
-    return values("matching", stored, {what: method.least_total(cost) / n, within: len(pairs)})
+    return values("matching", stored, {what: literal_method.least_total(cost) / n, within: len(pairs)})
 
 
 def coverage(pair: StoredPair) -> Parts:
@@ -364,8 +367,8 @@ def _covered(points: FloatArray, others: FloatArray, cut: dict[str, Any]) -> Row
     """Covered shares of points, their median distance from the other side, and the share below its cut."""
     if not len(points):
         return dict.fromkeys((*(f"covered_{reach}" for reach in _REACHES_M), "median_distance_m", "road_share"))
-    apart = method.nearest_distances(points, others).tolist()
-    row: Row = {f"covered_{reach}": surfaces.covered(apart, reach_m) for reach, reach_m in _REACHES_M.items()}
+    apart = literal_method.nearest_distances(points, others).tolist()
+    row: Row = {f"covered_{reach}": literal_surfaces.covered(apart, reach_m) for reach, reach_m in _REACHES_M.items()}
     row |= {"median_distance_m": float(np.median(apart)), "road_share": None}
     if cut["threshold_m"] is not None:
         heights = [float(p @ np.array(cut["axis"])) for p in points]
@@ -380,7 +383,7 @@ def surface(pair: StoredPair) -> Parts:
     yield pair.part("surface", pd.DataFrame(index=pd.Index(ids, name="real_id")))
     yield pair.in_pairs({column: stored.loc[-1, column] for column in SHIFT_COLUMNS})
     points, sim = pair.sides["real"].points, pair.sides["sim"].points
-    planes = {i: surfaces.local_plane(points, points[i]) for i in _plane_points(pair, "real")}
+    planes = {i: literal_surfaces.local_plane(points, points[i]) for i in _plane_points(pair, "real")}
     labels = pair.sides["real"].labels
     drawn = {community: [planes[i] for i in planes if labels[i] == community] for community in pair.drawn_ids("real")}
     if pair.sample.whole_sides:
@@ -390,13 +393,13 @@ def surface(pair: StoredPair) -> Parts:
         if any(plane.is_tied for plane in own):
             yield Skipped("displacement of an object with ties among the neighbours of its points", ["surface"])
             continue
-        offset = surfaces.offset(own, sim)
+        offset = literal_surfaces.offset(own, sim)
         row = {"real_id": community, "n_points": offset.n_points, "n_directions": offset.n_directions}
         expected.append(row | dict(zip(SHIFT_COLUMNS, (*offset.shift_m, offset.distance_m), strict=True)))
     yield pair.part("surface", _frame(expected, ["real_id"]), is_whole=False)
     if not pair.sample.whole_sides:
         return
-    of_sim = [surfaces.local_plane(sim, sim[i]) for i in _plane_points(pair, "sim")]
+    of_sim = [literal_surfaces.local_plane(sim, sim[i]) for i in _plane_points(pair, "sim")]
     if any(plane.is_tied for plane in (*planes.values(), *of_sim)):
         yield Skipped("roughness of a pair with ties among the neighbours of its points",
                       [f"pairs.{name}" for name in _ROUGHNESS])  # fmt: skip
@@ -405,7 +408,7 @@ def surface(pair: StoredPair) -> Parts:
     if planes and of_sim:
         a, b = (np.array([plane.roughness_m for plane in own]) for own in (planes.values(), of_sim))
         bias = float(b.mean() - a.mean())
-        area = surfaces.area_between(a.tolist(), (b - bias).tolist())
+        area = literal_surfaces.area_between(a.tolist(), (b - bias).tolist())
         roughness = dict(zip(_ROUGHNESS, (float(np.median(a)), float(np.median(b)), bias, area), strict=True))
     yield pair.in_pairs(roughness)
 
@@ -415,7 +418,7 @@ def _plane_points(pair: StoredPair, side: str) -> list[int]:
     own = pair.sides[side]
     if len(own.points) < _FEWEST_FOR_PLANES:
         return []
-    sample = surfaces.visiting_order(own.points)[:_SAMPLE_POINTS]
+    sample = literal_surfaces.visiting_order(own.points)[:_SAMPLE_POINTS]
     drawn = set(pair.drawn_ids(side))
     return [i for i in sample if pair.sample.whole_sides or own.labels[i] in drawn]
 
@@ -490,7 +493,7 @@ def selection(pair: StoredPair) -> Parts:
         a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
         cost = cdist(a - a.mean(axis=0), b - b.mean(axis=0))
         stored = {what: math.fsum(np.diag(cost)) / len(cost)}
-        yield values("selection", stored, {what: method.least_total(cost) / len(cost)}, **ids)
+        yield values("selection", stored, {what: literal_method.least_total(cost) / len(cost)}, **ids)
     yield pair.part("selection", _frame(expected, keys), is_whole=False)
 
 
@@ -501,7 +504,7 @@ def _selected(pair: StoredPair, match: Row, side: str, members: IndexArray) -> t
     their influence.
     """
     own, rows, n_keep = pair.sides[side], pair.selected(match), pair.n_kept(match)
-    expected = method.influence(method.laplacian(own.matrix(members)), pair.settings.selection.t)
+    expected = literal_method.influence(literal_method.laplacian(own.matrix(members)), pair.settings.selection.t)
     of_node = dict(zip(members.tolist(), expected.tolist(), strict=True))
     chosen, stored = own.index(rows[f"{side}_point_id"]).tolist(), rows[f"{side}_influence"].tolist()
     precedence = sorted((-value, node) for value, node in zip(stored, chosen, strict=True))
@@ -527,19 +530,19 @@ def metrics(pair: StoredPair) -> Parts:
     for match in pair.drawn_matches:
         members, kept = pair.members(match), pair.kept(match)
         row: Row = {name: match[name] for name in keys}
-        row["cdc"] = method.cdc(*(pair.sides[side].points[members[side]] for side in SIDES))
-        row["alignment_rms_m"] = method.alignment_rms(*(pair.sides[side].points[kept[side]] for side in SIDES))
+        row["cdc"] = literal_method.cdc(*(pair.sides[side].points[members[side]] for side in SIDES))
+        row["alignment_rms_m"] = literal_method.alignment_rms(*(pair.sides[side].points[kept[side]] for side in SIDES))
         n_keep = len(kept["real"])
         if n_keep > MOST_NODES:
             what = f"spectra of an object of more than {MOST_NODES} aligned nodes (dense matrices)"
-            yield Skipped(what, [f"metrics.{name}" for name in (*method.SPECTRAL, "status", "reason")])
+            yield Skipped(what, [f"metrics.{name}" for name in (*literal_method.SPECTRAL, "status", "reason")])
         elif n_keep < _FEWEST_FOR_SPECTRA:
             reason = f"{n_keep} aligned nodes, at least 3 are needed for a spectrum"
-            row |= dict.fromkeys(method.SPECTRAL) | {"status": "too_small", "reason": reason}
+            row |= dict.fromkeys(literal_method.SPECTRAL) | {"status": "too_small", "reason": reason}
         else:
-            L_real, L_sim = (method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
-            row |= method.spectral(L_real, L_sim)
-            is_identical = row["laplacian_change"] <= method.IDENTICAL_CHANGE
+            L_real, L_sim = (literal_method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
+            row |= literal_method.spectral(L_real, L_sim)
+            is_identical = row["laplacian_change"] <= literal_method.IDENTICAL_CHANGE
             row |= {"status": "identical" if is_identical else "scored", "reason": None}
         yield pair.part("metrics", _frame([row], keys), is_whole=False)
     if not pair.drawn_matches:
@@ -590,8 +593,8 @@ def _distances(pair: StoredPair, match: Row) -> dict[str, float | None]:
     expected["netlsd"] = distances.netlsd(A_real, A_sim, settings) if n_most <= settings["heat_max_nodes"] else None
     expected["r_h"] = None
     if len(a) >= _FEWEST_FOR_SPECTRA:
-        L_real, L_sim = (method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
-        change = method.spectral(L_real, L_sim)["laplacian_change"]
+        L_real, L_sim = (literal_method.laplacian(pair.sides[side].matrix(kept[side])) for side in SIDES)
+        change = literal_method.spectral(L_real, L_sim)["laplacian_change"]
         expected["r_h"] = distances.r_h(L_real, L_sim, pair.settings.selection.t, change)
     return expected
 
@@ -628,7 +631,7 @@ def pairs(pair: StoredPair) -> Parts:
     expected["median_range_unmatched_m"] = float(np.median(unmatched)) if unmatched else None
     for name in OBJECT_METRICS:
         own_values = [None if math.isnan(value) else value for value in table[name].astype(float).tolist()]
-        expected[f"{name}_mean"], expected[f"{name}_std"] = method.mean_and_std(own_values)
+        expected[f"{name}_mean"], expected[f"{name}_std"] = literal_method.mean_and_std(own_values)
     yield pair.in_pairs(expected | {"pair_id": pair.pair_id, "status": "scored"})
     yield values("pairs", {"no reason": pair.row["reason"] or ""}, {"no reason": ""})
 

@@ -16,12 +16,12 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IndexArray
-from ...stages.literal import method
+from ...stages.literal import literal_method
 from ..datasets.pairs import ScanPair
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..results.finished import FinishedRun
-from ..storage.record import library_versions
+from ..storage.run_record import library_versions
 
 #: Table of the values of checks with another name.
 TABLE_OF = {"scan": "ground"}
@@ -214,7 +214,7 @@ class StoredSide:
     def _nearest(self, node: int) -> frozenset[int]:
         """The k nearest neighbours of a node among all points."""
         settings = self._pair.settings.graph
-        return frozenset(method.nearest(self.points, node, settings.k, settings.ties))
+        return frozenset(literal_method.nearest(self.points, node, settings.k, settings.ties))
 
     def neighbours(self, node: int) -> set[int]:
         """Nodes connected to a node by an edge."""

@@ -17,16 +17,16 @@ import pandas as pd
 
 from ...schemas.columns import Row
 from ...schemas.errors import FidpipeError, RunError
-from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
+from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.results import JsonObject
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
-from ...stages.literal.method import mean_and_std
+from ...stages.literal.literal_method import mean_and_std
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, ScanPair, read_dataset
 from ..jobs import EXTRAS, STAGES
 from ..results.finished import FinishedRun
-from ..storage.record import unmatched_worst
+from ..storage.run_record import unmatched_worst
 from .compare_frames import NOT_COMPARED, ColumnComparison, compare
 from .recompute import RECOMPUTED, UNMATCHED, stages_of
 from .stored import TABLE_OF, Part, Sample, Skipped, StoredPair, values

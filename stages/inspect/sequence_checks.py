@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from .frames import ground_height
+from .frame_search import ground_height
 from .surfels import voxel_ids
 
 _COMPARED_M = (3.0, 40.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...schemas.metrics import PaperMean
+from ...schemas.metric_catalogue import PaperMean
 
 N_PAIRS = 50
 N_MATCHED = 1067

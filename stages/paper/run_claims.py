@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...schemas.metrics import metric_of
+from ...schemas.metric_catalogue import metric_of
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..statistics.comparison import blocks_of
 from ..statistics.findings import (

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...schemas.metrics import METRIC, OBJECT_METRICS
+from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS
 from ..generate.perturbations import Perturbation
 
 OWN_METRICS = (

@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fidpipe.pipeline.datasets.pairs import check_rigid, read_dataset, read_label_names, read_manifest
-from fidpipe.pipeline.datasets.readers.frames import Address, address_of
+from fidpipe.pipeline.datasets.readers.frame_address import Address, address_of
 from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
 from fidpipe.pipeline.results.gate import parse_word, read_criteria
-from fidpipe.pipeline.storage.tables import file_stem, table_name
+from fidpipe.pipeline.storage.table_files import file_stem, table_name
 from fidpipe.pipeline.terminal import shown
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import load, parse

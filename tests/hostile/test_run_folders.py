@@ -19,8 +19,8 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.files import hash_file
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER
-from fidpipe.pipeline.storage.record import read_run
-from fidpipe.pipeline.storage.tables import read_footer
+from fidpipe.pipeline.storage.run_record import read_run
+from fidpipe.pipeline.storage.table_files import read_footer
 from fidpipe.pipeline.terminal import Terminal
 from fidpipe.schemas.errors import FidpipeError, RunError
 from runs import command, rewrite, run

@@ -23,7 +23,7 @@ from fidpipe.pipeline.paper.ablate import (
 )
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.experiment_tables import ABLATE
-from fidpipe.schemas.metrics import OBJECT_METRICS
+from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from fidpipe.stages import method
 from fidpipe.stages.paper.parameter_choice import ParameterSet

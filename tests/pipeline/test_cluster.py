@@ -24,10 +24,10 @@ from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.generate.floor_run import run_floor
-from fidpipe.pipeline.jobs import STAGES, metrics, selection
+from fidpipe.pipeline.jobs import STAGES, metrics_job, selection_job
 from fidpipe.pipeline.paper.ablate import ablate_dataset
 from fidpipe.pipeline.paper.perturb import perturb_source
-from fidpipe.pipeline.storage.record import library_versions
+from fidpipe.pipeline.storage.run_record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.perturbations import Perturbation
@@ -102,7 +102,7 @@ def kill_own_worker_once(context, at_work):
         if at_work == "beginning":
             os.kill(os.getpid(), signal.SIGKILL)
         os.fsync = lambda file: os.kill(os.getpid(), signal.SIGKILL)
-    return metrics.make_metrics(context)
+    return metrics_job.make_metrics(context)
 
 
 def never_ending_graph(folder, context):
@@ -117,7 +117,7 @@ def never_ending_selection(context):
     """The selection job, which for one pair never ends."""
     while context.pair_id == broken_jobs.POISON:
         time.sleep(1.0)
-    return selection.make_selection(context)
+    return selection_job.make_selection(context)
 
 
 def with_metrics(make):
@@ -189,7 +189,7 @@ def kill_scheduler(context):
     if context.pair_id == POISON_IN_METRICS:
         os.kill(int(os.environ["SCHEDULER"]), signal.SIGKILL)
         time.sleep(0.5)
-    return metrics.make_metrics(context)
+    return metrics_job.make_metrics(context)
 
 
 @pytest.mark.exhaustive

@@ -16,8 +16,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.report.page.compare import compare_page
-from fidpipe.pipeline.report.page.page import write_report
+from fidpipe.pipeline.report.page.compare_page import compare_page
+from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.pictures import draw_change
 from fidpipe.pipeline.report.render import csv_table, markdown, terminal
 from fidpipe.pipeline.report.views.compare_view import (

@@ -9,11 +9,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.jobs.baselines import summarise_baselines
+from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.storage.tables import JobRecord
+from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.metrics import SEEDED_SCORES
+from fidpipe.schemas.metric_catalogue import SEEDED_SCORES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES, SEEDS
 from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, command, marks, run

@@ -18,17 +18,17 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate.floor_run import run_floor
-from fidpipe.pipeline.report.page.page import write_report
+from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.views.compare_view import remarks
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.floor import excess_over
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
-from fidpipe.schemas.metrics import COVERAGE_SCORES, OBJECT_METRICS
+from fidpipe.schemas.metric_catalogue import COVERAGE_SCORES, OBJECT_METRICS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor import describe_sensor
+from fidpipe.stages.inspect.sensor_description import describe_sensor
 from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import assert_same_tables, command, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset

@@ -11,7 +11,7 @@ import pytest
 from sknetwork.clustering import Louvain
 
 from fidpipe.pipeline.verify.verify import verify_run
-from fidpipe.schemas.metrics import OBJECT_METRICS
+from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.settings import load
 from runs import rewrite, run, some_of
 from scenes import box, drifted, street, write_bin

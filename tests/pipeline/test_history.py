@@ -11,7 +11,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.report.page.compare import history_page
+from fidpipe.pipeline.report.page.compare_page import history_page
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.views.history_view import history_decision, history_records, history_remarks, history_view
 from fidpipe.pipeline.results.history import read_history

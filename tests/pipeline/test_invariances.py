@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.storage.tables import TableFolder
+from fidpipe.pipeline.storage.table_files import TableFolder
 from fidpipe.schemas.settings import GraphSettings, MatchingSettings, load
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.literal import method
+from fidpipe.stages.literal import literal_method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.method import compare, partition
 from runs import assert_same_tables, run, temporary_files
@@ -69,7 +69,7 @@ def test_on_a_lattice_of_ties_the_graph_is_that_of_the_literal_twin(points, k, t
     points = shuffled(points, seed)
     edges = build_graph(points, GraphSettings(k=k, tau_m=tau_m, edges=rule, ties=ties))
     found = dict(zip(zip(edges.src.tolist(), edges.dst.tolist(), strict=True), edges.length_m.tolist(), strict=True))
-    assert found == method.graph(points, k, tau_m, rule, ties)
+    assert found == literal_method.graph(points, k, tau_m, rule, ties)
 
 
 @tried(100)
@@ -80,7 +80,7 @@ def test_on_a_lattice_of_ties_the_matching_is_that_of_the_literal_twin(real, sim
         np.round(sim * 10),
     )  # whole metres, so that equal distances are equal to the last bit
     greedy = match_communities(real, sim, MatchingSettings(delta_m=delta_m))
-    assert greedy.pairs == [(i, j) for i, j, _ in method.match_greedy(real, sim, delta_m)]
+    assert greedy.pairs == [(i, j) for i, j, _ in literal_method.match_greedy(real, sim, delta_m)]
     optimal = match_communities(real, sim, MatchingSettings(delta_m=delta_m, method="optimal"))
     assert len(optimal.pairs) >= len(greedy.pairs)
     if len(optimal.pairs) == len(greedy.pairs):

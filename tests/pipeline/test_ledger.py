@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.storage.ledger import LEDGER, Ledger
-from fidpipe.pipeline.storage.tables import JobRecord, StoredFile
+from fidpipe.pipeline.storage.table_files import JobRecord, StoredFile
 from fidpipe.schemas.errors import RunError
 
 

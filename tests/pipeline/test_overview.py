@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.render import terminal
-from fidpipe.pipeline.report.results import read_results
+from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.report.views.run_view import outcome_view
 from fidpipe.pipeline.report.views.show_view import show_view
-from fidpipe.pipeline.results.findings import describe_objects
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.overview import largest_pieces
+from fidpipe.pipeline.results.run_findings import describe_objects
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from runs import command, run
@@ -72,12 +72,12 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
 
 
 def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(finished, monkeypatch):
-    from fidpipe.pipeline.results import objects, overview
+    from fidpipe.pipeline.results import object_frame, overview
 
     _, folder, outcome = finished
     again = FinishedRun(folder)
     assert again.record.overview == outcome.record.overview
-    for module in (objects, overview):
+    for module in (object_frame, overview):
         monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
     rows, times = again.scored, dict.fromkeys(NUSCENES)
     findings, found, metrics = describe_objects(again.store, rows, times, again.record.inputs, by_reference=False)

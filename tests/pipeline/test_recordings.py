@@ -10,7 +10,7 @@ import pytest
 from fidpipe.pipeline.datasets.content import scan_content
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan, rosbag, stem_of, suffix_of, velodyne
-from fidpipe.pipeline.datasets.readers.frames import address_of
+from fidpipe.pipeline.datasets.readers.frame_address import address_of
 from fidpipe.schemas.errors import ScanError
 from recordings import cloud, packets_message, write_bag, write_pcap
 from runs import command

@@ -4,7 +4,7 @@ from io import StringIO
 
 from rich.console import Console
 
-from fidpipe.pipeline.report.page.render import _environment
+from fidpipe.pipeline.report.page.page_templates import _environment
 from fidpipe.pipeline.report.render import csv_table, markdown, terminal
 from fidpipe.pipeline.report.view import Answers, Note, Table, shortened
 

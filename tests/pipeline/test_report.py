@@ -28,12 +28,12 @@ from fidpipe.pipeline.report.aggregates import (
     score_limits,
 )
 from fidpipe.pipeline.report.charts import run_charts
-from fidpipe.pipeline.report.figures.run import draw_coverage
+from fidpipe.pipeline.report.figures.run_figures import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
-from fidpipe.pipeline.report.page.data import page_data, page_words
-from fidpipe.pipeline.report.page.page import MOST_VIEWS, some_of, views_of, write_report
+from fidpipe.pipeline.report.page.run_data import page_data, page_words
+from fidpipe.pipeline.report.page.run_page import MOST_VIEWS, some_of, views_of, write_report
 from fidpipe.pipeline.report.render import terminal
-from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairTables, read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.report.view import Note, Table
 from fidpipe.pipeline.report.views.run_view import summary_view
@@ -206,7 +206,7 @@ def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own
     notes = copied_run / "report" / "notes.txt"
     notes.write_text("mine")
     (copied_run / "figures" / "mine.png").write_bytes(b"")
-    monkeypatch.setattr("fidpipe.pipeline.report.figures.run.draw_objects", lambda results, folder: [])
+    monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.draw_objects", lambda results, folder: [])
     write_report(copied_run)
     assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
     assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}

@@ -15,9 +15,9 @@ from PIL import Image
 
 from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
 from fidpipe.pipeline.report.aggregates import score_limits
-from fidpipe.pipeline.report.page.compare import compare_page, history_page
-from fidpipe.pipeline.report.page.page import write_report
-from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.report.page.compare_page import compare_page, history_page
+from fidpipe.pipeline.report.page.run_page import write_report
+from fidpipe.pipeline.report.run_frames import PairTables, read_results
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.history import read_history
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS

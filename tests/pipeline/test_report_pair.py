@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from scipy.spatial import cKDTree
 
-from fidpipe.pipeline.report.page.pair import pair_data, thinned
-from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.report.page.pair_data import pair_data, thinned
+from fidpipe.pipeline.report.run_frames import PairTables, read_results
 from reports import points_in, unpacked
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from fidpipe import evaluate_pair
-from fidpipe.pipeline.report.results import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairTables, read_results
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_models import SENSORS

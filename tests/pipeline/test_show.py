@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
-from fidpipe.pipeline.storage.record import read_run
+from fidpipe.pipeline.storage.run_record import read_run
 from fidpipe.schemas.errors import RunError
 from reports import HOSTILE_PAIRS
 from runs import command

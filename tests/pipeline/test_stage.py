@@ -13,7 +13,7 @@ import fidpipe
 import toys
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
-from fidpipe.pipeline.jobs.points import object_points
+from fidpipe.pipeline.jobs.points_job import object_points
 from fidpipe.pipeline.stage import SCAN, JobResult, Memo
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.schemas.columns import FLOAT64, column

@@ -11,7 +11,7 @@ import pytest
 from fidpipe.pipeline.storage.files import key_of, write_whole
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER
-from fidpipe.pipeline.storage.tables import JobRecord, read_footer
+from fidpipe.pipeline.storage.table_files import JobRecord, read_footer
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import COMMUNITIES, MATCHING, OBJECTS, PAIRS, TABLES, TIMINGS
 

@@ -22,7 +22,7 @@ from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
-from fidpipe.stages.literal import method
+from fidpipe.stages.literal import literal_method
 from runs import command, contents, rewrite, run, some_of
 from scenes import write_dataset
 from toys import TOY_TABLES
@@ -167,9 +167,11 @@ def test_every_column_of_every_table_is_compared_or_declared_not_to_be(whole):
 
 
 def test_a_score_that_the_literal_twin_does_not_know_is_said_to_be_unverified(plain, monkeypatch):
-    spectral = method.spectral
-    monkeypatch.setattr(method, "spectral", lambda *matrices: without(spectral(*matrices), "gap_sim"))
-    monkeypatch.setattr(method, "SPECTRAL", tuple(name for name in method.SPECTRAL if name != "gap_sim"))
+    spectral = literal_method.spectral
+    monkeypatch.setattr(literal_method, "spectral", lambda *matrices: without(spectral(*matrices), "gap_sim"))
+    monkeypatch.setattr(
+        literal_method, "SPECTRAL", tuple(name for name in literal_method.SPECTRAL if name != "gap_sim")
+    )
     result = verify_run(plain, None)
     assert result.passed
     assert result.unknown == ("metrics.gap_sim",)

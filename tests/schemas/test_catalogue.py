@@ -3,7 +3,7 @@
 import pytest
 
 import readme
-from fidpipe.schemas.metrics import (
+from fidpipe.schemas.metric_catalogue import (
     BASELINE_NAMES,
     BASELINES,
     COVERAGE_SCORES,

@@ -3,13 +3,13 @@ import sys
 import numpy as np
 import pytest
 
-from fidpipe.schemas.metrics import BASELINE_NAMES
+from fidpipe.schemas.metric_catalogue import BASELINE_NAMES
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.stages.baselines import compare_objects, compare_points, emd
 from fidpipe.stages.baselines.dcd import density_aware_chamfer
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register
-from fidpipe.stages.literal import baselines as literal
+from fidpipe.stages.literal import literal_baselines as literal
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid, subgraph
 

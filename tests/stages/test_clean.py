@@ -4,7 +4,7 @@ import pytest
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import InputSettings, load
 from fidpipe.stages.clean import as_ros, clean_scan
-from fidpipe.stages.literal import method
+from fidpipe.stages.literal import literal_method
 from scenes import rigid
 
 
@@ -66,7 +66,7 @@ def test_agrees_with_the_textbook_on_a_dirty_scan(rng, frame):
     T = rigid(30, [1, 2, 0.5])
     box, keep = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0), (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
     result = clean_scan(scan, InputSettings(exclude_box=box, include_box=keep), frame=frame, T_real_sim=T)
-    ids, points = method.clean(scan, 2.5, 100, box, T, frame=frame, include_box=keep)
+    ids, points = literal_method.clean(scan, 2.5, 100, box, T, frame=frame, include_box=keep)
     assert result.point_ids.tolist() == ids
     np.testing.assert_allclose(result.points, points, atol=1e-12)
     assert sum(result.dropped.values()) + len(ids) == 800

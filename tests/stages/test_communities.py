@@ -8,7 +8,7 @@ from fidpipe.schemas.settings import CommunitySettings, GraphSettings
 from fidpipe.stages.communities import find_communities, modularity
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Edges, adjacency
-from fidpipe.stages.literal import method
+from fidpipe.stages.literal import literal_method
 from fidpipe.stages.objects import describe_objects, majority_labels
 from scenes import box
 
@@ -32,7 +32,7 @@ def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backe
         assert len(set(np.digitize(members, [60, 150]))) == 1
     sizes = np.bincount(labels)
     assert (np.diff(sizes) <= 0).all()
-    np.testing.assert_array_equal(labels, method.canonical(labels.tolist()))
+    np.testing.assert_array_equal(labels, literal_method.canonical(labels.tolist()))
 
 
 def test_the_reference_backend_is_python_louvain_itself(three_boxes):
@@ -43,7 +43,7 @@ def test_the_reference_backend_is_python_louvain_itself(three_boxes):
     G.add_nodes_from(range(len(points)))
     G.add_weighted_edges_from((i, j, float(length)) for (i, j), length in as_dict.items())
     found = python_louvain.best_partition(G, random_state=3)
-    np.testing.assert_array_equal(partition.labels, method.canonical([found[i] for i in range(len(points))]))
+    np.testing.assert_array_equal(partition.labels, literal_method.canonical([found[i] for i in range(len(points))]))
 
 
 @pytest.mark.parametrize("seed", [0, 7])

@@ -9,7 +9,7 @@ import pytest
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros
 from fidpipe.stages.generate.perturbations import add_noise, drop_points
-from fidpipe.stages.inspect.frames import check_frames, ground_height
+from fidpipe.stages.inspect.frame_search import check_frames, ground_height
 from scenes import box, moved, rigid, road, street
 
 

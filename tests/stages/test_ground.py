@@ -6,7 +6,7 @@ import pytest
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import GroundSettings
 from fidpipe.stages.ground import remove_ground
-from fidpipe.stages.literal import method
+from fidpipe.stages.literal import literal_method
 from scenes import box, road, street
 
 
@@ -134,7 +134,7 @@ def test_the_height_between_the_roads_agrees_with_the_textbook_in_any_order_of_r
     real, sim = two_levels(seed), two_levels(seed + 5)[::2] + [0.3, 0.1, 0.2]
     own = remove_ground(real, GroundSettings())
     cut = remove_ground(sim, GroundSettings(peak="real"), own, real)
-    assert cut.peak_m - own.peak_m == pytest.approx(method.road_offset(real, sim, own.axis), abs=1e-9)
+    assert cut.peak_m - own.peak_m == pytest.approx(literal_method.road_offset(real, sim, own.axis), abs=1e-9)
     assert remove_ground(sim[::-1], GroundSettings(peak="real"), own, real[::-1]).peak_m == cut.peak_m
 
 

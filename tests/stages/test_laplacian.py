@@ -5,7 +5,7 @@ from fidpipe.schemas.settings import GraphSettings
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.laplacian import induced_laplacian, normalised_laplacian
 from fidpipe.stages.linalg.subgraph import adjacency, split_by_community
-from fidpipe.stages.literal import method
+from fidpipe.stages.literal import literal_method
 from scenes import subgraph
 
 
@@ -18,7 +18,7 @@ def test_the_laplacian_of_some_nodes_has_their_order_and_only_the_edges_among_th
     graph = subgraph(rng.normal(0, 1, (40, 3)))
     nodes = rng.permutation(40)[:25]
     A = graph.adjacency.toarray()[np.ix_(nodes, nodes)]
-    np.testing.assert_allclose(induced_laplacian(graph, nodes).toarray(), method.laplacian(A), atol=1e-15)
+    np.testing.assert_allclose(induced_laplacian(graph, nodes).toarray(), literal_method.laplacian(A), atol=1e-15)
 
 
 def test_a_subgraph_has_the_edges_among_its_own_points(rng):

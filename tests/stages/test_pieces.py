@@ -6,7 +6,7 @@ from fidpipe.schemas.settings import PieceSettings, Settings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
 from fidpipe.stages.linalg.subgraph import connected_points
-from fidpipe.stages.literal import pieces as literal
+from fidpipe.stages.literal import literal_pieces as literal
 from fidpipe.stages.pieces import CutScan, count_pieces, find_pieces
 from scenes import box, grid, road
 

@@ -7,7 +7,7 @@ import pytest
 
 from fidpipe.stages.generate.ray_casting import fire, measure_ranges
 from fidpipe.stages.inspect.beam_patterns import BeamPattern, find_beams, recognise
-from fidpipe.stages.inspect.sensor import beams_text, describe_sensor, differences, sensor_lines
+from fidpipe.stages.inspect.sensor_description import beams_text, describe_sensor, differences, sensor_lines
 from fidpipe.stages.inspect.sensor_models import SENSORS
 
 CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])  # of the room

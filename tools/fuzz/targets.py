@@ -27,8 +27,8 @@ def _manifests():
 
 def _dataset(folder):
     from fidpipe.pipeline.datasets.pairs import read_dataset
-    from fidpipe.pipeline.datasets.readers.frames import address_of
-    from fidpipe.pipeline.storage.tables import table_name
+    from fidpipe.pipeline.datasets.readers.frame_address import address_of
+    from fidpipe.pipeline.storage.table_files import table_name
 
     dataset = read_dataset(folder)
     for pair in dataset.pairs:

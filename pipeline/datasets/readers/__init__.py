@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ....schemas.errors import DatasetError, FidpipeError, ScanError
-from .frames import address_of
+from .frame_address import address_of
 from .scan import Scan, cause_of, with_label_file, with_label_names
 
 _KITTI = ("x", "y", "z", "intensity")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from .frames import Address, frame_number
+from .frame_address import Address, frame_number
 from .scan import Scan, refused_unless, scan_from_columns
 
 _CLOUD, _PACKETS, _PACKET = (

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from .frames import Address, frame_number
+from .frame_address import Address, frame_number
 from .scan import Scan, refused_unless, scan_from_columns
 
 _PACKET_BYTES = 1206

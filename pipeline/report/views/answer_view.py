@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from ....schemas.metrics import metric_of
+from ....schemas.metric_catalogue import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
 from ...results.floor import RunExcess

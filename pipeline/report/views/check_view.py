@@ -9,7 +9,7 @@ from pydantic import JsonValue
 
 from ....schemas.columns import SIDES
 from ....schemas.results import JsonObject
-from ....stages.inspect.sensor import sensor_lines
+from ....stages.inspect.sensor_description import sensor_lines
 from ...engine.costs import CostModel
 from ...inspect.scan_checks import DatasetCheck, ScanCheck
 from ...inspect.sensor_checks import SensorCheck

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ....schemas.metrics import METRIC
+from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, overall

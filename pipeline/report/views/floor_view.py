@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ....schemas.metrics import SHIFT_COLUMNS, metric_of
+from ....schemas.metric_catalogue import SHIFT_COLUMNS, metric_of
 from ...results.floor import RunExcess, ScoreExcess
 from ..view import Note, Table, View, signed
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from ....schemas.columns import SIDES, Row
-from ....schemas.metrics import COVERAGE_REACHES, METRIC, narrow_labels, reach_words
+from ....schemas.metric_catalogue import COVERAGE_REACHES, METRIC, narrow_labels, reach_words
 from ....stages.coverage import surface_state
 from ...results.finished import ObjectFacts, PairFacts
 from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad

@@ -8,7 +8,7 @@ from pathlib import Path
 from shlex import quote
 
 from ....schemas.columns import Row
-from ....schemas.metrics import (
+from ....schemas.metric_catalogue import (
     COVERAGE_REACHES,
     DISTRIBUTED,
     HEADLINE_SCORES,
@@ -23,10 +23,10 @@ from ....schemas.record import SURFACE_STATES, BaselineSummary, RunRecord, SeedS
 from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
-from ...jobs.baselines import OF_OBJECTS, OF_SCAN
+from ...jobs.baselines_job import OF_OBJECTS, OF_SCAN
 from ...results.floor import RunExcess
 from ...run import RunOutcome
-from ...storage.record import unmatched_worst
+from ...storage.run_record import unmatched_worst
 from ..view import Note, Table, View, mean_and_spread, number, percent
 from .answer_view import answer_view
 from .floor_view import HEADLINES, excess_view

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...results.status import STATES, RunStatus
-from ...storage.record import command_again
+from ...storage.run_record import command_again
 from ..view import Note, View
 
 _MOST_FAILURES = 3

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metrics import BASELINE_NAMES
+from ...schemas.metric_catalogue import BASELINE_NAMES
 from ...schemas.settings import Settings
 from ...schemas.tables import BASELINES
 from ...stages.baselines import Baseline, compare_objects, compare_points
 from ...stages.baselines.icp import can_register
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
-from ..storage.tables import JobRecord
-from .points import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_rows, matched_subgraphs, object_points
+from ..storage.table_files import JobRecord
+from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_rows, matched_subgraphs, object_points
 
 OF_OBJECTS, OF_SCAN = "objects", "scans"
 

@@ -11,12 +11,12 @@ from plotly.offline import get_plotlyjs
 
 from ...results.floor import excess_over
 from ...storage.files import remove_stale, write_whole
-from ...storage.tables import file_stem
-from ..figures.run import draw_figures
-from ..results import read_results
-from .data import page_data, page_words
-from .pair import MOST_POINTS, pair_data
-from .render import render
+from ...storage.table_files import file_stem
+from ..figures.run_figures import draw_figures
+from ..run_frames import read_results
+from .page_templates import render
+from .pair_data import MOST_POINTS, pair_data
+from .run_data import page_data, page_words
 
 PAGE = "report.html"
 PAGES = "report"

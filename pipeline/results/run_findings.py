@@ -12,7 +12,7 @@ from ...schemas.results import Findings, ObjectOverview
 from ...stages.statistics.comparison import blocks_of
 from ...stages.statistics.findings import summarise_objects
 from ..storage.folder import RunFolder
-from .objects import STATISTICS_COLUMNS, arrays_of, object_parts
+from .object_frame import STATISTICS_COLUMNS, arrays_of, object_parts
 from .overview import OVERVIEW_COLUMNS, Tally, largest_pieces
 
 

@@ -14,7 +14,7 @@ from ...schemas.tables import SELECTION
 from ...stages.arrays import IntArray
 from ...stages.selection import Selection, select_nodes
 from ..stage import Grain, Inputs, JobResult, Stage
-from .points import MATCHED_OBJECTS, matched_rows, matched_subgraphs
+from .points_job import MATCHED_OBJECTS, matched_rows, matched_subgraphs
 
 
 def make_selection(own: Inputs) -> JobResult:

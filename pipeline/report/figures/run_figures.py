@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ....schemas.columns import SIDES
-from ....schemas.metrics import METRIC
+from ....schemas.metric_catalogue import METRIC
 from ....stages.arrays import FloatArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.statistics.typical_objects import SHAPES
@@ -16,7 +16,7 @@ from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
 from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
-from ..results import PairTables, RunResults
+from ..run_frames import PairTables, RunResults
 from . import style
 
 NAMES = ("overview", "coverage", "unmatched", "distributions", "box_plots", "objects")

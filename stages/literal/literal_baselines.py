@@ -12,8 +12,8 @@ from scipy.spatial.distance import cdist
 from scipy.stats import wasserstein_distance
 
 from ..arrays import FloatArray
-from .method import distances, laplacian, nearest_distances
-from .surfaces import visiting_order
+from .literal_method import distances, laplacian, nearest_distances
+from .literal_surfaces import visiting_order
 
 
 def of_points(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> dict[str, float | None]:

@@ -17,7 +17,7 @@ from ....schemas.columns import SIDES
 from ....stages.arrays import BoolArray, FloatArray, IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from ..aggregates import plain_rows
-from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults, Spectra
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults, Spectra
 
 #: Properties shown of a chosen object.
 FACTS = (

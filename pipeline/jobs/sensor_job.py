@@ -12,8 +12,8 @@ import numpy as np
 from ...schemas.settings import Settings
 from ...schemas.tables import SENSOR
 from ...stages.clean import as_ros
-from ...stages.inspect.frames import can_move, check_frames
-from ...stages.inspect.sensor import SensorDescription, describe_sensor, pair_columns, sensor_row
+from ...stages.inspect.frame_search import can_move, check_frames
+from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, pair_columns, sensor_row
 from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Stage
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metrics import COVERAGE_REACHES
+from ...schemas.metric_catalogue import COVERAGE_REACHES
 from ...schemas.tables import COVERAGE
 from ...stages.coverage import Coverage
 from ...stages.method import SideCoverage, measure_coverage
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
+from .points_job import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 _MEASURES = (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "median_distance_m", "road_share")
 

@@ -10,7 +10,7 @@ from ...stages.arrays import IntArray
 from ...stages.matching import Matching
 from ...stages.method import match_objects
 from ..stage import OBJECTS, Grain, Inputs, JobResult, Stage
-from .points import column
+from .points_job import column
 
 
 def make_matching(own: Inputs) -> JobResult:

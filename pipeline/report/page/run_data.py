@@ -9,8 +9,8 @@ from typing import Any
 import pandas as pd
 
 from ....schemas.columns import SIDES
-from ....schemas.metrics import METRIC, metric_of
-from ....stages.inspect.sensor import differences, sensor_lines
+from ....schemas.metric_catalogue import METRIC, metric_of
+from ....stages.inspect.sensor_description import differences, sensor_lines
 from ...results.compare import recorded_times_s
 from ...results.floor import RunExcess
 from ...terminal import STEERING
@@ -18,11 +18,11 @@ from ..aggregates import along_the_sequence, plain_rows, score_limits
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
 from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, on_page
 from ..pictures import FRAME
-from ..results import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults
 from ..verdict import limits_in_words, verdict_of
 from ..views.floor_view import excess_view
 from ..views.run_view import preset_line
-from .pair import FACTS, FAR_M, MATCHED_COLUMNS, UNMATCHED_COLUMNS
+from .pair_data import FACTS, FAR_M, MATCHED_COLUMNS, UNMATCHED_COLUMNS
 
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.metrics import SEEDED_SCORES
+from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.settings import Settings
 from ...schemas.tables import SEEDS
 from ...stages.method import PartitionedScan, compare, n_communities, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from ..storage.tables import JobRecord
-from .communities import louvain_libraries
-from .points import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
+from ..storage.table_files import JobRecord
+from .communities_job import louvain_libraries
+from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
 
 
 def make_seeds(own: Inputs) -> JobResult:

@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.coverage import nearest_distances
-from ...stages.inspect.sensor import SensorDescription
+from ...stages.inspect.sensor_description import SensorDescription
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community

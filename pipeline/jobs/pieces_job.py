@@ -12,7 +12,7 @@ from ...schemas.tables import PIECES
 from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan, Pieces, count_pieces, find_pieces
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
-from .points import column, nulls_for_nan
+from .points_job import column, nulls_for_nan
 
 _PLACE = ("cx", "cy", "cz", "extent_x", "extent_y", "extent_z", "range_m", "bearing_deg", "height_m")
 _MOVED = ("moved_x_m", "moved_y_m", "moved_z_m")

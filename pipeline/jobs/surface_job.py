@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metrics import SHIFT_COLUMNS
+from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...schemas.settings import Settings
 from ...schemas.tables import SURFACE
 from ...stages.method import SurfaceComparison, measure_surface
 from ...stages.surface import Offsets
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points import POINT_COLUMNS, column, nulls_for_nan, object_points
+from .points_job import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 
 def make_surface(own: Inputs) -> JobResult:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from .method import Description, canonical, describe, distances
+from .literal_method import Description, canonical, describe, distances
 
 _MOVED_WITHIN_M = 3.0
 _SIZE_SLACK_M, _SIZE_SLACK = 0.5, 1 / 3

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES
-from ...schemas.metrics import OBJECT_METRICS
+from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...schemas.results import Number
 from ...schemas.tables import METRICS
 from ...stages.arrays import FloatArray
@@ -17,7 +17,7 @@ from ...stages.method import n_communities
 from ...stages.metrics import Scores, score_object
 from ...stages.summary import summarise_pair
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
-from .points import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_rows, matched_subgraphs
+from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_rows, matched_subgraphs
 
 
 def make_metrics(own: Inputs) -> JobResult:

@@ -15,7 +15,7 @@ from ...stages.inspect.plausibility import inspect_points
 from ...stages.method import remove_road
 from ..datasets.readers.scan import Scan
 from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
-from .points import column
+from .points_job import column
 
 _LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
 

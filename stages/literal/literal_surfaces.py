@@ -11,7 +11,7 @@ import numpy as np
 from sklearn.utils import murmurhash3_32
 
 from ..arrays import FloatArray
-from .method import distances
+from .literal_method import distances
 
 _NEIGHBOURS = 20
 _MIN_PLANARITY = 0.1

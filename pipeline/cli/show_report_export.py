@@ -114,7 +114,7 @@ def report(
     import webbrowser
 
     from ..engine.progress import Reporter
-    from ..report.page.page import write_report
+    from ..report.page.run_page import write_report
 
     made = write_report(run, pairs, one_page_a_pair=folder, out=out, floor=floor)
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""

@@ -7,7 +7,7 @@ from ...stages.arrays import IntArray
 from ...stages.graph import build_graph
 from ...stages.linalg.subgraph import Edges
 from ..stage import Grain, Inputs, JobResult, Stage
-from .points import POINT_COLUMNS, object_points
+from .points_job import POINT_COLUMNS, object_points
 
 
 def make_graph(own: Inputs) -> JobResult:

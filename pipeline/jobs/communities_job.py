@@ -13,7 +13,7 @@ from ...stages.method import PartitionedScan, partition
 from ...stages.objects import majority_labels
 from ...stages.reference import Annotation, ReferenceObjects
 from ..stage import Columns, Grain, Inputs, JobResult, Stage
-from .points import (
+from .points_job import (
     ANNOTATED_COLUMNS,
     EDGE_COLUMNS,
     POINT_COLUMNS,

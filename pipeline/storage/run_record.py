@@ -20,13 +20,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...schemas.columns import Row
 from ...schemas.errors import RunError
-from ...schemas.metrics import DISTRIBUTED, METRIC, RUN_SCORES
+from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.record import FrameSuspect, Machine, MetricsSummary, PairCounts, RunHeader, RunRecord, Seconds
 from ...schemas.results import Findings, PreviousRun, ScoreSummary
 from ...schemas.settings import Settings, overrides, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
-from .tables import JobRecord
+from .table_files import JobRecord
 
 #: Columns of `pairs` that the summary of a run is made from.
 SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *RUN_SCORES)

@@ -13,7 +13,7 @@ from ...results.families import MARKS_NOTE
 from ...results.finished import FinishedRun
 from ...results.followed import ObjectChange, worst_changes
 from ...results.history import History
-from ...storage.tables import file_stem
+from ...storage.table_files import file_stem
 from ..charts import change_chart, history_chart
 from ..pictures import FRAME, draw_change, object_address
 from ..view import Table, shortened, signed
@@ -31,8 +31,8 @@ from ..views.compare_view import (
 )
 from ..views.floor_view import both_excesses_table
 from ..views.history_view import arrowed, history_view
-from .page import PAGE, PAGES
-from .render import render
+from .page_templates import render
+from .run_page import PAGE, PAGES
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
 
