@@ -94,7 +94,9 @@ class InputSettings(_Group):
     def _frame_is_known(cls, value: Any) -> Any:
         if value not in FRAME_AXES:
             known = ", ".join(f"{name} ({axes})" for name, axes in FRAME_AXES.items())
-            raise ValueError(f"expected one of {known}, metres; for another frame set T_real_sim in pairs.csv")
+            raise ValueError(
+                f"expected one of {known}, metres, got {value!r}; for another frame set T_real_sim in pairs.csv"
+            )
         return value
 
     @field_validator("columns", "real_columns", "sim_columns")
@@ -119,21 +121,23 @@ class InputSettings(_Group):
     @classmethod
     def _box_has_volume(cls, value: Box | None) -> Box | None:
         if value is not None and any(value[i] >= value[i + 3] for i in range(3)):
-            raise ValueError("each minimum must be below its maximum (xmin ymin zmin xmax ymax zmax)")
+            raise ValueError("expected each minimum below its maximum (xmin ymin zmin xmax ymax zmax)")
         return value
 
     @model_validator(mode="after")
     def _ranges_in_order(self) -> InputSettings:
         if self.min_range_m >= self.max_range_m:
-            raise ValueError(f"min_range_m {self.min_range_m} must be below max_range_m {self.max_range_m}")
+            raise ValueError(
+                f"expected min_range_m below max_range_m, got {self.min_range_m:g} and {self.max_range_m:g}"
+            )
         return self
 
     @model_validator(mode="after")
     def _one_word_for_a_mirror(self) -> InputSettings:
         if self.sim_flip_y and self.sim_frame != "ros":
             raise ValueError(
-                f'sim_flip_y = true found with sim_frame = "{self.sim_frame}" ({FRAME_AXES[self.sim_frame]}); the '
-                'frame defines the axes, and sim_flip_y = true means sim_frame = "carla": remove sim_flip_y'
+                f'expected sim_flip_y = true only with sim_frame = "ros", got "{self.sim_frame}" '
+                f'({FRAME_AXES[self.sim_frame]}); sim_flip_y = true means sim_frame = "carla": remove sim_flip_y'
             )
         return self
 
@@ -172,7 +176,7 @@ class GroundSettings(_Group):
     @model_validator(mode="after")
     def _shared_needs_pca(self) -> GroundSettings:
         if self.shared and self.method != "pca":
-            raise ValueError(f'shared = true needs method = "pca", not "{self.method}"')
+            raise ValueError(f'expected method = "pca" with shared = true, got "{self.method}"; change either')
         return self
 
 
@@ -230,7 +234,10 @@ class CommunitySettings(_Group):
     @model_validator(mode="after")
     def _annotations_need_reference(self) -> CommunitySettings:
         if self.reference != "louvain" and self.objects != "reference":
-            raise ValueError(f'reference = "{self.reference}" needs objects = "reference", not "{self.objects}"')
+            raise ValueError(
+                f'expected objects = "reference" with reference = "{self.reference}", got "{self.objects}"; add '
+                "--preset reference"
+            )
         return self
 
 
@@ -265,6 +272,8 @@ class SelectionSettings(_Group):
 
 
 if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
     BaselineName = str
 else:
     BaselineName = Literal[BASELINE_NAMES]  # one of the catalogue's; a type checker cannot know them
@@ -314,7 +323,9 @@ class MetricsSettings(_Group):
     @model_validator(mode="after")
     def _times_in_order(self) -> MetricsSettings:
         if self.heat_time_min >= self.heat_time_max:
-            raise ValueError(f"heat_time_min {self.heat_time_min} must be below heat_time_max {self.heat_time_max}")
+            raise ValueError(
+                f"expected heat_time_min below heat_time_max, got {self.heat_time_min:g} and {self.heat_time_max:g}"
+            )
         return self
 
 
@@ -360,7 +371,7 @@ class Settings(_Group):
         last = self.communities.seed + self.stability.seeds - 1
         if last >= 2**31:
             raise ValueError(
-                f"expected seeds below {2**31}, the last of stability.seeds is {last}; lower communities.seed"
+                f"expected all seeds below {2**31}, got {last} as the last of stability.seeds; lower communities.seed"
             )
         return self
 
@@ -436,7 +447,7 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
             f"settings file {path}: has communities.objects = {values['communities']['objects']!r}, unlike the preset "
             f"{preset}; remove --preset, or that line of the file"
         )
-    for word in assignments:
+    for word in (assignments := list(assignments)):
         name, equals, text = word.partition("=")
         parts = name.strip().split(".")
         if not equals or len(parts) != 2 or not all(parts):
@@ -445,7 +456,13 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
         if not isinstance(group, dict):
             raise SettingsError(f"setting {parts[0]}: expected a table of settings, got {group!r}")
         group[parts[1]] = _toml_value(text.strip())
-    return parse(values)
+    try:
+        return parse(values)
+    except SettingsError as error:
+        is_assigned = any(str(error).startswith(f"setting {word.partition('.')[0].strip()}") for word in assignments)
+        if path is None or is_assigned:
+            raise
+        raise SettingsError(f"settings file {path}: {error}") from error
 
 
 def parse(values: Mapping[str, Any]) -> Settings:
@@ -466,7 +483,7 @@ def parse(values: Mapping[str, Any]) -> Settings:
     try:
         return Settings.model_validate(values)
     except ValidationError as error:
-        raise SettingsError(_first_fault(error)) from error
+        raise SettingsError(_first_problem(error)) from error
 
 
 def _toml_value(text: str) -> Any:
@@ -484,12 +501,51 @@ def _toml_word(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _first_fault(error: ValidationError) -> str:
-    fault = error.errors()[0]
-    name = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        return f"setting {name}: no such setting; known are {_known_beside(fault['loc'])}"
-    return f"setting {name}: {fault['input']!r} found; {fault['msg'].removeprefix('Value error, ')}"
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    if problem["type"] == "extra_forbidden":
+        name = ".".join(map(str, problem["loc"]))
+        return f"setting {name}: no such setting; known are {_known_beside(problem['loc'])}"
+    name = ".".join(part for part in problem["loc"] if isinstance(part, str))
+    next_step = "" if problem["type"] == "value_error" else "; fidpipe settings lists the allowed values"
+    return f"{f'setting {name}' if name else 'settings'}: {expected_and_got(problem)}{next_step}"
+
+
+#: What is expected, by pydantic's type of an error or its first word.
+_EXPECTED = {
+    "greater_than": "a number above {gt:.10g}",
+    "greater_than_equal": "a number of at least {ge:.10g}",
+    "less_than": "a number below {lt:.10g}",
+    "less_than_equal": "a number of at most {le:.10g}",
+    "literal_error": "{expected}",
+    "int": "a whole number",
+    "float": "a number",
+    "finite": "a finite number",
+    "bool": "true or false",
+    "string": "text",
+    "tuple": "a list",
+    "list": "a list",
+    "model": "a table",
+}
+
+
+def expected_and_got(problem: ErrorDetails) -> str:
+    """Text of an error of pydantic: what is expected, and what was found.
+
+    Examples
+    --------
+    >>> try:
+    ...     Settings.model_validate({"graph": {"k": 0}})
+    ... except ValidationError as error:
+    ...     print(expected_and_got(error.errors()[0]))
+    expected a number of at least 1, got 0
+    """
+    kind, text = problem["type"], problem["msg"].removeprefix("Value error, ")
+    if kind in ("missing", "extra_forbidden"):
+        return "the field is missing" if kind == "missing" else "unknown field"
+    if expected := _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0]):
+        text = f"expected {expected.format(**problem.get('ctx', {}))}"
+    return text if " got " in text else f"{text}, got {problem['input']!r}"
 
 
 def _known_beside(location: tuple[int | str, ...]) -> str:

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
+from ...schemas.settings import expected_and_got
 from ...stages.statistics.comparison import LEAST_PAIRS
 from .compare import Comparison
 from .families import FamilyChange
@@ -237,10 +238,10 @@ def read_criteria(path: Path) -> list[Criterion]:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"criteria file {path}: not valid TOML ({error})") from error
     except ValidationError as error:
-        fault = error.errors()[0]
-        where = ".".join(str(part) for part in fault["loc"])
+        problem = error.errors()[0]
+        where = ".".join(str(part) for part in problem["loc"])
         raise SettingsError(
-            f"criteria file {path}: {where}: {fault['msg']}; expected tables [[criterion]], each with "
+            f"criteria file {path}: {where}: {expected_and_got(problem)}; write tables [[criterion]], each with "
             'name = "...", measure = "r_lambda.mean", max = 0.4 (or min), reason = "..."'
         ) from error
     criteria = []

@@ -82,7 +82,7 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
         (["nowhere"], "error: dataset nowhere: no such folder"),
         (
             ["{data}", "--set", "graph.k=0"],
-            "error: setting graph.k: 0 found; Input should be greater than or equal to 1",
+            "error: setting graph.k: expected a number of at least 1, got 0; fidpipe settings lists the allowed values",
         ),
         (["{data}", "--settings", "gone.toml"], "error: settings file gone.toml: cannot be read"),
         (["{data}", "--pairs", "x*"], "error: --pairs 'x*' matches none of the 2 pairs (000, 001 ...)"),

@@ -243,11 +243,14 @@ def test_a_file_of_criteria_gives_names_and_reasons(tmp_path):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("", "criterion: Field required"),
+        ("", "criterion: the field is missing"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nmax = 1\n', "criterion.0.reason"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\n', "expected max or min"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmax = nan\n', "criterion.0.max"),
-        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmaximum = 1\n', "criterion.0.maximum"),
+        (
+            '[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmaximum = 1\n',
+            "criterion.0.maximum: unknown field",
+        ),
         ("= 1", "not valid TOML"),
     ],
 )

@@ -176,7 +176,7 @@ def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
     full.write_text(to_toml(load(None)))
     with pytest.raises(SettingsError, match="communities.objects = 'independent', unlike the preset reference"):
         load(full, preset="reference")
-    with pytest.raises(SettingsError, match='needs objects = "reference"'):
+    with pytest.raises(SettingsError, match='expected objects = "reference" with reference'):
         load(None, ["communities.reference=labels"])
 
 

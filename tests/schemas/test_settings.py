@@ -36,17 +36,17 @@ def test_what_is_written_is_read_back(tmp_path):
 @pytest.mark.parametrize(
     ("word", "fault"),
     [
-        ("graph.k=0", "setting graph.k: 0 found; Input should be greater than or equal to 1"),
-        ("graph.k=many", "setting graph.k: 'many' found; Input should be a valid integer"),
+        ("graph.k=0", "setting graph.k: expected a number of at least 1, got 0; fidpipe settings lists"),
+        ("graph.k=many", "setting graph.k: expected a whole number, got 'many'"),
         ("graph.kk=3", "setting graph.kk: no such setting; known are graph.k, graph.tau_m, graph.edges"),
         ("grph.k=3", "setting grph: no such setting; known are input, ground, graph"),
         ("k=3", "--set 'k=3': expected GROUP.NAME=VALUE"),
         ("graph.k", "--set 'graph.k': expected GROUP.NAME=VALUE"),
-        ("matching.method=best", "setting matching.method: 'best' found; Input should be 'greedy' or 'optimal'"),
-        ("matching.delta_m=nan", "setting matching.delta_m: nan found; Input should be a finite number"),
-        ("input.min_range_m=200", "min_range_m 200.0 must be below max_range_m 100.0"),
+        ("matching.method=best", "setting matching.method: expected 'greedy' or 'optimal', got 'best'"),
+        ("matching.delta_m=nan", "setting matching.delta_m: expected a finite number, got nan"),
+        ("input.min_range_m=200", "setting input: expected min_range_m below max_range_m, got 200 and 100"),
         ("input.columns=x,y", "expected x, y and z among the names"),
-        ("input.exclude_box=1,1,1,0,2,2", "each minimum must be below its maximum"),
+        ("input.exclude_box=1,1,1,0,2,2", "expected each minimum below its maximum"),
         ("input.include_box=1,2", "setting input.include_box"),
     ],
 )
@@ -58,11 +58,18 @@ def test_a_wrong_word_is_named(word, fault):
 
 
 def test_a_shared_cut_needs_the_pca_method():
-    with pytest.raises(SettingsError, match='shared = true needs method = "pca", not "none"'):
+    with pytest.raises(SettingsError, match='expected method = "pca" with shared = true, got "none"'):
         load(None, ["ground.shared=true", "ground.method=none"])
 
 
-@pytest.mark.parametrize(("text", "fault"), [("[graph\n", "not valid TOML"), ("graph = 3\n", "setting graph: 3 found")])
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("[graph\n", "not valid TOML"),
+        ("graph = 3\n", "s.toml: setting graph: expected a table, got 3"),
+        ("[input]\nmin_range_m = 200\n", "s.toml: setting input: expected min_range_m below"),
+    ],
+)
 def test_a_wrong_file_is_named(tmp_path, text, fault):
     file = tmp_path / "s.toml"
     file.write_text(text)
@@ -86,12 +93,12 @@ def test_the_mirror_is_the_frame_of_carla():
 
 @pytest.mark.parametrize("frame", ["carla", "nuscenes", "kitti-cam"])
 def test_a_mirror_beside_a_frame_is_refused(frame):
-    with pytest.raises(SettingsError, match=f'sim_flip_y = true found with sim_frame = "{frame}".*remove sim_flip_y'):
+    with pytest.raises(SettingsError, match=f'expected sim_flip_y = true only .*, got "{frame}".*remove sim_flip_y'):
         load(None, ["input.sim_flip_y=true", f"input.sim_frame={frame}"])
 
 
 def test_an_unknown_frame_is_answered_with_the_axes_of_those_that_are_known():
     with pytest.raises(
-        SettingsError, match=r"'enu' found; expected one of ros \(x forward, y left, z up\), carla .* metres"
+        SettingsError, match=r"expected one of ros \(x forward, y left, z up\), carla .* metres, got 'enu'"
     ):
         load(None, ["input.real_frame=enu"])
