@@ -7,6 +7,8 @@ tables of perturb and ablate are in `experiment_tables`.
 
 from __future__ import annotations
 
+import re
+
 import pyarrow as pa
 
 from .columns import (
@@ -320,11 +322,13 @@ def to_markdown() -> str:
 
 
 def columns_to_markdown(table: Table) -> str:
-    """Markdown of a table: the sort keys of its rows, and type, unit, nullability and meaning of each column."""
-    rows = [f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", ""]
-    rows += ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
+    """Markdown of a table: sort keys of its rows; type, unit, nullability and meaning of columns, equal ones together."""
+    columns: dict[tuple[str, ...], list[str]] = {}
     for field in table.schema:
         kind = _TYPES.get(str(field.type), str(field.type))
         unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))
-        rows.append(f"| `{field.name}` | {kind} | {unit} | {'yes' if field.nullable else ''} | {meaning} |")
-    return "\n".join(rows) + "\n"
+        meaning = re.sub(r"^(mean|standard deviation \(n - 1\)) of \w+ over", r"\1 of the score over", meaning)
+        columns.setdefault((kind, unit, "yes" if field.nullable else "", meaning), []).append(f"`{field.name}`")
+    rows = [f"| {', '.join(names)} | {' | '.join(cells)} |" for cells, names in columns.items()]
+    head = ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
+    return "\n".join([f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", "", *head, *rows]) + "\n"

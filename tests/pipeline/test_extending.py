@@ -174,7 +174,8 @@ PLACES = {
         field_in("Settings"),
         None,
         None,
-        in_place_of_its_like,
+        after_imports,
+        last_in("STAGES"),
     ],
     "An experiment": [
         before("EXPERIMENT_TABLES"),
