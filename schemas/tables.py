@@ -8,6 +8,7 @@ tables of perturb and ablate are in `experiment_tables`.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import pyarrow as pa
 
@@ -317,14 +318,17 @@ _TYPES = {str(CONSTANT): "string", "double": "float64", "float": "float32"}
 
 
 def to_markdown() -> str:
-    """Markdown of all tables: a heading and the columns of each."""
-    return "\n".join(f"### {table.name}\n\n{columns_to_markdown(table)}" for table in TABLES.values())
+    """Markdown of all tables: a heading and the columns of each, except the pair and side that they begin with."""
+    common = (PAIR.metadata, SIDE.metadata)
+    return "\n".join(f"### {table.name}\n\n{columns_to_markdown(table, common)}" for table in TABLES.values())
 
 
-def columns_to_markdown(table: Table) -> str:
-    """Markdown of a table: sort keys of its rows; type, unit, nullability and meaning of columns, equal ones together."""
+def columns_to_markdown(table: Table, without: Sequence[dict[bytes, bytes]] = ()) -> str:
+    """Markdown of a table: its sort keys; type, unit, nullability and meaning of its columns, equal ones in one row."""
     columns: dict[tuple[str, ...], list[str]] = {}
     for field in table.schema:
+        if field.metadata in without:
+            continue
         kind = _TYPES.get(str(field.type), str(field.type))
         unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))
         meaning = re.sub(r"^(mean|standard deviation \(n - 1\)) of \w+ over", r"\1 of the score over", meaning)

@@ -2,7 +2,7 @@
 
 Equal simulators exchange *before* and *after*, so that each change is as likely as its opposite. That is all that the
 test of `adjusted_p_values` assumes. Its rates of false alarms and its power were found by simulation:
-`benchmarks/false_alarms.py`, and the table in `docs/compare.md`.
+`benchmarks/false_alarms.py`, summarised in `docs/compare.md`.
 """
 
 from __future__ import annotations
