@@ -17,9 +17,10 @@ import pyarrow.parquet as pq
 
 from ...schemas.errors import DatasetError, RunError, ScanError
 from ...schemas.settings import FARTHEST_M, FrameName, InputSettings, Settings
+from ...stages.arrays import FloatArray, IndexArray
 from ...stages.clean import as_ros, clean_scan
-from ...stages.generate.perturbations import remeasure
-from ...stages.inspect.sensor_description import describe_sensor
+from ...stages.generate.perturbations import fill_gaps, remeasure
+from ...stages.inspect.sensor_description import describe_with_gaps
 from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
@@ -36,7 +37,7 @@ from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
 from .dataset_folder import write_table
 
-RECIPE_VERSION = 2  # increase it when the same recipe results in other measurements
+RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
 DEFAULT_NOISE_M, DEFAULT_LOST_SHARE = 0.03, 0.03  # if they cannot be measured on a scan
 _KEY, _NOISE_M, _LOST_SHARE, _REASON = b"fidpipe.floor", b"noise_m", b"lost_share", b"reason"
 _AMOUNTS = (_NOISE_M, _LOST_SHARE, _REASON)
@@ -243,9 +244,10 @@ def _remeasure(task: _Task) -> None:
         return
     clean, recipe = clean_scan(scan.points, _ALL), task.recipe
     rng = np.random.default_rng([recipe.seed, *task.pair_id.encode()])
-    noise_m, lost_share, reason = _amounts(task, scan)
-    points, kept = remeasure(clean.points, noise_m, lost_share, rng)
-    rows = clean.point_ids[kept]
+    noise_m, lost_share, reason, filled, filled_ids = _amounts(task, scan)
+    returns = np.concatenate([clean.points, filled])
+    points, kept = remeasure(returns, noise_m, lost_share, rng)
+    rows = np.concatenate([clean.point_ids, filled_ids])[kept]
     columns = dict(zip("xyz", points.T, strict=True))
     columns |= {} if scan.labels is None else {"label": scan.labels[rows]}
     columns |= {} if scan.instances is None else {"instance": scan.instances[rows]}
@@ -256,12 +258,19 @@ def _remeasure(task: _Task) -> None:
     write_whole(task.path, content.getbuffer())
 
 
-def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str]:
-    """Noise and losses of a measurement, and the reason if one of them cannot be measured."""
+def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str, FloatArray, IndexArray]:
+    """Noise and losses of a measurement, the reason if one of them cannot be measured, and returns of lost pulses.
+
+    A second measurement loses other pulses than the first. If losses are those of the scan, the pulses that it lost
+    within surfaces return, each with the row of a neighbour; otherwise losses would add up to twice the share.
+    """
     noise_m, lost_share = task.recipe.noise_m, task.recipe.lost_share
+    filled, rows = np.empty((0, 3)), np.empty(0, dtype=np.intp)
     if AS_MEASURED not in (noise_m, lost_share):
-        return float(noise_m), float(lost_share), ""
-    sensor = describe_sensor(as_ros(scan.points, task.frame), scan.rings)
+        return float(noise_m), float(lost_share), "", filled, rows
+    sensor, gaps = describe_with_gaps(as_ros(scan.points, task.frame), scan.rings)
+    if lost_share == AS_MEASURED and sensor.lost_in_all is not None:
+        filled, rows = fill_gaps(scan.points, gaps.rows, gaps.n_lost)
     reasons, amounts = [], []
     for name, amount, measured, default in (
         ("range_noise_m", noise_m, sensor.range_noise_m, DEFAULT_NOISE_M),
@@ -270,7 +279,7 @@ def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str]:
         reasons += [sensor.untold[name]] if amount == AS_MEASURED and measured is None else []
         usual = default if measured is None else measured
         amounts.append(float(usual if amount == AS_MEASURED else amount))
-    return amounts[0], amounts[1], "; ".join(dict.fromkeys(reasons))
+    return amounts[0], amounts[1], "; ".join(dict.fromkeys(reasons)), filled, rows
 
 
 def _row(pair: ScanPair, source: ScanPair, names: dict[str, str]) -> tuple[str, ...]:

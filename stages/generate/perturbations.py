@@ -106,6 +106,37 @@ def remeasure(points: FloatArray, noise_m: float, lost_share: float, rng: Genera
     return again[rows], rows
 
 
+def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple[FloatArray, IndexArray]:
+    """The returns of lost pulses, evenly spaced in direction and range between two returns of one beam.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, sensor at the origin
+    rows : (g, 2) intp, points before and after each gap
+    n_lost : (g,) intp, pulses lost in each gap
+
+    Returns
+    -------
+    points : (m, 3) float64
+    rows : (m,) intp, the nearer end of its gap for each point
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> filled, rows = fill_gaps(np.array([[4.0, 3, 0], [4, -3, 0]]), np.array([[0, 1]]), np.array([1]))
+    >>> filled.tolist(), rows.tolist()
+    ([[5.0, 0.0, 0.0]], [1])
+    """
+    gap = np.repeat(np.arange(len(rows)), n_lost)
+    number = np.arange(len(gap)) - np.repeat(np.cumsum(n_lost) - n_lost, n_lost)
+    share = ((number + 1) / (n_lost[gap] + 1))[:, None]
+    range_m = np.sqrt((points[rows] ** 2).sum(axis=2, keepdims=True))
+    direction, range_m = (points[rows] / range_m)[gap], range_m[gap]
+    middle, middle_m = ((1 - share) * each[:, 0] + share * each[:, 1] for each in (direction, range_m))
+    filled: FloatArray = middle / np.sqrt((middle**2).sum(axis=1))[:, None] * middle_m
+    return filled, rows[gap, (share[:, 0] >= 0.5).astype(np.intp)]
+
+
 def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Generator) -> FloatArray:
     """Points rotated about +Z through the sensor, then moved in a random horizontal direction."""
     angle, heading = np.radians(angle_deg), rng.uniform(0.0, 2 * np.pi)

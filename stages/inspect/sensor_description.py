@@ -69,8 +69,27 @@ class SensorDescription:
     untold: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class SurfaceGaps:
+    """Gaps of lost pulses within visible surfaces, between two returns of one beam.
+
+    rows : (g, 2) intp, points before and after each gap
+    n_lost : (g,) intp, 1 to 5 pulses
+    """
+
+    rows: IndexArray
+    n_lost: IndexArray
+
+
 def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: bool = False) -> SensorDescription:
-    """Describe the sensor of a scan from its points.
+    """Describe the sensor of a scan from its points, see `describe_with_gaps`."""
+    return describe_with_gaps(points, ring, has_time)[0]
+
+
+def describe_with_gaps(
+    points: FloatArray, ring: IntArray | None = None, has_time: bool = False
+) -> tuple[SensorDescription, SurfaceGaps]:
+    """Describe the sensor of a scan from its points, with the gaps from which the share of lost pulses is estimated.
 
     Elevations are the peaks of the density of z / r - h / r over all points, in angle, where r is the horizontal
     distance and h the height at which beams start; see `beam_patterns.find_beams`. With rings they are medians over
@@ -88,26 +107,31 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
     has_time : the file has a time for each point
     """
     is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
+    returns, no_gaps = np.flatnonzero(is_return), SurfaceGaps(np.empty((0, 2), np.intp), np.empty(0, np.intp))
     points, ring = points[is_return], None if ring is None else ring[is_return]
     sensor = SensorDescription(len(points), has_ring=ring is not None, has_time=has_time)
     if len(points) < _MIN_POINTS:
-        return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed")
+        return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed"), no_gaps
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
     sensor = replace(sensor, field_of_view_deg=view)
     pattern = find_beams(points, ring)
     if isinstance(pattern, str):
-        return _undetected(sensor, pattern)
+        return _undetected(sensor, pattern), no_gaps
     untold = {}
     sweep = _by_beam(points, pattern)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
-    lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, step)
+    n_firings = _surface_firings(sweep, step)
+    lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, n_firings, step)
     known = recognise(pattern, step, quantum)
     untold["model"] = known.reason
-    return replace(
+    before = np.flatnonzero(n_firings > 1)
+    rows = returns[np.column_stack([sweep.row[before], sweep.row[before + 1]])]
+    gaps = SurfaceGaps(rows, n_firings[before] - 1)
+    sensor = replace(
         sensor,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
         is_even=pattern.is_even,
@@ -123,6 +147,7 @@ def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: 
         model_beams=known.n_beams,
         untold={name: why for name, why in untold.items() if why},
     )
+    return sensor, gaps
 
 
 def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
@@ -316,11 +341,13 @@ class _Sweep:
 
     beam : (m,) intp, row of the pattern's elevations
     azimuth_deg, range_m : (m,) float64; range from the crossing point of the beams
+    row : (m,) intp, of the scan
     """
 
     beam: IndexArray
     azimuth_deg: FloatArray
     range_m: FloatArray
+    row: IndexArray
 
     @property
     def gap_deg(self) -> FloatArray:
@@ -330,12 +357,13 @@ class _Sweep:
 
 def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     beam = pattern.beam_of(points)
-    points, beam = points[beam >= 0], beam[beam >= 0]
+    row = np.flatnonzero(beam >= 0)
+    points, beam = points[row], beam[row]
     azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     level = np.hypot(points[:, 0], points[:, 1]) - pattern.focal_m
     range_m = np.sqrt(level**2 + points[:, 2] ** 2)
     order = np.lexsort((range_m, azimuth_deg, beam))
-    return _Sweep(beam[order], azimuth_deg[order], range_m[order])
+    return _Sweep(beam[order], azimuth_deg[order], range_m[order], row[order])
 
 
 def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
@@ -394,19 +422,27 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
 
 
-def _lost_share(sweep: _Sweep, step_deg: float | None) -> tuple[tuple[float | None, ...], float | None, str]:
+def _surface_firings(sweep: _Sweep, step_deg: float | None) -> IndexArray:
+    """Firings from each return to the next one of its beam on the same surface, (m - 1,) intp; 0 if it is not there."""
+    if step_deg is None:
+        return np.zeros(max(len(sweep.row) - 1, 0), dtype=np.intp)
+    n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
+    low_m, high_m = np.sort([sweep.range_m[:-1], sweep.range_m[1:]], axis=0)
+    is_surface = (n_firings <= _HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
+    firings: IndexArray = np.where(is_surface, n_firings, 0).astype(np.intp)
+    return firings
+
+
+def _lost_share(
+    sweep: _Sweep, n_firings: IndexArray, step_deg: float | None
+) -> tuple[tuple[float | None, ...], float | None, str]:
     """Lost share by band and over all bands."""
     if step_deg is None:
         return (), None, "no azimuth step detected"
-    n_firings = np.round(sweep.gap_deg / step_deg)
-    nearer, farther = (
-        np.minimum(sweep.range_m[:-1], sweep.range_m[1:]),
-        np.maximum(sweep.range_m[:-1], sweep.range_m[1:]),
-    )
-    is_surface = (n_firings >= 1) & (n_firings <= _HOLE + 1) & (farther - nearer < 0.03 * nearer + 0.05)
+    nearer = np.minimum(sweep.range_m[:-1], sweep.range_m[1:])
     shares: list[float | None] = []
     for low_m, high_m in (*pairwise(LOST_BANDS_M), (LOST_BANDS_M[0], LOST_BANDS_M[-1])):
-        firings = n_firings[is_surface & (nearer >= low_m) & (nearer < high_m)]
+        firings = n_firings[(n_firings >= 1) & (nearer >= low_m) & (nearer < high_m)]
         enough = len(firings) >= _MIN_POINTS
         shares.append(round(float(1.0 - len(firings) / firings.sum()), 4) if enough else None)
     *by_band, in_all = shares
