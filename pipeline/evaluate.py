@@ -30,6 +30,7 @@ from .jobs.ground_job import ground_result
 from .jobs.matching_job import matching_result
 from .jobs.metrics_job import metrics_result
 from .jobs.pieces_job import pieces_result
+from .jobs.rays_job import rays_result
 from .jobs.selection_job import selection_result
 from .jobs.sensor_job import sensor_result
 from .jobs.surface_job import surface_result
@@ -48,7 +49,7 @@ class PairResult:
 
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, sensor, edges, communities, objects : by side, "real" and "sim"
-    matching, coverage, surface, pieces, selection, metrics : of the pair
+    matching, coverage, surface, pieces, rays, ray_scores, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
@@ -63,6 +64,8 @@ class PairResult:
     coverage: pd.DataFrame
     surface: pd.DataFrame
     pieces: pd.DataFrame
+    rays: pd.DataFrame
+    ray_scores: pd.DataFrame
     selection: pd.DataFrame
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
@@ -136,6 +139,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
         coverage=frames["coverage", ""],
         surface=frames["surface", ""],
         pieces=frames["pieces", ""],
+        rays=frames["rays", ""],
+        ray_scores=frames["ray_scores", ""],
         selection=frames["selection", ""],
         metrics=frames["metrics", ""],
         baselines=frames.get(("baselines", "")),
@@ -175,6 +180,7 @@ def _results(
         ("", coverage_result(_PAIR, (found.real.coverage, found.sim.coverage))),
         ("", surface_result(_PAIR, found.surface)),
         ("", pieces_result(_PAIR, found.pieces)),
+        ("", rays_result(_PAIR, found.rays, [own.tables["ground"] for _, own in results if "ground" in own.tables])),
         ("", selection_result(_PAIR, zip(rows, *members, [own.selection for own in scored], strict=True))),
         ("", metrics_result(_PAIR, zip(rows, sizes, [own.scores for own in scored], strict=True))),
     ]

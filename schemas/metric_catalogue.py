@@ -326,6 +326,58 @@ PIECE_SCORES = (
     ),
 )
 
+_RAY_OUTCOMES = (
+    ("same", "rays whose ranges differ by at most 0.1 m or three standard deviations of the noise"),
+    ("in_front", "rays on which the simulated return is nearer than the real one"),
+    ("behind", "rays on which the simulated return is farther than the real one"),
+    ("dropped", "rays that only the real side returned, with simulated surface within 0.3 m of the return"),
+    ("no_surface", "rays that only the real side returned, without simulated surface within 0.3 m of the return"),
+    ("sim_only", "rays that only the simulated side returned"),
+)
+_ray_error = partial(Metric, unit="m", source="fidpipe")
+
+#: Scores of the rays of a pair, in the order of the columns of `ray_scores` and `pairs`.
+RAY_SCORES = (
+    Metric("n_rays", "rays", "rays with a return on either side", is_count=True, better=None, equal=None),
+    *(
+        Metric(
+            f"rays_{name}",
+            f"rays {name.replace('_', ' ')}",
+            f"share of the {meaning}",
+            high=1.0,
+            better="higher" if name == "same" else "lower",
+            equal=1.0 if name == "same" else 0.0,
+            source="fidpipe",
+        )
+        for name, meaning in _RAY_OUTCOMES
+    ),
+    *(
+        _share(
+            f"rays_{name}_f1",
+            f"rays, F1 of {name}s",
+            f"2 n / (2 n + d): n rays that both sides {verb}, d rays that one side alone returned",
+            source="fidpipe",
+        )
+        for name, verb in (("hit", "returned"), ("drop", "dropped"))
+    ),
+    _ray_error("rays_bias_m", "range bias", "median difference of ranges, simulated minus real", low=None, better=None),
+    *(
+        _ray_error(
+            f"rays_bias_{end}_m",
+            f"range bias, {end} end",
+            f"{end} end of the 95 % interval of the range bias, for independent rays",
+            low=None,
+            better=None,
+        )
+        for end in ("low", "high")
+    ),
+    Metric("rays_scale", "range scale", "median of simulated over real range, minus 1", low=None, better=None),
+    _ray_error("rays_mae_m", "range MAE", "mean absolute difference of ranges"),
+    _ray_error("rays_medae_m", "range MedAE", "median absolute difference of ranges"),
+    _ray_error("rays_p90_m", "range p90", "90 % of the absolute differences of ranges are below"),
+    _ray_error("rays_rmse_m", "range RMSE", "root mean square difference of ranges"),
+)
+
 #: Scores of the displacement of the simulated surface.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 
@@ -417,7 +469,15 @@ BASELINES = (
 #: Every score by its column.
 METRIC = {
     metric.column: metric
-    for metric in (*OBJECT_SCORES, *PAIR_SCORES, *COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES, *BASELINES)
+    for metric in (
+        *OBJECT_SCORES,
+        *PAIR_SCORES,
+        *COVERAGE_SCORES,
+        *SURFACE_SCORES,
+        *PIECE_SCORES,
+        *RAY_SCORES,
+        *BASELINES,
+    )
 }
 
 #: Object scores with mean and standard deviation in `pairs`, in that order.

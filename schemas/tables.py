@@ -43,6 +43,9 @@ from .metric_catalogue import (
     SURFACE_SCORES,
     reach_words,
 )
+from .metrics import (
+    RAY_SCORES as RAY_METRICS,
+)
 
 GROUND = table(
     "ground",
@@ -129,6 +132,30 @@ MATCHING = table(
     column("sim_id", INT32, "community of the simulated side; null if missing", optional=True),
     column("centroid_distance_m", FLOAT64, "distance between matched centroids", "m", optional=True),
     column("status", STRING, "matched, missing (real only) or hallucinated (simulated only)"),
+)
+
+RAYS = table(
+    "rays",
+    ("beam", "column"),
+    PAIR,
+    column("beam", INT32, "beam of the real sensor, from the lowest"),
+    column("column", INT32, "number of the firing of this beam, from azimuth -180 degrees on"),
+    column("real_point_id", INT32, "real return; null for none", optional=True),
+    column("sim_point_id", INT32, "simulated return; null for none", optional=True),
+    column("real_range_m", FLOAT64, "range of the real return", "m", optional=True),
+    column("sim_range_m", FLOAT64, "range at which the real ray meets the simulated surface", "m", optional=True),
+    column("outcome", STRING, "same, in_front, behind, dropped, no_surface, sim_only or none"),
+    column("incidence_deg", FLOAT64, "angle between the ray and the normal of the surface", "deg", optional=True),
+    column("label", STRING, "class of the real return, or of the simulated one", optional=True),
+)
+
+RAY_SCORES = table(
+    "ray_scores",
+    ("by", "band"),
+    PAIR,
+    column("by", STRING, "all, range, incidence or class"),
+    column("band", STRING, 'such as "10 to 20 m", or the class; "" for all'),
+    *(score_column(metric) for metric in RAY_METRICS),
 )
 
 SELECTION = table(
@@ -287,6 +314,8 @@ def _pair_columns() -> list[pa.Field]:
             number(f"sensor_{side}_range_noise_m", "standard deviation along the ray on smooth surfaces", "m"),
             number(f"sensor_{side}_lost_share", "share of the pulses within visible surfaces that have no return"),
         ]
+    fields += [score_column(metric) for metric in RAY_METRICS]
+    fields.append(column("rays_reason", STRING, "why the pair has no rays", optional=True))
     return fields
 
 
@@ -307,7 +336,8 @@ TIMINGS = table(
 TABLES = {
     own.name: own
     for own in (
-        *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, SELECTION, METRICS),
+        *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, RAYS, RAY_SCORES),
+        *(SELECTION, METRICS),
         *(BASELINES, SEEDS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
 from .pieces import CutScan, Pieces, find_pieces
+from .rays import Rays, find_rays
 from .reference import Annotation, ReferenceObjects, assign_to_reference, find_reference_objects, visiting_order
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
@@ -93,12 +94,16 @@ def evaluate(
         describe_sensor(as_ros(real, settings.input.frame_of("real"))),
         describe_sensor(as_ros(sim, settings.input.frame_of("sim"))),
     )
+
+    # Not the paper's: what each ray of the real sensor returned on both sides
+    rays = find_rays(clean_real.points, clean_sim.points, (asdict(sensors[0]), asdict(sensors[1])), T_real_sim)
     return Evaluation(
         EvaluatedSide(sensors[0], clean_real, cut_real, objects_real, coverage[0]),
         EvaluatedSide(sensors[1], clean_sim, cut_sim, objects_sim, coverage[1]),
         scores,
         surface,
         pieces,
+        rays,
     )
 
 
@@ -409,6 +414,7 @@ class Evaluation:
     scores : of the objects and of the pair
     surface : displacement and roughness, regardless of the objects
     pieces : missing and invented ones
+    rays : what each returned, or the reason for which there are none
     """
 
     real: EvaluatedSide
@@ -416,6 +422,7 @@ class Evaluation:
     scores: PairScores
     surface: SurfaceComparison
     pieces: tuple[Pieces, Pieces]
+    rays: Rays | str
 
 
 @contextmanager

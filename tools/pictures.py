@@ -21,6 +21,7 @@ from fidpipe.schemas.settings import Settings
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
 from fidpipe.stages.ground import WINDOW_M
 from fidpipe.stages.pieces import CutScan, find_pieces
+from fidpipe.stages.rays import OUTCOMES
 from fidpipe.stages.surface import describe_surface, measure_offsets
 from object_pictures import (
     GOOD_ALIGNMENT_M,
@@ -294,6 +295,41 @@ def draw_pieces(view, path):
         save(figure, path)
 
 
+OUTCOME_COLOURS = ("#bbbbbb", "#d62728", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e")
+
+
+def rays(axis, view):
+    """The rays by column and beam, coloured by their outcomes."""
+    found = view.run.read_table("rays", view.pair_id).to_pandas()
+    for outcome, colour in zip(OUTCOMES, OUTCOME_COLOURS, strict=False):
+        own = found[found.outcome == outcome]
+        axis.plot(own.column, own.beam, ".", color=colour, markersize=1.2, label=outcome.replace("_", " "))
+    axis.set_title("outcome of each ray")
+    axis.set_xlabel("column")
+    axis.set_ylabel("beam")
+
+
+def draw_rays(view, path):
+    """The rays, and the shares of their outcomes by range."""
+    with style.new_figure(8.4, 3.6) as figure:
+        left, right = figure.subplots(1, 2)
+        rays(left, view)
+        scores = view.run.read_table("ray_scores", view.pair_id).to_pandas().query("by == 'range'")
+        scores = scores.sort_values(
+            "band", key=lambda band: band.str.extract(r"(\d+)")[0].astype(int) + band.str.startswith("over")
+        )
+        bottom = np.zeros(len(scores))
+        for outcome, colour in zip(OUTCOMES, OUTCOME_COLOURS, strict=False):
+            share = 100 * scores[f"rays_{outcome}"].to_numpy()
+            right.bar(scores.band, share, bottom=bottom, color=colour, label=outcome.replace("_", " "))
+            bottom += share
+        right.set_title("outcomes by range")
+        right.set_ylabel("% of the rays")
+        right.tick_params(axis="x", labelrotation=30)
+        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+        save(figure, path)
+
+
 def selection(axis, view, side="real"):
     """One object by the influence of its kept nodes; the others as rings."""
     own, nodes = view.own.graphs[side], view.own.nodes[side]
@@ -375,6 +411,7 @@ STAGE_PANELS = {
     "coverage": coverage,
     "surface": surface,
     "pieces": pieces,
+    "rays": rays,
     "selection": selection,
     "metrics": metrics,
 }
@@ -387,6 +424,7 @@ STAGE_PICTURES = {
     "coverage": draw_coverage,
     "surface": draw_surface,
     "pieces": draw_pieces,
+    "rays": draw_rays,
     "selection": draw_selection,
     "metrics": draw_metrics,
 }

@@ -51,7 +51,8 @@ def make_ground(own: Inputs) -> JobResult:
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
     result = ground_result(own.pair_id, own.part, scan, clean, cut)
-    return replace(result, metadata=result.metadata | {INSPECTION: asdict(inspection)})
+    more = {INSPECTION: asdict(inspection), "T_real_sim": own.T_real_sim}
+    return replace(result, metadata=result.metadata | more)
 
 
 def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> JobResult:

@@ -25,6 +25,7 @@ from ...stages.literal import literal_pieces as surface_pieces
 from ..jobs import EXTRAS, STAGES
 from ..stage import Stage
 from .compare_frames import DEFAULT_TOLERANCE
+from .recompute_rays import rays
 from .stored import Part, Skipped, StoredPair, StoredSide, values
 
 Parts = Iterator[Part | Skipped]
@@ -645,7 +646,7 @@ def _frame(rows: Sequence[Row], keys: list[str], columns: list[str] | None = Non
 RECOMPUTED: dict[str, Callable[[StoredPair], Parts]] = {
     one.__name__: one
     for one in (
-        *(rows, scan, ground, sensor, graph, communities, objects, matching, coverage, surface, pieces, selection),
-        *(metrics, baselines, seeds, pairs),
+        *(rows, scan, ground, sensor, graph, communities, objects, matching, coverage, surface, pieces, rays),
+        *(selection, metrics, baselines, seeds, pairs),
     )
 }

@@ -51,6 +51,8 @@ WORDS = {
     "coverage": "drawn objects, from all distances",
     "surface": "displacement of drawn objects",
     "pieces": "counts, shares and moves of all pieces",
+    "rays": "outcomes, from stored ranges; the rest by the same code",
+    "ray_scores": "scores of stored rays",
     "selection": "influence, kept nodes, optimal alignment",
     "metrics": "scores from dense matrices",
     "baselines": "baseline metrics",

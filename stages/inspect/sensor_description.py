@@ -37,6 +37,7 @@ class SensorDescription:
     is_sharp : the beams are distinct in the whole scan; else, as after motion compensation, they are from a sector,
         and their number is approximate
     origin_height_m : heights of the beams' origin above the frame's origin: one for all, or one per block
+    block_deg : elevation between the two blocks
     focal_m : distance from the axis at which the beams cross
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
     azimuth_step_deg : angle between two firings of a beam
@@ -55,6 +56,7 @@ class SensorDescription:
     is_even: bool | None = None
     is_sharp: bool | None = None
     origin_height_m: tuple[float, ...] = ()
+    block_deg: float = -90.0
     focal_m: float = 0.0
     field_of_view_deg: tuple[float, ...] = ()
     azimuth_step_deg: float | None = None
@@ -137,6 +139,7 @@ def describe_with_gaps(
         is_even=pattern.is_even,
         is_sharp=pattern.is_sharp,
         origin_height_m=pattern.origin_height_m,
+        block_deg=pattern.block_deg,
         focal_m=pattern.focal_m,
         azimuth_step_deg=step,
         range_quantum_m=quantum,

@@ -1,0 +1,95 @@
+"""Stage rays: what each ray of the real sensor returned on both sides, and scores by range, incidence and class."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ...schemas.columns import SIDES
+from ...schemas.tables import RAY_SCORES, RAYS
+from ...stages.arrays import BoolArray, FloatArray
+from ...stages.rays import INCIDENCE_EDGES_DEG, OUTCOMES, RANGE_EDGES_M, Rays, find_rays, score_rays
+from ..stage import OF_PAIR, Metadata, Grain, Inputs, JobResult, Stage
+from .points_job import column
+
+
+def make_rays(own: Inputs) -> JobResult:
+    """Pair the rays of both sides and score them."""
+    tables = [own.table("ground", side) for side in SIDES]
+    real, sim = (np.column_stack([column(table, axis) for axis in "xyz"]) for table in tables)
+    sensors = [own.metadata("sensor", side)["sensor"] for side in SIDES]
+    moved = own.metadata("ground", "sim")["T_real_sim"]
+    with own.step("rays"):
+        rays = find_rays(real, sim, (sensors[0], sensors[1]), np.array(moved).reshape(3, 4) if moved else None)
+    return rays_result(own.pair_id, rays, tables)
+
+
+def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table]) -> JobResult:
+    """One row per ray, and one of scores for each group of rays; empty tables if there is a reason instead of rays.
+
+    Parameters
+    ----------
+    ground : the table of each side, whose rows the returns are
+    """
+    if isinstance(rays, str):
+        of_pair: Metadata = {"rays_reason": rays}
+        return JobResult({"rays": RAYS.from_rows([]), "ray_scores": RAY_SCORES.from_rows([])}, {OF_PAIR: of_pair})
+    returned = [pa.array(rows, mask=rows < 0) for rows in (rays.real_row, rays.sim_row)]
+    ids, labels = (
+        [table.column(name).take(rows) for table, rows in zip(ground, returned, strict=True)]
+        for name in ("point_id", "label")
+    )
+    label = pc.if_else(pa.array(rays.real_row >= 0), *(names.combine_chunks() for names in labels)).cast(pa.string())
+    table = RAYS.build(
+        {
+            "pair_id": pair_id,
+            "beam": rays.beam,
+            "column": rays.column,
+            "real_point_id": ids[0],
+            "sim_point_id": ids[1],
+            "real_range_m": _or_null(rays.real_range_m),
+            "sim_range_m": _or_null(rays.sim_range_m),
+            "outcome": pa.array(OUTCOMES).take(pa.array(rays.outcome)),
+            "incidence_deg": _or_null(rays.incidence_deg),
+            "label": label,
+        },
+        len(rays.beam),
+    )
+    scores = [
+        {"pair_id": pair_id, "by": by, "band": band} | score_rays(rays, is_in)
+        for by, band, is_in in _groups(rays, label)
+    ]
+    return JobResult({"rays": table, "ray_scores": RAY_SCORES.from_rows(scores)}, {OF_PAIR: score_rays(rays)})
+
+
+def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:
+    """Kind and name of each group of rays that has any, and which rays it has."""
+    yield "all", "", np.ones(len(rays.beam), dtype=np.bool_)
+    range_m = np.where(np.isnan(rays.real_range_m), rays.sim_range_m, rays.real_range_m)
+    for by, values, edges, unit in (
+        ("range", range_m, RANGE_EDGES_M, "m"),
+        ("incidence", rays.incidence_deg, INCIDENCE_EDGES_DEG, "degrees"),
+    ):
+        for low, high in pairwise((*edges, np.inf)):
+            is_in = (values >= low) & (values < high)
+            if is_in.any():
+                yield by, f"{low:g} to {high:g} {unit}" if high < np.inf else f"over {low:g} {unit}", is_in
+    for name in sorted(set(label.to_pylist()) - {None}):
+        yield "class", name, np.array(pc.equal(label, name).fill_null(False))
+
+
+def _or_null(values: FloatArray) -> pa.Array:
+    return pa.array(values, mask=np.isnan(values))
+
+
+STAGE = Stage(
+    name="rays",
+    takes={"ground": ("point_id", "x", "y", "z", "label"), "sensor": ()},
+    gives=("rays", "ray_scores"),
+    grain=Grain.PAIR,
+    make=make_rays,
+)
