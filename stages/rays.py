@@ -21,7 +21,7 @@ SAME, IN_FRONT, BEHIND, DROPPED, NO_SURFACE, SIM_ONLY, NONE = range(len(OUTCOMES
 SAME_M, SAME_SIGMAS = 0.1, 3.0
 #: A real return without a simulated one was dropped if there is simulated surface within this distance.
 SURFACE_M = 0.3
-#: Two returns belong to one ray if their directions differ by at most so many cells, root of the sum of squares.
+#: Two returns belong to one ray if their directions differ by at most this number of cells, root of the sum of squares.
 REACH = 0.75
 #: Edges of the bands in which rays are scored; the last has no end.
 RANGE_EDGES_M, INCIDENCE_EDGES_DEG = BAND_EDGES_M, (0.0, 30.0, 60.0, 75.0, 85.0)
@@ -164,7 +164,7 @@ def find_rays(
     Parameters
     ----------
     real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the real sensor's frame
-    sensors : of the real and the simulated side, the fields of `inspect.sensor.SensorFacts` by name
+    sensors : of the real and the simulated side, the fields of `inspect.sensor.SensorDescription` by name
     T_real_sim : (3, 4) float64, motion of the simulated into the real sensor's frame, if they differ
     """
     for side, sensor in zip(("real", "simulated"), sensors, strict=True):
@@ -271,7 +271,7 @@ class _Side:
         return difference
 
     def normals(self, at: IndexArray | IntArray) -> FloatArray:
-        """(k, 3) unit vectors of some returns, NaN where neighbours are missing.
+        """(k, 3) unit vectors of some returns, NaN if neighbours are missing.
 
         Of the plane through a return, its nearest neighbour along its row, and that on the rows next to it.
         """

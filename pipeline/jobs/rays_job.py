@@ -13,7 +13,7 @@ from ...schemas.columns import SIDES
 from ...schemas.tables import RAY_SCORES, RAYS
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.rays import INCIDENCE_EDGES_DEG, OUTCOMES, RANGE_EDGES_M, Rays, find_rays, score_rays
-from ..stage import OF_PAIR, Metadata, Grain, Inputs, JobResult, Stage
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column
 
 

@@ -117,7 +117,7 @@ def _phases(places: dict[int, object], near: Sequence[Sequence[tuple[float, floa
 
 
 def outcome(real_m: float | None, sim_m: float | None, noise_m: float, nearest_m: float | None) -> str:
-    """What became of a ray, from the ranges of both sides and the distance of the real return to the simulated side."""
+    """Outcome of a ray, from the ranges of both sides and the distance of the real return to the simulated side."""
     if real_m is None:
         return "none" if sim_m is None else "sim_only"
     if sim_m is None:
