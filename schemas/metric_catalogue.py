@@ -378,6 +378,11 @@ RAY_SCORES = (
     _ray_error("rays_rmse_m", "range RMSE", "root mean square difference of ranges"),
 )
 
+#: Those whose mean over pairs describes a run.
+RAY_MEANS = tuple(
+    metric.column for metric in RAY_SCORES if metric.column not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
+)
+
 #: Scores of the displacement of the simulated surface.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 
@@ -493,7 +498,11 @@ SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
 DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
 #: Columns of `pairs` that describe a run, which also measures surfaces.
-RUN_SCORES = (*DATASET_SCORES, *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)))
+RUN_SCORES = (
+    *DATASET_SCORES,
+    *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)),
+    *RAY_MEANS,
+)
 #: Columns of `pairs` in a summary of pairs and dataset.
 HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
 #: Valid names in the setting metrics.baselines.

@@ -43,7 +43,7 @@ from .metric_catalogue import (
     SURFACE_SCORES,
     reach_words,
 )
-from .metrics import (
+from .metric_catalogue import (
     RAY_SCORES as RAY_METRICS,
 )
 
@@ -153,7 +153,7 @@ RAY_SCORES = table(
     "ray_scores",
     ("by", "band"),
     PAIR,
-    column("by", STRING, "all, range, incidence or class"),
+    column("by", STRING, "all, range, incidence, azimuth or class"),
     column("band", STRING, 'such as "10 to 20 m", or the class; "" for all'),
     *(score_column(metric) for metric in RAY_METRICS),
 )

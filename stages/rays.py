@@ -25,6 +25,8 @@ SURFACE_M = 0.3
 REACH = 0.75
 #: Edges of the bands in which rays are scored; the last has no end.
 RANGE_EDGES_M, INCIDENCE_EDGES_DEG = BAND_EDGES_M, (0.0, 30.0, 60.0, 75.0, 85.0)
+#: Edges of the directions in which rays are scored.
+AZIMUTH_EDGES_DEG = tuple(range(-180, 181, 45))
 _CANDIDATES, _NEIGHBOURS = 6, 8
 _PHASE_CELLS = 32  # columns over which the columns of the two sides keep their phase
 _STEADY = 0.5  # resultant length of phases that agree
@@ -84,6 +86,12 @@ class Rays:
     sim_range_m: FloatArray
     outcome: IntArray
     incidence_deg: FloatArray
+
+    @property
+    def azimuth_deg(self) -> FloatArray:
+        """(n,) degrees, of the middle of each ray's column."""
+        middle: FloatArray = (self.column + 0.5) * 360.0 / (self.column.max(initial=0) + 1) - 180.0
+        return middle
 
 
 def compare_rays(
@@ -164,7 +172,7 @@ def find_rays(
     Parameters
     ----------
     real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the real sensor's frame
-    sensors : of the real and the simulated side, the fields of `inspect.sensor.SensorDescription` by name
+    sensors : of the real and the simulated side, the fields of `inspect.SensorDescription` by name
     T_real_sim : (3, 4) float64, motion of the simulated into the real sensor's frame, if they differ
     """
     for side, sensor in zip(("real", "simulated"), sensors, strict=True):

@@ -6,6 +6,7 @@ It refuses where numbers of a stage changed and its code version in `pipeline/jo
 import json
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
@@ -14,6 +15,7 @@ from fidpipe.pipeline.jobs import STAGES
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 from fidpipe.stages.inspect.sensor_models import SENSORS
+from fidpipe.stages.rays import find_rays, score_rays
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -31,18 +33,22 @@ def measure():
         rows = run(dataset, out).rows
         frames = {stage.name: pd.read_parquet(out / stage.name) for stage in STAGES}
         objects = pd.read_parquet(out / "objects")
-    described = sensor_row(describe_sensor(make_pair(0, 0, SENSORS["vlp16"], 20_000).real.rows[:, :3].astype(float)))
+    streets = make_pair(0, 0, SENSORS["vlp16"], 20_000)
+    real, sim = (scan.rows[:, :3].astype(float) for scan in (streets.real, streets.sim))
+    sensors = [describe_sensor(points) for points in (real, sim)]
+    rays = find_rays(real, sim, tuple(map(asdict, sensors)))
     numbers = {
         "ground": [
             [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))] for row in rows
         ],
-        "sensor": [[value for value in described.values() if isinstance(value, int | float)]],
+        "sensor": [[value for value in sensor_row(sensors[0]).values() if isinstance(value, int | float)]],
         "graph": frames["graph"].groupby(["pair_id", "side"])[["src", "dst", "length_m"]].sum().astype(float),
         "communities": objects.drop(columns=["pair_id", "side", "label"]).astype(float),
         "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]].astype(float).fillna(-1.0),
         "coverage": frames["coverage"].drop(columns=["pair_id", "side"]).astype(float).fillna(-1.0),
         "surface": frames["surface"].drop(columns=["pair_id"]).astype(float).fillna(-1.0),
         "pieces": frames["pieces"].drop(columns=["pair_id", "side", "label", "fate"]).astype(float).fillna(-1.0),
+        "rays": [[*score_rays(rays).values()]],
         "selection": frames["selection"].groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]].sum(),
         "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
     }

@@ -12,7 +12,15 @@ import pyarrow.compute as pc
 from ...schemas.columns import SIDES
 from ...schemas.tables import RAY_SCORES, RAYS
 from ...stages.arrays import BoolArray, FloatArray
-from ...stages.rays import INCIDENCE_EDGES_DEG, OUTCOMES, RANGE_EDGES_M, Rays, find_rays, score_rays
+from ...stages.rays import (
+    AZIMUTH_EDGES_DEG,
+    INCIDENCE_EDGES_DEG,
+    OUTCOMES,
+    RANGE_EDGES_M,
+    Rays,
+    find_rays,
+    score_rays,
+)
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column
 
@@ -71,10 +79,11 @@ def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]
     yield "all", "", np.ones(len(rays.beam), dtype=np.bool_)
     range_m = np.where(np.isnan(rays.real_range_m), rays.sim_range_m, rays.real_range_m)
     for by, values, edges, unit in (
-        ("range", range_m, RANGE_EDGES_M, "m"),
-        ("incidence", rays.incidence_deg, INCIDENCE_EDGES_DEG, "degrees"),
+        ("range", range_m, (*RANGE_EDGES_M, np.inf), "m"),
+        ("incidence", rays.incidence_deg, (*INCIDENCE_EDGES_DEG, np.inf), "degrees"),
+        ("azimuth", rays.azimuth_deg, AZIMUTH_EDGES_DEG, "degrees"),
     ):
-        for low, high in pairwise((*edges, np.inf)):
+        for low, high in pairwise(edges):
             is_in = (values >= low) & (values < high)
             if is_in.any():
                 yield by, f"{low:g} to {high:g} {unit}" if high < np.inf else f"over {low:g} {unit}", is_in

@@ -8,7 +8,7 @@ invented surface explains is shown with its reason and does not count.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -34,6 +34,10 @@ ERROR_RATE = 1 - CONFIDENCE
 SAME_DENSITY = 0.05
 Best = Literal["high", "low", "zero", "one"]
 SURFACE_MISSING, SURFACE_INVENTED, POSITION, OBJECTS = "surface missing", "surface invented", "position", "objects"
+RAYS = "rays"
+LOST, EXTRA, IN_FRONT, BEHIND = "returns lost", "returns added", "simulated in front", "simulated behind"
+#: Scores of rays of which one can improve at the cost of the other.
+OPPOSED = {LOST: EXTRA, EXTRA: LOST, IN_FRONT: BEHIND, BEHIND: IN_FRONT}
 #: Distance from a perfect simulator, by the value that is best.
 ERRORS: dict[str, Callable[[float], float]] = {
     "high": lambda value: -value,
@@ -264,8 +268,9 @@ def _points_change(rows: PairRows) -> _Points:
 
 def _decided(family: FamilyChange, moved: Mapping[str, set[str]], points: _Points) -> FamilyChange:
     """The family with its verdict, and with reasons for which verdicts do not count."""
+    worse = {score.name for score in family.scores if score.verdict == "worse"}
     scores = tuple(
-        replace(score, why=_consequence(family.name, score, moved, points))
+        replace(score, why=_consequence(family.name, score, moved, points, worse))
         if score.verdict in ("better", "worse")
         else score
         for score in family.scores
@@ -282,25 +287,34 @@ def _decided(family: FamilyChange, moved: Mapping[str, set[str]], points: _Point
     return replace(family, verdict=verdict, why=why, tendency=tendency, scores=scores)
 
 
-def _consequence(family: str, score: ScoreChange, moved: Mapping[str, set[str]], points: _Points) -> str:
+def _consequence(
+    family: str, score: ScoreChange, moved: Mapping[str, set[str]], points: _Points, worse: Container[str]
+) -> str:
     """The reason for which the verdict of a score does not count; "" if it does.
 
     An improvement of a surface next to a loss of the other one counts only if the number of right simulated points grew
-    by more than half of that of the invented ones, or fell by less.
+    by more than half of that of the invented ones, or fell by less. Lost and added returns, and simulated returns in
+    front of and behind the real ones, are opposed: one improves at the cost of the other.
+
+    Parameters
+    ----------
+    moved : families of surfaces by verdict
+    worse : scores of the same family that became worse
     """
     if not score.is_direct:
         if abs(points.density) > SAME_DENSITY:
             return "follows from the number of points"
         if score.verdict == "better" or moved["better"]:
             return "roughness alone is not fidelity"
+    if score.verdict == "better" and OPPOSED.get(score.name) in worse:
+        return f"follows from {OPPOSED[score.name]}"
     if score.verdict == "worse" or not moved["worse"]:
         return ""
     if family == POSITION and len(moved["worse"]) == 2:
         return "both surfaces lie farther apart"
     is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
-    if family == OBJECTS or (is_surface and points.right <= points.invented / 2):
-        return f"follows from {' and '.join(sorted(moved['worse'], reverse=True))}"
-    return ""
+    follows = family == OBJECTS or (is_surface and points.right <= points.invented / 2)
+    return f"follows from {' and '.join(sorted(moved['worse'], reverse=True))}" if follows else ""
 
 
 def number(row: Row, column: str) -> float:
@@ -364,6 +378,19 @@ def _excess(sim: str, real: str, heading: str, least: float) -> ComparedScore:
     return ComparedScore(heading, lambda row: number(row, sim) - number(row, real), "zero", least)
 
 
+_BOTH = ("same", "in_front", "behind")
+
+
+def _rays(heading: str, outcomes: Sequence[str], others: Sequence[str]) -> ComparedScore:
+    """Share of rays with some outcomes among those with these or others."""
+
+    def share(row: Row) -> float:
+        own, rest = (sum(number(row, f"rays_{name}") for name in names) for names in (outcomes, others))
+        return own / (own + rest) if own + rest > 0 else math.nan
+
+    return ComparedScore(heading, share, "low", 0.005)
+
+
 _FOUND = {
     "paper": _column("match_rate", "high", 0.005, step=0.04),
     "reference": _column("found", "high", 0.005, "objects found", step=0.04),
@@ -394,6 +421,14 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
             _sensor("azimuth_step_deg", "azimuth step"),
             ComparedScore("range steps (m)", _excess_quantum, "zero", 0.005),
             _excess("sensor_sim_lost_share", "sensor_real_lost_share", "pulses lost", 0.02),
+        ),
+        RAYS: (
+            _rays(LOST, ("dropped", "no_surface"), _BOTH),
+            _rays(EXTRA, ("sim_only",), _BOTH),
+            _rays(IN_FRONT, ("in_front",), ("same", "behind")),
+            _rays(BEHIND, ("behind",), ("same", "in_front")),
+            _column("rays_bias_m", "zero", 0.01),
+            _column("rays_scale", "zero", 0.001),
         ),
         OBJECTS: (
             _column("cdc_mean", "low", 0.003),

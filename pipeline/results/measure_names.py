@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from ...schemas.metric_catalogue import COVERAGE_SCORES, DISTRIBUTED, OBJECT_METRICS, PIECE_SCORES, SURFACE_SCORES
+from ...schemas.metric_catalogue import (
+    COVERAGE_SCORES,
+    DISTRIBUTED,
+    OBJECT_METRICS,
+    PIECE_SCORES,
+    RAY_MEANS,
+    SURFACE_SCORES,
+)
 
 OF_PAIRS = ("mean", "std", "min", "median", "max")
 OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
 COUNTS = ("total", "mean", "max", "share")
 PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)))
-#: `covered.real.0.3m`, by which a gate knows the column `covered_real_0p3m`.
-COVERAGE = {metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES}
+#: Names by which a gate knows other columns: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` `rays_bias_m`.
+DOTTED = {
+    **{metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES},
+    **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
+}
 #: Of the double validation metric, over objects where a score has them.
 OF_DISTRIBUTIONS = ("bias", "area")
 
@@ -19,6 +29,7 @@ STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 KNOWN = (
     f"SCORE.{'|'.join(OF_PAIRS)} over pairs ({', '.join(PAIR_SCORES)})",
     f"covered.real|sim.0.1m|0.3m|1m.{'|'.join(OF_PAIRS)}",
+    f"rays.SCORE.{'|'.join(OF_PAIRS)} ({', '.join(name[5:] for name in DOTTED if name.startswith('rays.'))})",
     f"objects.SCORE.{'|'.join(OF_OBJECTS)} and class.LABEL.SCORE.... over objects ({', '.join(DISTRIBUTED)})",
     f"missing.{'|'.join(COUNTS)}, hallucinated...., class.LABEL.missing....",
     "missing.within_20m and missing.within_20m.share (any distance)",
@@ -30,10 +41,10 @@ KNOWN = (
 
 #: The names that stand for themselves, to guess what a wrong one means, and for the shell to complete.
 PLAIN_NAMES = (
-    *(f"{score}.{stat}" for score in (*PAIR_SCORES, *COVERAGE) for stat in OF_PAIRS),
+    *(f"{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in OF_PAIRS),
     *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in OF_OBJECTS),
     *(f"{what}.{count}" for what in ("missing", "hallucinated") for count in (*COUNTS, "within_20m")),
     *(f"matched.{count}" for count in ("total", "mean", "min")),
     *(f"pairs.{state}" for state in STATES),
-    *(f"excess.{score}.{stat}" for score in (*PAIR_SCORES, *COVERAGE) for stat in (*OF_PAIRS, *OF_DISTRIBUTIONS)),
+    *(f"excess.{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in (*OF_PAIRS, *OF_DISTRIBUTIONS)),
 )

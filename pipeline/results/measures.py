@@ -22,7 +22,7 @@ from .finished import FinishedRun
 from .floor import RunExcess
 from .measure_names import (
     COUNTS,
-    COVERAGE,
+    DOTTED,
     KNOWN,
     OF_DISTRIBUTIONS,
     OF_OBJECTS,
@@ -181,7 +181,7 @@ class Measures:
 
 def _column(score: str) -> str:
     """The column of `pairs` with a score of pairs."""
-    return METRIC[score].mean_column if score in OBJECT_METRICS else COVERAGE.get(score, score)
+    return METRIC[score].mean_column if score in OBJECT_METRICS else DOTTED.get(score, score)
 
 
 def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
@@ -208,11 +208,11 @@ _MEASURES: tuple[tuple[re.Pattern[str], Callable[..., float]], ...] = tuple(
     (re.compile(pattern, re.DOTALL), measure)
     for pattern, measure in (
         (
-            rf"{_either('score', (*PAIR_SCORES, *map(re.escape, COVERAGE)))}\.{_either('stat', OF_PAIRS)}",
+            rf"{_either('score', (*PAIR_SCORES, *map(re.escape, DOTTED)))}\.{_either('stat', OF_PAIRS)}",
             Measures._of_pairs,
         ),
         (
-            rf"excess\.{_either('score', (*PAIR_SCORES, *map(re.escape, COVERAGE)))}"
+            rf"excess\.{_either('score', (*PAIR_SCORES, *map(re.escape, DOTTED)))}"
             rf"\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}",
             Measures._over_floor,
         ),

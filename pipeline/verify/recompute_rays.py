@@ -9,13 +9,13 @@ import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
-from ...stages.literal import method
+from ...stages.literal import literal_method
 from ...stages.literal import literal_rays as literal
 from ...stages.rays import find_rays
 from ..jobs.rays_job import rays_result
 from .stored import Part, Skipped, StoredPair
 
-_KEYS = ["beam", "column"]
+_KEYS, _RAY = ["beam", "column"], ["outcome", "real_range_m", "sim_range_m"]
 #: Rays that one side alone returned and whose distance to the other side is computed again, of a sampled pair.
 _DRAWN = 200
 
@@ -49,7 +49,7 @@ def _outcomes(pair: StoredPair, stored: pd.DataFrame, sim: np.ndarray, noise_m: 
     single = np.flatnonzero(has_real & stored["sim_point_id"].isna())
     step = 1 if pair.sample.whole_sides else max(1, len(single) // _DRAWN)
     places = np.cumsum(has_real.to_numpy()) - 1
-    nearest = {i: float(method.distances(sim, hits[places[i]]).min()) for i in single[::step].tolist()}
+    nearest = {i: float(literal_method.distances(sim, hits[places[i]]).min()) for i in single[::step].tolist()}
     left_out = set(single.tolist()) - set(nearest)
     ranges = (
         stored[["real_range_m", "sim_range_m"]]
@@ -85,7 +85,9 @@ def _partners(pair: StoredPair, stored: pd.DataFrame) -> Part:
 def _scores(pair: StoredPair, stored: pd.DataFrame) -> Iterator[Part]:
     """The scores of all rays and of each group, from the stored rays."""
     range_m = stored["real_range_m"].fillna(stored["sim_range_m"])
-    values = {"range": range_m, "incidence": stored["incidence_deg"]}
+    column = stored.index.get_level_values("column").to_numpy()
+    azimuth = (column + 0.5) * 360.0 / (column.max(initial=0) + 1) - 180.0
+    values = {"range": range_m, "incidence": stored["incidence_deg"], "azimuth": azimuth}
     rows = []
     for by, band in pair.table("ray_scores")[["by", "band"]].itertuples(index=False):
         if by in values:
@@ -94,9 +96,8 @@ def _scores(pair: StoredPair, stored: pd.DataFrame) -> Iterator[Part]:
             own = stored[(values[by] >= low) & (values[by] < high)]
         else:
             own = stored if by == "all" else stored[stored["label"] == band]
-        columns = (own[name].tolist() for name in ("outcome", "real_range_m", "sim_range_m"))
+        columns = (own[name].tolist() for name in _RAY)
         rows.append({"by": by, "band": band} | literal.scores(list(zip(*columns, strict=True))))
-    if rows:
-        yield pair.part("ray_scores", pd.DataFrame(rows).set_index(["by", "band"]))
-        whole = next(row for row in rows if row["by"] == "all")
-        yield pair.in_pairs({name: value for name, value in whole.items() if name not in ("by", "band")})
+    whole = literal.scores(list(zip(*(stored[name].tolist() for name in _RAY), strict=True)))
+    yield pair.part("ray_scores", pd.DataFrame(rows, columns=["by", "band", *whole]).set_index(["by", "band"]))
+    yield pair.in_pairs(whole if len(stored) else dict.fromkeys(whole))

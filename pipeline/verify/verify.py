@@ -151,7 +151,7 @@ class _Tally:
     """Results of comparisons so far.
 
     compared, excused : columns (`table.column`) with compared values; columns or tables that need no comparison
-    n_drawn : rows of drawn objects by table; a table without such rows cannot be compared
+    n_recomputed : rows by table; a table without any cannot be compared
     """
 
     checks: dict[str, TableCheck] = field(default_factory=dict)
@@ -159,7 +159,7 @@ class _Tally:
     skipped: Counter[str] = field(default_factory=Counter)
     compared: set[str] = field(default_factory=set)
     excused: set[str] = field(default_factory=lambda: {*NOT_COMPARED})
-    n_drawn: Counter[str] = field(default_factory=Counter)
+    n_recomputed: Counter[str] = field(default_factory=Counter)
     is_damaged: bool = False
 
     def add(self, parts: Iterable[Part | Skipped], pair_id: str = "") -> None:
@@ -170,8 +170,7 @@ class _Tally:
                 self.excused.update(part.columns)
                 continue
             table = TABLE_OF.get(part.table, part.table)
-            if not part.is_whole:
-                self.n_drawn[table] += len(part.recomputed)
+            self.n_recomputed[table] += len(part.recomputed)
             for column in compare(table, part.stored, part.recomputed, is_whole=part.is_whole):
                 self._count(part, pair_id, column)
                 if len(column.rows):
@@ -191,7 +190,7 @@ class _Tally:
 
     def unknown(self, tables: Iterable[str]) -> Iterator[str]:
         """Columns that were not compared without a declared reason; empty if a table is damaged."""
-        without_rows = {table for table, n in self.n_drawn.items() if not n}
+        without_rows = {table for table, n in self.n_recomputed.items() if not n}
         for table in tables:
             if not (self.is_damaged or table in self.excused | without_rows):
                 columns = (f"{table}.{name}" for name in TABLES[table].schema.names)

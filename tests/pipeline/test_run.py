@@ -19,15 +19,14 @@ from runs import FOLDERS, JOBS_PER_PAIR, STAGE_NAMES, assert_same_tables, change
 from scenes import drifted, street, write_bin, write_dataset
 
 N_PAIRS = 3
+RAYS = ("rays", "ray_scores")
 
 
 def test_every_table_has_the_schema_of_the_contract(finished):
     assert temporary_files(finished) == []
     for folder in FOLDERS:
         files = list((finished / folder).glob("*.parquet"))
-        assert len(files) == (
-            3 if folder in ("matching", "coverage", "surface", "pieces", "selection", "metrics") else 6
-        )
+        assert len(files) == (6 if folder in ("ground", "sensor", "graph", "communities", "objects") else 3)
         for path in files:
             table = pq.read_table(path)
             TABLES[folder].check(table)
@@ -52,12 +51,12 @@ def test_a_second_run_makes_nothing(again, dataset):
     [
         (
             "matching.delta_m=3",
-            ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage"],
+            ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage", *RAYS],
         ),
         ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
-        ("communities.seed=1", ["ground", "sensor", "graph", "pieces"]),
-        ("graph.k=30", ["ground", "sensor", "pieces"]),
-        ("pieces.reach_m=2", ["ground", "sensor", "graph"]),
+        ("communities.seed=1", ["ground", "sensor", "graph", "pieces", *RAYS]),
+        ("graph.k=30", ["ground", "sensor", "pieces", *RAYS]),
+        ("pieces.reach_m=2", ["ground", "sensor", "graph", *RAYS]),
         ("ground.prior_m=0.2", ["sensor"]),
         ("input.max_range_m=50", []),
     ],
@@ -95,7 +94,7 @@ def test_from_makes_a_stage_and_those_after_it_again(again, dataset, stage):
     outcome = run(dataset, again, from_stage=stage)
     redone = STAGE_NAMES[STAGE_NAMES.index(stage) :]
     assert outcome.n_made == 3 * sum(len(stage.parts) for stage in STAGES if stage.name in redone)
-    assert {name.split("/")[0] for name in changed_files(again, before)} - {"objects"} == set(redone)
+    assert {name.split("/")[0] for name in changed_files(again, before)} - {"objects", "ray_scores"} == set(redone)
 
 
 def test_a_pattern_limits_the_work_and_keeps_the_rest(dataset, tmp_path):
@@ -138,7 +137,8 @@ def test_a_broken_pair_fails_alone_with_its_reason(dataset, tmp_path):
     )
     assert rows["001"]["r_lambda_mean"] is None
     for table in FOLDERS:
-        assert set(pd.read_parquet(tmp_path / "run" / table).pair_id) == {"002"}
+        names = {path.name.split(".")[0] for path in (tmp_path / "run" / table).iterdir()}
+        assert names == {"002"}
     status = run_status(tmp_path / "run")
     assert status.stages["metrics"] == {"done": 1, "failed": 2}
     again = run(data, tmp_path / "run", pattern="002")

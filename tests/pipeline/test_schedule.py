@@ -157,6 +157,7 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
         ("coverage",),
         ("surface",),
         ("pieces",),
+        ("rays",),
     }
     assert_same_tables(tmp_path / "run", finished)
 

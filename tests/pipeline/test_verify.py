@@ -22,9 +22,11 @@ from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
+from fidpipe.stages.generate.street_scans import make_pair
+from fidpipe.stages.inspect.sensor_models import SENSORS
 from fidpipe.stages.literal import literal_method
 from runs import command, contents, rewrite, run, some_of
-from scenes import write_dataset
+from scenes import write_bin, write_dataset
 from toys import TOY_TABLES
 
 SMALL = ["matching.delta_m=20"]  # the objects of so small a street are matched all the same
@@ -48,6 +50,17 @@ def plain(whole, tmp_path_factory):
     out = tmp_path_factory.mktemp("verify") / "run"
     run(whole.parent / "streets", out, load(None, SMALL))
     return out
+
+
+@pytest.fixture(scope="module")
+def with_rays(tmp_path_factory):
+    """A run of one pair from sensors whose beams are recognised; not to be written to."""
+    folder = tmp_path_factory.mktemp("rays")
+    pair = make_pair(0, 0, SENSORS["vlp16"], 8000)
+    for side, scan in (("real", pair.real), ("sim", pair.sim)):
+        write_bin(folder / "streets" / side / "000.bin", scan.rows[:, :3])
+    run(folder / "streets", folder / "run", load(None, SMALL))
+    return folder / "run"
 
 
 @pytest.fixture
@@ -88,9 +101,9 @@ def test_all_numbers_of_a_run_agree(whole):
     assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
     assert {table.table for table in result.tables} == {
         *("files", "scan", "ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"),
-        *("pieces", "selection", "metrics", "baselines", "seeds", "pairs", "run.json", "rows"),
+        *("pieces", "rays", "ray_scores", "selection", "metrics", "baselines", "seeds", "pairs", "run.json", "rows"),
     }
-    assert all(table.n_numbers > 0 for table in result.tables)
+    assert all(table.n_numbers > 0 for table in result.tables if "ray" not in table.table)
     assert result.tables[-1].largest < 1e-12
 
 
@@ -150,6 +163,25 @@ def test_each_edited_column_is_named_though_all_of_a_table_are_edited_at_once(co
         forge_column(copy, table, name)
     found = {mismatch.column for mismatch in verify_run(copy, None).mismatches if mismatch.table == table}
     assert names - found == set()
+
+
+def test_each_edited_column_of_rays_is_named(with_rays, tmp_path, monkeypatch):
+    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
+    assert verify_run(with_rays, None).passed
+    copy = shutil.copytree(with_rays, tmp_path / "run")
+    rays, scores, keys = TABLES["rays"].schema.names, TABLES["ray_scores"].schema.names, {"pair_id", "by", "band"}
+    assert len(pd.read_parquet(copy / "rays")) > 1000
+    forged = {
+        *(("rays", name) for name in rays if name not in ("pair_id", "beam", "column", "label")),
+        *(("ray_scores", name) for name in scores if name not in keys),
+        *(("pairs", name) for name in scores if name not in keys),
+    }
+    for table, name in forged:
+        path = "pairs.parquet" if table == "pairs" else f"{table}/000.parquet"
+        is_text = name == "outcome"
+        forge(copy, path, name, lambda values, is_text=is_text: another(values, is_text=is_text))
+    wrong = {(mismatch.table, mismatch.column) for mismatch in verify_run(copy, None).mismatches}
+    assert forged - wrong == set()
 
 
 def test_every_column_of_every_table_is_compared_or_declared_not_to_be(whole):

@@ -12,6 +12,7 @@ from fidpipe.schemas.metric_catalogue import (
     OBJECT_SCORES,
     PAIR_SCORES,
     PIECE_SCORES,
+    RAY_SCORES,
     SURFACE_SCORES,
     metric_of,
 )
@@ -26,7 +27,7 @@ from toys import TOY_TABLES
 
 def test_no_column_stands_in_the_catalogue_twice():
     assert len(METRIC) == sum(
-        map(len, (OBJECT_SCORES, PAIR_SCORES, COVERAGE_SCORES, SURFACE_SCORES, PIECE_SCORES, BASELINES))
+        map(len, (OBJECT_SCORES, PAIR_SCORES, COVERAGE_SCORES, SURFACE_SCORES, PIECE_SCORES, RAY_SCORES, BASELINES))
     )
 
 

@@ -1,10 +1,12 @@
 """Rays of two scans of a room whose walls, losses and errors of range are known, and of real recordings."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from fidpipe.stages.generate.ray_casting import fire
-from fidpipe.stages.inspect.sensor_description import describe_sensor
+from fidpipe.stages.inspect import sensor_description
 from fidpipe.stages.inspect.sensor_models import SENSORS
 from fidpipe.stages.rays import OUTCOMES, RayGrid, compare_rays, find_rays, score_rays
 
@@ -25,6 +27,10 @@ def room(name="vlp16", step_deg=STEP_DEG, turned_deg=0.0, corners_m=CORNERS_M):
     steep = np.where(np.abs(directions) < 1e-9, 1e-9, directions)
     range_m = (np.where(steep > 0, corners_m[1], corners_m[0]) / steep).min(axis=1)
     return directions * range_m[:, None]
+
+
+def describe_sensor(scan):
+    return asdict(sensor_description.describe_sensor(scan))
 
 
 def counts(rays):
