@@ -67,10 +67,11 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table]) -> J
         },
         len(rays.beam),
     )
-    scores = [
-        {"pair_id": pair_id, "by": by, "band": band} | score_rays(rays, is_in)
-        for by, band, is_in in _groups(rays, label)
-    ]
+    scores = []
+    for by, band, is_in in _groups(rays, label):
+        scores.append({"pair_id": pair_id, "by": by, "band": band} | score_rays(rays, is_in))
+        if by not in ("all", "azimuth"):  # rays without any return have no range, incidence or class
+            scores[-1]["rays_drop_f1"] = None
     return JobResult({"rays": table, "ray_scores": RAY_SCORES.from_rows(scores)}, {OF_PAIR: score_rays(rays)})
 
 
