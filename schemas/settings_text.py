@@ -74,7 +74,7 @@ def group_to_markdown(group: str) -> str:
 
     Parameters
     ----------
-    group : such as "graph"; `KeyError` if there is none of this name
+    group : such as "graph"; any other name raises `KeyError`
     """
     heads = ("setting", *PRESETS, "allowed", "what")
     rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]

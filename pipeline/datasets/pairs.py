@@ -81,7 +81,7 @@ def read_dataset(folder: Path) -> Dataset:
     Raises
     ------
     DatasetError
-        There is no such folder, no pair in it, the manifest or `labels.toml` is wrong, or two files have one stem.
+        The folder does not exist or holds no pair, the manifest or `labels.toml` is wrong, or two files have one stem.
     """
     if folder.is_file():
         hint = "fidpipe pair REAL SIM makes one of two recordings"
@@ -248,7 +248,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
 
 
 def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | None, str | None]:
-    """The scan file that a line of the manifest names, or why there is none."""
+    """The scan file that a line of the manifest names, or the reason why it is missing."""
     path = folder / name.strip()
     if not name.strip():
         return None, f"{where}: no {side} scan is named"
@@ -289,7 +289,7 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
     Raises
     ------
     DatasetError
-        There are not 12 numbers, R is not a rotation, or t is beyond a million kilometres.
+        The numbers are not 12, R is not a rotation, or t is beyond a million kilometres.
     """
     if len(numbers) != 12:
         raise DatasetError(f"{where}: {name}: expected 12 numbers ([R | t] row by row), got {len(numbers)}")

@@ -50,7 +50,7 @@ class Pool(Protocol):
 
     @property
     def dashboard(self) -> str:
-        """The address at which a browser shows the cluster at work; "" if there is none."""
+        """The address at which a browser shows the cluster at work; "" if it has none."""
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """Start a task; those of higher priority first. With `keep` the result stays where it is made.

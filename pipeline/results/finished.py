@@ -130,7 +130,7 @@ class FinishedRun:
         Raises
         ------
         RunError
-            There is no such table, a pair failed, or a file is damaged or gone.
+            The table is unknown, a pair failed, or a file is damaged or gone.
         """
         if name in _OF_RUN:
             return self.read_table(name)

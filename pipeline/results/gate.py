@@ -48,7 +48,7 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Judged:
-    """A criterion with the value in the run; `why` says why there is none."""
+    """A criterion with the value in the run; `why` is the reason if it is None."""
 
     criterion: Criterion
     value: float | None

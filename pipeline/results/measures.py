@@ -38,14 +38,14 @@ _UNMATCHED = {"missing": 0, "hallucinated": 1}
 
 @dataclass(frozen=True)
 class Measured:
-    """A number, or None and why there is none."""
+    """A number, or None with the reason."""
 
     value: float | None
     why: str = ""
 
 
 class _AbsentError(Exception):
-    """There is no such number, and why."""
+    """The number does not exist; the message is the reason."""
 
 
 class Measures:
@@ -60,7 +60,7 @@ class Measures:
         Raises
         ------
         SettingsError
-            There is no such name, or it wants a floor and there is none.
+            The name is unknown, or needs a floor that is not given.
         """
         for pattern, measure in _MEASURES:
             match = pattern.fullmatch(name)
@@ -118,7 +118,7 @@ class Measures:
             chosen &= side.range_m < float(within)
         if count == "share":
             if not chosen.any():
-                raise _AbsentError(f"there is no such object on the {SIDES[_UNMATCHED[what]]} side")
+                raise _AbsentError(f"the {SIDES[_UNMATCHED[what]]} side has no such object")
             return float(np.mean(~side.is_matched[chosen]))
         alone = side.pair[chosen & ~side.is_matched]
         return _counted(np.bincount(alone, minlength=len(self.run.scored)), count or "total")

@@ -101,7 +101,7 @@ def ground(pair: StoredPair) -> Parts:
         cut, heights, is_clear = _cut(pair, side)
         frame = pd.DataFrame({"height_m": heights - cut["peak_m"]}, index=pd.Index(stored["point_id"], name="point_id"))
         if settings.method == "patchwork":
-            yield Skipped("flags of ground by patchwork++: there is no second implementation", ["ground.is_ground"])
+            yield Skipped("flags of ground by patchwork++: fidpipe has no second implementation", ["ground.is_ground"])
         else:
             threshold_m = -np.inf if cut["threshold_m"] is None else cut["threshold_m"]
             is_close = np.abs(heights - threshold_m) <= DEFAULT_TOLERANCE

@@ -406,7 +406,7 @@ def test_a_changed_address_shows_its_object_and_says_what_is_not_there(page):
     assert ask(address(HOSTILE_PAIRS[2], "real 1")) == ""
     wait_for(page, "return document.getElementById('object').value === 'real 1'")
     assert by_id(page, "pair").get_attribute("value") == HOSTILE_PAIRS[2]
-    assert "There is no scored pair nowhere in this run." in ask(address("nowhere", "real 1"))
+    assert "This run has no scored pair nowhere." in ask(address("nowhere", "real 1"))
     assert "has no object real 999" in ask(address(FIRST_PAIR, "real 999"))
     assert ask(address(FIRST_PAIR)) == ""
     assert by_id(page, "object").get_attribute("value") == ""

@@ -208,7 +208,7 @@ def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
     Raises
     ------
     ScanError
-        There is not one label for each point.
+        The numbers of labels and points differ.
     """
     label_path = label_path_of(path, stem)
     if not label_path.exists():

@@ -302,7 +302,7 @@ export async function showAsked() {
     refuse(
       isKnown
         ? `Pair ${shorten(pair, 60)} is not among those that this page shows in 3D; fidpipe report with --pairs or --folder shows it.`
-        : `There is no scored pair ${shorten(pair, 60)} in this run.`,
+        : `This run has no scored pair ${shorten(pair, 60)}.`,
     );
     return;
   }
