@@ -1,4 +1,4 @@
-"""Directives with content generated from the code: `{settings}`, `{tables}` and `{pipeline}`."""
+"""Directives with content generated from the code: `{reference}`, `{settings}`, `{tables}` and `{pipeline}`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from sphinx.util.docutils import SphinxDirective
 
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.stage import SCAN, Grain, Stage
+from fidpipe.schemas import metric_catalogue, settings_text, tables
 from fidpipe.schemas.settings import Settings
-from fidpipe.schemas.settings_text import group_to_markdown
-from fidpipe.schemas.tables import TABLES, columns_to_markdown
 
 if TYPE_CHECKING:
     from docutils import nodes
@@ -21,6 +20,17 @@ _GRAINS = {
     Grain.PAIR: "each pair",
     Grain.OBJECT: "some of a pair's matched objects",
 }
+
+
+class Reference(SphinxDirective):
+    """All tables, all settings, or all scores of matched objects."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """The sections of the page."""
+        texts = {"tables": tables, "settings": settings_text, "scores": metric_catalogue}
+        return self.parse_text_to_nodes(texts[self.arguments[0]].to_markdown(), allow_section_headings=True)
 
 
 class SettingsTable(SphinxDirective):
@@ -34,7 +44,7 @@ class SettingsTable(SphinxDirective):
         groups = self.arguments[0].split()
         if unknown := [group for group in groups if group not in Settings.model_fields]:
             raise self.error(f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}")
-        return self.parse_text_to_nodes("\n".join(map(group_to_markdown, groups)))
+        return self.parse_text_to_nodes("\n".join(map(settings_text.group_to_markdown, groups)))
 
 
 class StageTables(SphinxDirective):
@@ -75,7 +85,7 @@ def tables_of(stage: Stage) -> str:
     for table, columns in stage.takes.items():
         words = "points, and labels if present" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
         lines.append(f"| {_table_word(table)} | {words or 'metadata of its job only'} |")
-    lines += [f"\nOutput: `{name}`. {columns_to_markdown(TABLES[name])}" for name in stage.gives]
+    lines += [f"\nOutput: `{name}`. {tables.columns_to_markdown(tables.TABLES[name])}" for name in stage.gives]
     return "\n".join(lines) + "\n"
 
 
@@ -89,6 +99,7 @@ def _names() -> list[str]:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Registers the directives."""
+    app.add_directive("reference", Reference)
     app.add_directive("settings", SettingsTable)
     app.add_directive("tables", StageTables)
     app.add_directive("pipeline", PipelineTable)

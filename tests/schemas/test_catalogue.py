@@ -2,7 +2,6 @@
 
 import pytest
 
-import readme
 from fidpipe.schemas.metric_catalogue import (
     BASELINE_NAMES,
     BASELINES,
@@ -17,12 +16,11 @@ from fidpipe.schemas.metric_catalogue import (
     metric_of,
 )
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
-from fidpipe.schemas.tables import METRICS, PAIRS, TABLES
+from fidpipe.schemas.tables import METRICS, PAIRS
 from fidpipe.stages.baselines import compare_objects
 from fidpipe.stages.metrics import score_object
 from fidpipe.stages.selection import select_nodes
 from scenes import box, subgraph
-from toys import TOY_TABLES
 
 
 def test_no_column_stands_in_the_catalogue_twice():
@@ -78,10 +76,3 @@ def test_identical_objects_have_the_value_of_the_catalogue_in_every_own_score(tw
     for metric in OBJECT_SCORES:
         if metric.equal is not None and hasattr(scores, metric.column):
             assert getattr(scores, metric.column) == pytest.approx(metric.equal, abs=1e-9), metric.column
-
-
-@pytest.mark.parametrize("page", readme.TABLES, ids=lambda page: page.name)
-def test_the_tables_of_a_page_are_those_of_the_code(page, monkeypatch):
-    for toy in TOY_TABLES:
-        monkeypatch.delitem(TABLES, toy.name)
-    assert readme.with_tables(page) == page.read_text(encoding="utf-8"), "renew them with: python tools/readme.py"
