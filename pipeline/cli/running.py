@@ -47,7 +47,7 @@ def settings(
 
     fidpipe settings --settings runs/dataset/settings.toml    those of a run, with comments
 
-    fidpipe settings --json-schema > fidpipe.schema.json    for an editor: docs/install.md
+    fidpipe settings --json-schema > fidpipe.schema.json    for an editor: docs/settings.md
     """
     from ...schemas import settings_text
     from ...schemas.settings import load
