@@ -50,7 +50,7 @@ _NAMED = {
     "mirrored in z": (1, 1, -1),
     "mirrored in x, y and z": (-1, -1, -1),
 }
-_QUARTER_TURNS = {
+_QUARTER_ROTATIONS = {
     "rotated by 90 degrees": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
     "rotated by 270 degrees": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
     "with x and y exchanged": ((0, 1, 0), (1, 0, 0), (0, 0, 1)),
@@ -59,10 +59,10 @@ _QUARTER_TURNS = {
 _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}  # p_ros = F p
 
 
-def _turns() -> dict[str, FloatArray]:
+def _rotations() -> dict[str, FloatArray]:
     """Rotations and mirrors by name: usual mistakes, and those of either scan in one of the known frames."""
     turns = {name: np.diag(np.array(signs, dtype=np.float64)) for name, signs in _NAMED.items()}
-    turns |= {name: np.array(rows, dtype=np.float64) for name, rows in _QUARTER_TURNS.items()}
+    turns |= {name: np.array(rows, dtype=np.float64) for name, rows in _QUARTER_ROTATIONS.items()}
     for real, F_real in _FRAMES.items():
         for sim, F_sim in _FRAMES.items():
             turn = F_real.T @ F_sim
@@ -72,7 +72,7 @@ def _turns() -> dict[str, FloatArray]:
     return turns
 
 
-_TURNS = _turns()
+_ROTATIONS = _rotations()
 
 
 @dataclass(frozen=True)
@@ -99,18 +99,7 @@ class FrameCheck:
 
 
 @dataclass(frozen=True)
-class _Placement:
-    """Present transform of the scans: frames of both sides, motion [R | t] of the simulated one, and box."""
-
-    real_frame: FrameName
-    sim_frame: FrameName
-    flip_y: bool
-    motion: FloatArray
-    include_box: Box | None
-
-
-@dataclass(frozen=True)
-class _Reading:
+class _Candidate:
     """Candidate transform of the simulated scan: p, in metres, becomes R p + t; R is a rotation or a reflection.
 
     words : description of the rotation or motion; "" for none
@@ -140,7 +129,8 @@ class _Side:
         self.ground_m = ground_height(points)
         self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < GROUND_BAND_M
         self.tree = cKDTree(points)
-        self.sample = _some(len(points))
+        # random, as a regular sample would follow the rings of the scan
+        self.sample: IndexArray = np.sort(np.random.default_rng(0).permutation(len(points))[:MAX_POINTS])
 
 
 def check_frames(
@@ -173,15 +163,28 @@ def check_frames(
     ('mirrored in y', 'input.sim_frame=carla', True)
     """
     motion = np.eye(3, 4) if T_real_sim is None else T_real_sim
-    frames = settings.frame_of("real"), settings.frame_of("sim")
-    placement = _Placement(*frames, settings.sim_flip_y, motion, settings.include_box)
     real, sim = (points[np.isfinite(points).all(axis=1)] for points in (real, sim))
     target_points = _thinned(real, settings, "real")
-    target_points = target_points[_is_inside(target_points, placement.include_box)]
+    target_points = target_points[_is_inside(target_points, settings.include_box)]
     if len(target_points) < MIN_POINTS:
         return None
-    found = _search(_Side(target_points), sim, real, settings, placement)
-    return None if found is None else _conclude(found, placement)
+    target = _Side(target_points)
+    sources = _sources(sim, real, settings)
+    if not sources:
+        return None
+    as_given, coverage, best = _search(target, sources, settings, motion)
+    is_suspect = (
+        coverage >= MIN_COVERAGE
+        and coverage - as_given >= MIN_GAIN
+        and 1 - coverage <= MAX_UNCOVERED_RATIO * (1 - as_given)
+    )
+    start, before = (best, coverage) if is_suspect else (_Candidate("", motion), as_given)
+    source = sources.get(start.unit)
+    if source is not None and coverage >= MIN_SAME_PLACE and (levelled := _levelled(target, source, start)):
+        after = _coverage(target, source, levelled, settings.include_box)
+        if after >= before - _MAX_COVERAGE_LOST:
+            best, coverage, is_suspect = levelled, after, True
+    return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
 
 
 def can_move() -> bool:
@@ -207,73 +210,45 @@ def ground_height(points: FloatArray) -> float:
     return float((steps.min() + fullest + 1) * _GROUND_STEP_M - GROUND_BAND_M)
 
 
-@dataclass(frozen=True)
-class _Search:
-    """Result of the search over all candidates: coverage as given, and the best candidate with its coverage.
-
-    sources : downsampled simulated scan by unit
-    """
-
-    target: _Side
-    sources: dict[str, _Side]
-    present: _Reading
-    as_it_lies: float
-    best: _Reading
-    coverage: float
+def _sources(sim: FloatArray, real: FloatArray, settings: InputSettings) -> dict[str, _Side]:
+    """Downsampled simulated scan by unit, "" for metres; units in which too few points remain are left out."""
+    units = {"": 1.0, **_units_that_fit(sim, real)}
+    points = {unit: _thinned(sim * scale, settings, "sim") for unit, scale in units.items()}
+    return {unit: _Side(own) for unit, own in points.items() if len(own) >= MIN_POINTS}
 
 
 def _search(
-    target: _Side, sim: FloatArray, real: FloatArray, settings: InputSettings, placement: _Placement
-) -> _Search | None:
-    """Compare the candidates; stop early if the scan as given covers so much that no other can be suspect."""
-    sources: dict[str, _Side] = {}
-    as_it_lies, box = 0.0, placement.include_box
-    best: tuple[float, _Reading] | None = None
-    present = _Reading("", placement.motion)
-    for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
-        own = _thinned(sim * scale, settings, "sim")
-        if len(own) < MIN_POINTS:
-            continue
-        source = sources[unit] = _Side(own)
-        for reading in _readings(target, source, placement, unit):
-            coverage = _coverage(target, source, reading, box)
-            if reading.name == AS_GIVEN:
-                as_it_lies = coverage
-                if 1 - as_it_lies < MIN_GAIN:
-                    return _Search(target, sources, present, as_it_lies, reading, as_it_lies)
-            if best is None or coverage > best[0]:
-                best = coverage, reading
-        if best is not None and best[1].unit == unit and best[0] < 1 and can_move():
-            reading = _registered(target, source, best[1])
-            coverage = _coverage(target, source, reading, box)
+    target: _Side, sources: dict[str, _Side], settings: InputSettings, motion: FloatArray
+) -> tuple[float, float, _Candidate]:
+    """Coverage of the scan as given, best coverage, and the candidate that reaches it.
+
+    The search stops early if the scan as given covers so much that no other can be suspect.
+    """
+    as_given, box = 0.0, settings.include_box
+    best: tuple[float, _Candidate] = -1.0, _Candidate("", motion)
+    for unit, source in sources.items():
+        for candidate in _candidates(target, source, motion, unit):
+            coverage = _coverage(target, source, candidate, box)
+            if candidate.name == AS_GIVEN:
+                as_given = coverage
+                if 1 - as_given < MIN_GAIN:
+                    return as_given, as_given, candidate
+            if coverage > best[0]:
+                best = coverage, candidate
+        if best[1].unit == unit and best[0] < 1 and can_move():
+            candidate = _registered(target, source, best[1])
+            coverage = _coverage(target, source, candidate, box)
             if coverage - best[0] >= MIN_GAIN_BY_MOVING:
-                best = coverage, reading
-    return None if best is None else _Search(target, sources, present, as_it_lies, best[1], best[0])
+                best = coverage, candidate
+    return as_given, *best
 
 
-def _conclude(found: _Search, placement: _Placement) -> FrameCheck:
-    """Decide whether the best candidate is suspect, or else a lift; lifts of either are refined."""
-    reading, coverage, as_it_lies, box = found.best, found.coverage, found.as_it_lies, placement.include_box
-    is_suspect = (
-        coverage >= MIN_COVERAGE
-        and coverage - as_it_lies >= MIN_GAIN
-        and 1 - coverage <= MAX_UNCOVERED_RATIO * (1 - as_it_lies)
-    )
-    start, before = (reading, coverage) if is_suspect else (found.present, as_it_lies)
-    source = found.sources.get(start.unit)
-    if source is not None and coverage >= MIN_SAME_PLACE and (levelled := _levelled(found.target, source, start)):
-        after = _coverage(found.target, source, levelled, box)
-        if after >= before - _MAX_COVERAGE_LOST:
-            reading, coverage, is_suspect = levelled, after, True
-    return FrameCheck(as_it_lies, reading.name, coverage, is_suspect, _setting(reading, placement))
-
-
-def _levelled(target: _Side, source: _Side, reading: _Reading) -> _Reading | None:
+def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate | None:
     """Candidate with the ground at the height of the real one; None if that changes little or does not converge."""
-    placed = _placed(source.points, reading.M)
+    placed = _placed(source.points, candidate.M)
     ground = target.points[target.is_ground]
     tree = cKDTree(ground[:, :2])
-    step_m = 0.0 if reading.lift_m else target.ground_m - ground_height(placed)
+    step_m = 0.0 if candidate.lift_m else target.ground_m - ground_height(placed)
     change_m = 0.0
     for _ in range(_LIFT_STEPS):
         change_m += step_m
@@ -284,29 +259,28 @@ def _levelled(target: _Side, source: _Side, reading: _Reading) -> _Reading | Non
         if is_near.sum() < MIN_POINTS:
             return None
         step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
-    lift_m = reading.lift_m + change_m
+    lift_m = candidate.lift_m + change_m
     if abs(step_m) > _MAX_LIFT_LEFT_M or abs(lift_m) < MIN_LIFT_M:
         return None
-    M = reading.M.copy()
+    M = candidate.M.copy()
     M[2, 3] += change_m
-    return replace(reading, M=M, lift_m=lift_m)
+    return replace(candidate, M=M, lift_m=lift_m)
 
 
-def _readings(target: _Side, source: _Side, placement: _Placement, unit: str) -> Iterator[_Reading]:
+def _candidates(target: _Side, source: _Side, motion: FloatArray, unit: str) -> Iterator[_Candidate]:
     """All candidates except that of small_gicp; the scan as given comes first, so that it wins ties."""
-    motion = placement.motion
-    for name, turn in _TURNS.items():
+    for name, turn in _ROTATIONS.items():
         words = "" if name == AS_GIVEN else name
         M = np.column_stack([motion[:, :3] @ turn, motion[:, 3]])
-        yield _Reading(words, M, unit)
+        yield _Candidate(words, M, unit)
         lift_m = target.ground_m - ground_height(_placed(source.points, M))
         if abs(lift_m) >= _MIN_SHIFT_M:
             lifted = M.copy()
             lifted[2, 3] += lift_m
-            yield _Reading(words, lifted, unit, lift_m)
+            yield _Candidate(words, lifted, unit, lift_m)
 
 
-def _registered(target: _Side, source: _Side, start: _Reading) -> _Reading:
+def _registered(target: _Side, source: _Side, start: _Candidate) -> _Candidate:
     """Candidate registered to the real scan by small_gicp (Koide, JOSS 2024), one thread."""
     import small_gicp
 
@@ -323,13 +297,13 @@ def _registered(target: _Side, source: _Side, start: _Reading) -> _Reading:
     turn_deg = float(np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
     before = replace(start, unit="").name
     moved = f"moved by {np.linalg.norm(T[:3, 3]):.2f} m and {turn_deg:.1f} degrees"
-    return _Reading(moved if before == AS_GIVEN else f"{before} and {moved}", M, start.unit)
+    return _Candidate(moved if before == AS_GIVEN else f"{before} and {moved}", M, start.unit)
 
 
-def _coverage(target: _Side, source: _Side, reading: _Reading, box: Box | None) -> float:
+def _coverage(target: _Side, source: _Side, candidate: _Candidate, box: Box | None) -> float:
     """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
-    R, t = reading.M[:, :3], reading.M[:, 3]
-    placed = _placed(source.points[source.sample], reading.M)
+    R, t = candidate.M[:, :3], candidate.M[:, 3]
+    placed = _placed(source.points[source.sample], candidate.M)
     is_inside = _is_inside(placed, box)
     shares = [*_shares(target.tree, placed[is_inside], source.is_ground[source.sample][is_inside])]
     back = (target.points[target.sample] - t) @ R  # distances do not change, so the tree is reused
@@ -345,28 +319,31 @@ def _shares(tree: cKDTree, points: FloatArray, is_ground: BoolArray) -> Iterator
             yield float(is_near[chosen].mean())
 
 
-def _setting(reading: _Reading, placement: _Placement) -> str:
+def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray) -> str:
     """Text of the settings that select a candidate."""
-    parts = [f"simulated points in metres (they are in {reading.unit})"] if reading.unit else []
-    real_frame, sim_frame, motion = _frames_and_motion(reading.M, placement)
-    if real_frame != placement.real_frame:
+    parts = [f"simulated points in metres (they are in {candidate.unit})"] if candidate.unit else []
+    present = settings.frame_of("real"), settings.frame_of("sim")
+    real_frame, sim_frame, new_motion = _frames_and_motion(candidate.M, *present, motion)
+    if real_frame != present[0]:
         parts.append(f"input.real_frame={real_frame}")
-    if sim_frame != placement.sim_frame:
-        parts += ["input.sim_flip_y=false"] if placement.flip_y else []
-        parts += [f"input.sim_frame={sim_frame}"] if sim_frame != "ros" or not placement.flip_y else []
-    if not np.allclose(motion, placement.motion, atol=1e-9):
-        numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(motion, 5).ravel())
+    if sim_frame != present[1]:
+        parts += ["input.sim_flip_y=false"] if settings.sim_flip_y else []
+        parts += [f"input.sim_frame={sim_frame}"] if sim_frame != "ros" or not settings.sim_flip_y else []
+    if not np.allclose(new_motion, motion, atol=1e-9):
+        numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(new_motion, 5).ravel())
         parts.append(f'T_real_sim "{numbers}" in the manifest')
     return " and ".join(parts)
 
 
-def _frames_and_motion(M: FloatArray, placement: _Placement) -> tuple[FrameName, FrameName, FloatArray]:
+def _frames_and_motion(
+    M: FloatArray, real: FrameName, sim: FrameName, motion: FloatArray
+) -> tuple[FrameName, FrameName, FloatArray]:
     """Frames of both sides and T_real_sim that place the simulated scan as M does; only frames if possible.
 
     With p_ros = F p on each side, M F_sim q coincides with F_real p. Other frames F' have the same effect with [R | t']
     if F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; the fewest frames are changed.
     """
-    R, real, sim = placement.motion[:, :3], placement.real_frame, placement.sim_frame
+    R = motion[:, :3]
     reals = sorted(_FRAMES, key=lambda name: name == "carla")  # real sensors are right-handed, if anything else fits
     candidates = [(real, sim), *((real, name) for name in _FRAMES), *((name, sim) for name in reals)]
     for own_real, own_sim in [*candidates, *((a, b) for a in reals for b in _FRAMES)]:
@@ -386,11 +363,6 @@ def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArr
     _, first = np.unique(voxel_ids(near, VOXEL_M), return_index=True)
     own = settings.model_copy(update={"include_box": None})
     return clean_scan(near[np.sort(first)], own, frame=settings.frame_of(side)).points
-
-
-def _some(n: int) -> IndexArray:
-    """Rows of a random sample of at most `MAX_POINTS`; a regular one would follow the rings of the scan."""
-    return np.sort(np.random.default_rng(0).permutation(n)[:MAX_POINTS])
 
 
 def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
