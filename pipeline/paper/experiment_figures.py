@@ -10,7 +10,7 @@ import numpy as np
 
 from ...schemas.metric_catalogue import metric_of
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.generate.perturbations import Perturbation
+from ...stages.generate.perturbations import KINDS, Perturbation
 from ...stages.paper.sweep_means import Means
 from ..report.figures.style import (
     VIEW,
@@ -30,13 +30,6 @@ from .perturb import PerturbOutcome, object_points
 
 _TOP_IN, _ROW_IN = 3.0, 2.3
 _MAX_OBJECTS = 4
-_ALTERATIONS = {
-    "noise": "noise, standard deviation (m)",
-    "dropout": "dropout, share of points lost",
-    "hallucination": "hallucination, share of points added",
-    "density": "local density, factor",
-}
-_LOGARITHMIC = ("noise", "density")
 _OBJECT_COLOURS = {"vegetation": GREEN, "car": VERMILION, "tree": ORANGE, "wall": BLUE}
 _OTHER_COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
 _MARKERS = "os^Dvp"
@@ -48,7 +41,8 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     """Write `perturb.png` into the folder; returns None if there is nothing to draw."""
     if not outcome.objects:
         return None
-    curves = [kind for kind in _ALTERATIONS if any(level.kind == kind for level in outcome.levels)]
+    swept = {level.kind for level in outcome.levels}
+    curves = [name for name, kind in KINDS.items() if kind.axis and name in swept]
     scan = outcome.objects[0].pair_id
     shown = [chosen for chosen in outcome.objects if chosen.pair_id == scan][:_MAX_OBJECTS]
     points, community = object_points(outcome.folder, scan)
@@ -130,11 +124,11 @@ def _draw_curves(axis: Any, means: Means, levels: Sequence[Perturbation], metric
         known = [(amount, score.mean, score.std or 0.0) for amount, score in curve if score.mean is not None]
         if known:
             draw_band(axis, *np.array(known).T, marker=marker, color=colour, label=shown_name(name))
-    kind = levels[0].kind
-    if kind in _LOGARITHMIC and levels[0].amount > 0:
-        axis.set_xscale("log", base=2 if kind == "density" else 10)
+    kind = KINDS[levels[0].kind]
+    if kind.base and levels[0].amount > 0:
+        axis.set_xscale("log", base=kind.base)
     mark_amounts(axis, [level.amount for level in levels])
-    axis.set(xlabel=_ALTERATIONS[kind], ylabel=metric)
+    axis.set(xlabel=kind.axis, ylabel=metric)
 
 
 def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ...schemas.metric_catalogue import METRIC, PaperMean, labels, metric_of, narrow_labels
-from ...stages.generate.perturbations import Perturbation
+from ...stages.generate.perturbations import KINDS, Perturbation
 from ...stages.paper.paper_values import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
 from ...stages.paper.parameter_choice import RULE
 from ...stages.paper.sweep_claims import check_sweep_claims
@@ -16,22 +16,6 @@ from .ablate import PARAMETERS, AblateOutcome, choose, influences
 from .experiment import ExperimentOutcome
 from .perturb import PerturbOutcome
 
-_LEVELS = {
-    "null": "null, {0.amount:g} point less",
-    "noise": "noise {0.amount:g} m",
-    "dropout": "dropout {0.amount:.0%}",
-    "rigid": "rigid {0.shift_m:g} m, {0.amount:g}°",
-    "hallucination": "hallucination +{0.amount:.0%}",
-    "density": "density x {0.amount:g}",
-}
-_NARROW_LEVELS = {
-    "null": "null\n-{:g}",
-    "noise": "noise\n{:g} m",
-    "dropout": "drop\n{:.0%}",
-    "rigid": "rigid\n{:g}°",
-    "hallucination": "added\n{:.0%}",
-    "density": "dens.\nx {:g}",
-}
 _ROUNDING = 1e-12
 #: The parts of r_lambda, and other scores.
 _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
@@ -96,7 +80,7 @@ def _level_table(
 ) -> Table:
     """One row per level and a line after each kind; only the names of the levels never break into lines."""
     levels = outcome.levels
-    rows = [(_LEVELS[level.kind].format(level), *cells(level)) for level in levels]
+    rows = [(KINDS[level.kind].text.format(level), *cells(level)) for level in levels]
     last = {level.kind: i for i, level in enumerate(levels)}
     return Table(title, ("altered by", *columns), rows, fixed=(0,), ruled=last.values())
 
@@ -145,10 +129,10 @@ def _detail_table(outcome: PerturbOutcome, means: Means) -> Table:
 
 
 def _reaction_table(outcome: PerturbOutcome) -> Table:
-    levels = [_NARROW_LEVELS[level.kind].format(level.amount) for level in strongest_levels(outcome.levels)]
+    levels = [KINDS[level.kind].heading.format(level.amount) for level in strongest_levels(outcome.levels)]
     rows = []
     for reaction in react(outcome.means, outcome.levels):
-        most = _NARROW_LEVELS[reaction.most.kind].partition("\n")[0] if reaction.most else ""
+        most = KINDS[reaction.most.kind].heading.partition("\n")[0] if reaction.most else ""
         rows.append((reaction.metric, *map(_number, reaction.values), most))
     title = "Reaction of each metric: means over the objects at the strongest level of each kind"
     words = (0, len(levels) + 1)

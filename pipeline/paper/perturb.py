@@ -48,16 +48,6 @@ LEVELS = (
     *(Perturbation("density", factor) for factor in (0.25, 0.5, 2.0, 4.0)),
 )
 
-#: Smallest and largest amount of each kind.
-_BOUNDS = {
-    "null": (0, 100),
-    "noise": (0, 10),
-    "dropout": (0, 0.99),
-    "rigid": (-180, 180),
-    "hallucination": (0, 10),
-    "density": (0, 20),
-}
-
 
 @dataclass(frozen=True, kw_only=True)
 class PerturbOutcome(ExperimentOutcome):
@@ -179,7 +169,7 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
 
 def _level(word: str, kind: str, text: str) -> Perturbation:
     shift, colon, amount = text.rpartition(":")
-    low, high = _BOUNDS[kind]
+    low, high = KINDS[kind].low, KINDS[kind].high
     try:
         level = Perturbation(kind, float(amount), float(shift) if colon else 0.0)
     except ValueError:

@@ -6,6 +6,7 @@ them, so their definitions are ours.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,27 @@ class Perturbation:
     shift_m: float = 0.0
 
 
+@dataclass(frozen=True)
+class PerturbationKind:
+    """One kind of perturbation.
+
+    alter : function of points, amount, for rigid motion the translation, and a random generator
+    low, high : bounds of the amount
+    text : name of a level in tables, with {0} for the `Perturbation`
+    heading : name of a level in narrow columns, with {} for the amount
+    axis : label of the amount in figures; "" if no curve is drawn
+    base : of a logarithmic axis; 0 for a linear one
+    """
+
+    alter: Callable[..., FloatArray]
+    low: float
+    high: float
+    text: str
+    heading: str
+    axis: str = ""
+    base: int = 0
+
+
 def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> FloatArray:
     """The altered points, (m, 3); remaining points keep their order (except for `null`), new ones follow.
 
@@ -54,9 +76,8 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
     >>> len(perturb(line, Perturbation("dropout", 0.4), np.random.default_rng(0)))
     7
     """
-    if perturbation.kind == "rigid":
-        return move_rigidly(points, perturbation.amount, perturbation.shift_m, rng)
-    return _ALTER[perturbation.kind](points, perturbation.amount, rng)
+    second = (perturbation.shift_m,) if perturbation.kind == "rigid" else ()
+    return KINDS[perturbation.kind].alter(points, perturbation.amount, *second, rng)
 
 
 def reorder(points: FloatArray, n_lost: float, rng: Generator) -> FloatArray:
@@ -200,11 +221,21 @@ def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray
     return chosen
 
 
-_ALTER = {
-    "noise": add_noise,
-    "dropout": drop_points,
-    "hallucination": add_clusters,
-    "density": change_density,
-    "null": reorder,
+#: Kinds of perturbations by name.
+KINDS = {
+    "noise": PerturbationKind(
+        add_noise, 0, 10, "noise {0.amount:g} m", "noise\n{:g} m", "noise, standard deviation (m)", base=10
+    ),
+    "dropout": PerturbationKind(
+        drop_points, 0, 0.99, "dropout {0.amount:.0%}", "drop\n{:.0%}", "dropout, share of points lost"
+    ),
+    "rigid": PerturbationKind(move_rigidly, -180, 180, "rigid {0.shift_m:g} m, {0.amount:g}°", "rigid\n{:g}°"),
+    "hallucination": PerturbationKind(
+        *(add_clusters, 0, 10, "hallucination +{0.amount:.0%}", "added\n{:.0%}"),
+        "hallucination, share of points added",
+    ),
+    "density": PerturbationKind(
+        change_density, 0, 20, "density x {0.amount:g}", "dens.\nx {:g}", "local density, factor", base=2
+    ),
+    "null": PerturbationKind(reorder, 0, 100, "null, {0.amount:g} point less", "null\n-{:g}"),
 }
-KINDS = ("noise", "dropout", "rigid", "hallucination", "density", "null")
