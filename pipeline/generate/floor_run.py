@@ -17,10 +17,9 @@ import pyarrow.parquet as pq
 
 from ...schemas.errors import DatasetError, RunError, ScanError
 from ...schemas.settings import FARTHEST_M, FrameName, InputSettings, Settings
-from ...stages.arrays import FloatArray, IndexArray
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import fill_gaps, remeasure
-from ...stages.inspect.sensor_description import describe_with_gaps
+from ...stages.inspect.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
 from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
@@ -244,9 +243,9 @@ def _remeasure(task: _Task) -> None:
         return
     clean, recipe = clean_scan(scan.points, _ALL), task.recipe
     rng = np.random.default_rng([recipe.seed, *task.pair_id.encode()])
-    noise_m, lost_share, reason, filled, filled_ids = _amounts(task, scan)
-    returns = np.concatenate([clean.points, filled])
-    points, kept = remeasure(returns, noise_m, lost_share, rng)
+    noise_m, lost_share, reason, gaps = _amounts(task, scan)
+    filled, filled_ids = fill_gaps(scan.points, gaps.rows, gaps.n_lost)
+    points, kept = remeasure(np.concatenate([clean.points, filled]), noise_m, lost_share, rng)
     rows = np.concatenate([clean.point_ids, filled_ids])[kept]
     columns = dict(zip("xyz", points.T, strict=True))
     columns |= {} if scan.labels is None else {"label": scan.labels[rows]}
@@ -258,19 +257,18 @@ def _remeasure(task: _Task) -> None:
     write_whole(task.path, content.getbuffer())
 
 
-def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str, FloatArray, IndexArray]:
-    """Noise and losses of a measurement, the reason if one of them cannot be measured, and returns of lost pulses.
+def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str, SurfaceGaps]:
+    """Noise and losses of a measurement, the reason if one of them cannot be measured, and the gaps that it fills.
 
     A second measurement loses other pulses than the first. If losses are those of the scan, the pulses that it lost
-    within surfaces return, each with the row of a neighbour; otherwise losses would add up to twice the share.
+    within surfaces return; otherwise losses would add up to twice the share.
     """
     noise_m, lost_share = task.recipe.noise_m, task.recipe.lost_share
-    filled, rows = np.empty((0, 3)), np.empty(0, dtype=np.intp)
     if AS_MEASURED not in (noise_m, lost_share):
-        return float(noise_m), float(lost_share), "", filled, rows
+        return float(noise_m), float(lost_share), "", NO_GAPS
     sensor, gaps = describe_with_gaps(as_ros(scan.points, task.frame), scan.rings)
-    if lost_share == AS_MEASURED and sensor.lost_in_all is not None:
-        filled, rows = fill_gaps(scan.points, gaps.rows, gaps.n_lost)
+    if lost_share != AS_MEASURED or sensor.lost_in_all is None:
+        gaps = NO_GAPS
     reasons, amounts = [], []
     for name, amount, measured, default in (
         ("range_noise_m", noise_m, sensor.range_noise_m, DEFAULT_NOISE_M),
@@ -279,7 +277,7 @@ def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str, FloatArray, In
         reasons += [sensor.untold[name]] if amount == AS_MEASURED and measured is None else []
         usual = default if measured is None else measured
         amounts.append(float(usual if amount == AS_MEASURED else amount))
-    return amounts[0], amounts[1], "; ".join(dict.fromkeys(reasons)), filled, rows
+    return amounts[0], amounts[1], "; ".join(dict.fromkeys(reasons)), gaps
 
 
 def _row(pair: ScanPair, source: ScanPair, names: dict[str, str]) -> tuple[str, ...]:

@@ -90,7 +90,12 @@ class SideSamples:
                 f"{medians['sim']} simulated, after cleaning; was the sensor on, are its columns right?"
             )
             return lines
-        moved = {side: moved_m(self._in_stretches(side)) for side in SIDES}
+        moved = {
+            side: moved_m(
+                [[own[pair.pair_id] for pair in stretch if pair.pair_id in own] for stretch in self._stretches]
+            )
+            for side, own in self._places.items()
+        }
         if static := find_static_side(moved["real"], moved["sim"]):
             other = "sim" if static == "real" else "real"
             lines.append(
@@ -103,14 +108,12 @@ class SideSamples:
             lines += self._ego_hits(side, moved[side])
         return lines
 
-    def _in_stretches(self, side: str) -> list[list[SequenceScan]]:
-        known = self._places[side]
-        return [[known[pair.pair_id] for pair in stretch if pair.pair_id in known] for stretch in self._stretches]
-
     def _time_offset(self) -> list[str]:
-        stretches = [[pair for pair in own if self._has_both(pair)] for own in self._stretches]
+        real, sim = (self._places[side] for side in SIDES)
+        known = real.keys() & sim.keys()
+        stretches = [[pair for pair in stretch if pair.pair_id in known] for stretch in self._stretches]
         found = find_time_offset(
-            [tuple([self._places[side][pair.pair_id] for pair in own] for side in SIDES) for own in stretches]  # type: ignore[misc]
+            [([real[pair.pair_id] for pair in own], [sim[pair.pair_id] for pair in own]) for own in stretches]
         )
         if found is None:
             return []
@@ -124,9 +127,6 @@ class SideSamples:
             f"{found.frames:+d}, {found.as_paired_m:.2f} m from their own (better in {found.n_better} of {found.n}); "
             "is fidpipe pair's --offset right, or is the simulated sensor mounted farther ahead or back?"
         ]
-
-    def _has_both(self, pair: ScanPair) -> bool:
-        return all(pair.pair_id in self._places[side] for side in SIDES)
 
     def _ego_hits(self, side: str, side_moved_m: float) -> list[str]:
         scans = self._points[side]

@@ -43,8 +43,12 @@ def make_global(own: Inputs) -> JobResult:
         if len(altered) < MIN_OBJECT_POINTS:
             row["reason"] = f"expected at least {MIN_OBJECT_POINTS} points, got {len(altered)}"
         else:
-            chosen = _with_seed(settings, row["seed"]) if row["kind"] == "null" else settings
-            altered_scan = partition(altered, chosen, reference=scan.reference)
+            if row["kind"] == "null":  # with another Louvain seed
+                communities = settings.communities.model_copy(update={"seed": row["seed"] % 2**31})
+                used = Settings(graph=settings.graph, communities=communities, pieces=settings.pieces)
+            else:
+                used = settings
+            altered_scan = partition(altered, used, reference=scan.reference)
             summary = compare(scan, altered_scan, settings).summary  # the unaltered scan is the real side
             row |= {name: summary[name] for name in _SUMMARY}
             row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
@@ -87,12 +91,6 @@ def make_baselines(own: Inputs) -> JobResult:
             number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
             rows.append(row | {"baseline": baseline.name} | number)
     return JobResult({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
-
-
-def _with_seed(settings: Settings, seed: int) -> Settings:
-    """The settings with a Louvain seed derived from the seed of a repeat."""
-    communities = settings.communities.model_copy(update={"seed": seed % 2**31})
-    return Settings(graph=settings.graph, communities=communities, pieces=settings.pieces)
 
 
 def _unaltered_scan(own: Inputs) -> PartitionedScan:

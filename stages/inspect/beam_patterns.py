@@ -27,6 +27,7 @@ _MIN_RETURNS = 8
 _EXACT_DEG = 0.06
 _AS_MANY = 3  # beams more or less
 _STEP_TOLERANCE = 0.015
+_HALVED_FROM = 64  # beams of a sensor of which a scan may have every second one
 _FIT = 0.25  # of the distance of neighbouring beams
 
 
@@ -182,13 +183,9 @@ def _tables() -> Iterator[tuple[str, FloatArray, SensorModel]]:
     for sensor in SENSORS.values():
         table = np.sort(np.array(sensor.elevation_deg))
         yield sensor.title, table, sensor
-        if _is_worth_halving(sensor):
+        if sensor.n_beams >= _HALVED_FROM:
             for first in (0, 1):
                 yield f"every second beam of {sensor.title}", table[first::2], sensor
-
-
-def _is_worth_halving(sensor: SensorModel) -> bool:
-    return sensor.n_beams >= 64
 
 
 def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern) -> float:

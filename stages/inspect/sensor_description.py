@@ -83,6 +83,9 @@ class SurfaceGaps:
     n_lost: IndexArray
 
 
+NO_GAPS = SurfaceGaps(np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp))
+
+
 def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: bool = False) -> SensorDescription:
     """Describe the sensor of a scan from its points, see `describe_with_gaps`."""
     return describe_with_gaps(points, ring, has_time)[0]
@@ -109,18 +112,18 @@ def describe_with_gaps(
     has_time : the file has a time for each point
     """
     is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
-    returns, no_gaps = np.flatnonzero(is_return), SurfaceGaps(np.empty((0, 2), np.intp), np.empty(0, np.intp))
+    returns = np.flatnonzero(is_return)
     points, ring = points[is_return], None if ring is None else ring[is_return]
     sensor = SensorDescription(len(points), has_ring=ring is not None, has_time=has_time)
     if len(points) < _MIN_POINTS:
-        return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed"), no_gaps
+        return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed"), NO_GAPS
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
     sensor = replace(sensor, field_of_view_deg=view)
     pattern = find_beams(points, ring)
     if isinstance(pattern, str):
-        return _undetected(sensor, pattern), no_gaps
+        return _undetected(sensor, pattern), NO_GAPS
     untold = {}
     sweep = _by_beam(points, pattern)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)

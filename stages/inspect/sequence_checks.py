@@ -189,7 +189,10 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
     """
     if len(scans) < _MIN_SCANS:
         return None
-    near = [_near(points, ground_m) for points in scans]
+    near = [
+        points[(np.hypot(points[:, 0], points[:, 1]) < _AROUND_M) & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)]
+        for points in scans
+    ]
     trees = [cKDTree(own) for own in near]
     hits = [_staying(own, [*trees[:i], *trees[i + 1 :]]) for i, own in enumerate(near)]
     share = float(np.mean([len(own) / max(len(points), 1) for own, points in zip(hits, scans, strict=True)]))
@@ -217,11 +220,6 @@ def _apart(points: FloatArray, tree: cKDTree) -> FloatArray:
     distance, _ = tree.query(points, distance_upper_bound=_FARTHEST_M) if len(points) else (np.empty(0), None)
     cut: FloatArray = np.minimum(distance, _FARTHEST_M)
     return cut
-
-
-def _near(points: FloatArray, ground_m: float) -> FloatArray:
-    is_near = np.hypot(points[:, 0], points[:, 1]) < _AROUND_M
-    return points[is_near & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)]
 
 
 def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:

@@ -207,45 +207,6 @@ def nearest(points: FloatArray, i: int, k: int, ties: str = "point_id") -> list[
     return candidates[:k]
 
 
-def graph(
-    points: FloatArray, k: int, tau_m: float, rule: str = "union", ties: str = "point_id"
-) -> dict[tuple[int, int], np.float32]:
-    """Length of each edge (i, j), i < j, rounded to float32.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres
-    k, tau_m, rule, ties : as in the settings of the graph
-    """
-    knn, near = set(), set()
-    for i in range(len(points)):
-        knn |= {(min(i, j), max(i, j)) for j in nearest(points, i, k, ties)}
-        within = np.flatnonzero(distances(points, points[i]) <= tau_m)
-        near |= {(min(i, j), max(i, j)) for j in within.tolist() if j != i}
-    edges = knn | near if rule == "union" else knn & near
-    return {(i, j): np.float32(distances(points[j : j + 1], points[i])[0]) for i, j in sorted(edges)}
-
-
-def adjacency(n: int, edges: Mapping[tuple[int, int], float]) -> FloatArray:
-    """Matrix of edge lengths, (n, n)."""
-    A = np.zeros((n, n))
-    for (i, j), length in edges.items():
-        A[i, j] = A[j, i] = length
-    return A
-
-
-def modularity(A: FloatArray, labels: FloatArray) -> float:
-    """Modularity Q by its double sum.
-
-    Parameters
-    ----------
-    A, labels : (n, n) edge lengths, (n,) community of each node
-    """
-    k, two_m = A.sum(axis=1), A.sum()
-    same = np.equal.outer(labels, labels)
-    return float(((A - np.outer(k, k) / two_m) * same).sum() / two_m)
-
-
 def louvain(n_nodes: int, src: IndexArray, dst: IndexArray, length_m: FloatArray, order: IndexArray) -> list[int]:
     """Communities by scikit-network's Louvain with nodes visited in a given order.
 
