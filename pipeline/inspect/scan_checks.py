@@ -22,8 +22,7 @@ from ..datasets.readers.scan import Scan
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from .frame_checks import pair_warnings, shared_files, swapped_sides
-from .sensor_checks import SensorCheck, SensorSamples
-from .side_checks import SideSamples
+from .side_checks import SensorCheck, SideSamples
 
 
 @dataclass(frozen=True)
@@ -99,12 +98,9 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     names, own = dataset.label_names, settings.input
     checks = _check_pairs(dataset.pairs, own, names)
     samples = SideSamples(dataset.pairs, own)
-    sensors = SensorSamples(samples.pair_ids, own)
     for pair, check in zip(dataset.pairs, checks, strict=True):
         if pair.pair_id in samples.pair_ids:
-            scans = {side: _read(pair, side, scan, own, names) for side, scan in check.sides.items()}
-            samples.add(pair, scans)
-            sensors.add(pair, scans)
+            samples.add(pair, {side: _read(pair, side, scan, own, names) for side, scan in check.sides.items()})
     pairs = [(pair, check.sides) for pair, check in zip(dataset.pairs, checks, strict=True)]
     faults, warnings = [], [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
     warnings += shared_files(
@@ -117,7 +113,7 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         warnings += pair_warnings(pair, found, check.frames)
     counts = {side: [check.sides[side].n_clean for check in checks if side in check.sides] for side in SIDES}
     warnings += samples.warnings(counts)
-    return DatasetCheck(folder, pairs, sensors.check(), samples.notes(), faults, warnings)
+    return DatasetCheck(folder, pairs, samples.sensors(), samples.notes(), faults, warnings)
 
 
 def check_scan(

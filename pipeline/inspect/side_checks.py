@@ -1,4 +1,4 @@
-"""Checks of a side as a whole: late, standing still, nearly empty, hits on the ego vehicle, times of points.
+"""Checks of a side as a whole: sensor, late, standing still, nearly empty, ego-vehicle hits, times of points.
 
 Based on a few scans: two stretches of five neighbouring pairs, a quarter into the dataset and before its last quarter.
 """
@@ -6,6 +6,7 @@ Based on a few scans: two stretches of five neighbouring pairs, a quarter into t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ...schemas.columns import SIDES
 from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
+from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, differences, unlike_others
 from ...stages.inspect.sequence_checks import (
     MAX_FRAMES_LATE,
     EgoHits,
@@ -33,6 +35,22 @@ _WITH_STAMPS = 2  # pairs
 _NAMES = {"real": "real", "sim": "simulated"}
 
 
+@dataclass(frozen=True)
+class SensorCheck:
+    """Sensors of both sides.
+
+    pair_ids : pairs whose scans were described
+    sides : by side, the most frequent sensor; a side none of whose files can be read is left out
+    differences : one line for each property in which the sides differ
+    unlike : one line for each scan whose sensor is not that of the other scans of its side
+    """
+
+    pair_ids: tuple[str, ...]
+    sides: dict[str, SensorDescription]
+    differences: list[str]
+    unlike: list[str]
+
+
 class SideSamples:
     """Samples from the scans of a few pairs, and the checks of both sides with them.
 
@@ -48,13 +66,19 @@ class SideSamples:
         self._points: dict[str, dict[str, FloatArray]] = {side: {} for side in SIDES}  # clean, own frame, z up
         self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
         self._stamps: dict[str, StampCheck] = {}
+        self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
         """Add the samples of a pair; scans that could not be read have no points."""
+        if pair.pair_id not in self.pair_ids:
+            return
         for side, scan in scans.items():
             frame = self._settings.frame_of(side)
+            own_axes = as_ros(scan.points, frame)  # neither cleaned nor moved: beams are those of its frame
+            if len(scan.points):
+                self._sensors[side][pair.pair_id] = describe_sensor(own_axes, scan.rings, scan.times_s is not None)
             if pair.pair_id in self._with_stamps and scan.times_s is not None and side not in self._stamps:
-                self._stamps[side] = describe_stamps(scan.times_s, as_ros(scan.points, frame), scan.stamp_s)
+                self._stamps[side] = describe_stamps(scan.times_s, own_axes, scan.stamp_s)
             if pair.pair_id in self._sampled:
                 own = self._settings.model_copy(update={"include_box": None})
                 points = clean_scan(scan.points, own, frame=frame).points
@@ -63,6 +87,18 @@ class SideSamples:
                     T = np.array(pair.T_real_sim).reshape(3, 4)
                     points = points @ T[:, :3].T + T[:, 3]
                 self._places[side][pair.pair_id] = SequenceScan(points)
+
+    def sensors(self) -> SensorCheck:
+        """Compare the sensors of both sides, and those of each side among its pairs."""
+        sides, unlike = {}, []
+        for side, sensors in self._sensors.items():
+            if sensors:
+                usual, lines = unlike_others(sensors)
+                sides[side] = sensors[usual]
+                unlike += [f"{_NAMES[side]} scan of pair {line}" for line in lines]
+        found = differences(sides["real"], sides["sim"]) if len(sides) == len(SIDES) else []
+        pair_ids = sorted({pair_id for sensors in self._sensors.values() for pair_id in sensors})
+        return SensorCheck(tuple(pair_ids), sides, found, unlike)
 
     def notes(self) -> list[str]:
         """Notes on the times of points, one line for each side that has them."""

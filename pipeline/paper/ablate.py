@@ -24,7 +24,7 @@ from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...stages.arrays import FloatArray
 from ...stages.method import Memo, compare, n_communities, partition
-from ...stages.paper.parameter_choice import Choice, Influence, ParameterSet, Trial, choose_parameters, influence
+from ...stages.paper.parameter_choice import Choice, Influence, ParameterSet, Trial, choose_parameters
 from ..datasets.readers import is_scan_path
 from ..engine.engine import Machines
 from ..engine.plan import Part
@@ -192,13 +192,14 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
 
 def influences(outcome: AblateOutcome) -> list[Influence]:
     """The influence of each parameter on match rate and r_lambda; requires two pairs and two values of it."""
-    moves = (
-        influence(name, metric, outcome.scores(metric, tried), tried.index(outcome.base))
-        for name in PARAMETERS
-        for tried in [outcome.along(name)]
-        for metric in ("match_rate", "r_lambda_mean")
-    )
-    return [move for move in moves if move is not None]
+    found = []
+    for name, metric in product(PARAMETERS, ("match_rate", "r_lambda_mean")):
+        tried = outcome.along(name)
+        values = outcome.scores(metric, tried)
+        if min(values.shape) > 1:
+            spread = float(values[:, tried.index(outcome.base)].std(ddof=1))
+            found.append(Influence(name, metric, float(np.ptp(values.mean(axis=0))), spread))
+    return found
 
 
 def parameters_of(settings: Settings) -> ParameterSet:

@@ -56,8 +56,8 @@ def stages_of(pair: StoredPair) -> list[Stage]:
 def rows(pair: StoredPair) -> Parts:
     """Names of pair and side in the rows of every table, and their order by the keys, without duplicates."""
     versions = pair.run.record.stages
-    of_today = [stage for stage in stages_of(pair) if versions.get(stage.name, stage.version) == stage.version]
-    for table, side in [(table, side) for stage in of_today for side in stage.parts for table in stage.gives]:
+    unchanged = [stage for stage in stages_of(pair) if versions.get(stage.name, stage.version) == stage.version]
+    for table, side in [(table, side) for stage in unchanged for side in stage.parts for table in stage.gives]:
         frame = pair.table(table, side)
         names = {"pair_id": pair.pair_id} | ({"side": side} if side else {})
         stored: Row = {f"{table}.{name}": int((frame[name] != own).sum()) for name, own in names.items()}

@@ -38,7 +38,7 @@ _OBJECTS_PER_WHOLE_PAIR = 20
 _MAX_LISTED = 5
 
 #: Compared values of each table, in the order of the report.
-WORDS = {
+COMPARED = {
     "files": "unchanged content (SHA-256)",
     "rows": "names of pair and side, order by keys, no duplicates",
     "scan": "points kept of the scan, and their coordinates",
@@ -179,7 +179,7 @@ class _Tally:
     def check(self, table: str) -> TableCheck:
         """Result of a table, created if necessary."""
         self.mismatches.setdefault(table, [])
-        return self.checks.setdefault(table, TableCheck(table, WORDS[table]))
+        return self.checks.setdefault(table, TableCheck(table, COMPARED[table]))
 
     def reject(self, table: str, pair_id: str, why: str) -> None:
         """Count an unusable table as a mismatch."""
@@ -257,7 +257,7 @@ def verify_run(
     not_compared = [*_not_compared(tally, tables, n_whole, len(drawn)), *scans.faults]
     for check in tally.checks.values():
         check.columns = tally.columns(check.table)
-    order = [table for table in WORDS if table in tally.checks]
+    order = [table for table in COMPARED if table in tally.checks]
     return Verification(
         run=folder,
         seed=seed,
@@ -398,7 +398,7 @@ def _summary(run: FinishedRun, settings: Settings) -> Iterator[Part]:
     """Counts of pairs, means and deviations over pairs in `run.json`, from the rows of `pairs`."""
     scored, counts = run.scored, run.record.pairs
     stored: Row = {"pairs.scored": counts.scored, "pairs.failed": counts.failed}
-    made: Row = {"pairs.scored": len(scored), "pairs.failed": len(run.rows) - len(scored)}
+    expected: Row = {"pairs.scored": len(scored), "pairs.failed": len(run.rows) - len(scored)}
     columns = {name: [row[name] for row in scored] for name in RUN_SCORES}
     for name in DISTRIBUTED:
         columns[unmatched_worst(name)] = []
@@ -411,13 +411,13 @@ def _summary(run: FinishedRun, settings: Settings) -> Iterator[Part]:
         summary, (mean, std) = run.record.summary.get(name), mean_and_std(own)
         n_pairs = sum(value is not None for value in own)
         for key, value in {"mean": mean, "std": std, "n_pairs": n_pairs}.items():
-            stored[f"summary.{name}.{key}"], made[f"summary.{name}.{key}"] = getattr(summary, key, None), value
-    yield values("run.json", stored, made)
+            stored[f"summary.{name}.{key}"], expected[f"summary.{name}.{key}"] = getattr(summary, key, None), value
+    yield values("run.json", stored, expected)
 
 
 def _unmatched(run: FinishedRun, settings: Settings) -> Iterator[Part]:
     """Number of unmatched objects that the other side has, has partly, or lacks, and of those that are road there."""
-    made = {f"{word}.{state}": 0 for word in UNMATCHED.values() for state in ("there", "partly", "absent", "road")}
+    expected = {f"{word}.{state}": 0 for word in UNMATCHED.values() for state in ("there", "partly", "absent", "road")}
     for own in run.scored:
         rows = run.read_table("coverage", own["pair_id"]).to_pylist()
         coverage = {(row["side"], row["community_id"]): row for row in rows}
@@ -426,10 +426,10 @@ def _unmatched(run: FinishedRun, settings: Settings) -> Iterator[Part]:
                 if match["status"] == word:
                     row = coverage[side, match[f"{side}_id"]]
                     share = row["covered_0p3m"]
-                    made[f"{word}.{'there' if share > 0.8 else 'partly' if share > 0.2 else 'absent'}"] += 1
-                    made[f"{word}.road"] += (row["road_share"] or 0) > 0.5
+                    expected[f"{word}.{'there' if share > 0.8 else 'partly' if share > 0.2 else 'absent'}"] += 1
+                    expected[f"{word}.road"] += (row["road_share"] or 0) > 0.5
     unmatched = run.record.metrics and run.record.metrics.unmatched
-    for name, n in made.items():
+    for name, n in expected.items():
         word, state = name.split(".")
         column, stored = f"metrics.unmatched.{name}", getattr(unmatched, word)
         yield values("run.json", {column: getattr(stored, state)}, {column: n})
@@ -445,16 +445,16 @@ def _baseline_means(run: FinishedRun, settings: Settings) -> Iterator[Part]:
             of_pair.setdefault((row["baseline"], level), []).append(row["value"])
         for name, own_values in of_pair.items():
             of_pairs.setdefault(name, []).append(own_values)
-    made = []
+    expected = []
     for (baseline, level), pairs in of_pairs.items():
         mean, std = mean_and_std([mean_and_std(own_values)[0] for own_values in pairs])
         n_null = sum(own_values.count(None) for own_values in pairs)
         n = sum(map(len, pairs)) - n_null
-        made.append({"baseline": baseline, "level": level, "mean": mean, "std": std, "n": n, "n_null": n_null})
+        expected.append({"baseline": baseline, "level": level, "mean": mean, "std": std, "n": n, "n_null": n_null})
     keys = ["baseline", "level"]
     columns = [*keys, "mean", "std", "n", "n_null"]
     rows = [{name: getattr(summary, name) for name in columns} for summary in run.record.baselines]
-    stored, recomputed = (pd.DataFrame(own, columns=columns).set_index(keys) for own in (rows, made))
+    stored, recomputed = (pd.DataFrame(own, columns=columns).set_index(keys) for own in (rows, expected))
     yield Part("run.json", stored, recomputed)
 
 

@@ -20,7 +20,7 @@ _FARTHER_M = 1.0  # returns that are used for heights, and for beams if the heig
 _BIN_DEG = 0.01
 _WIDTHS_DEG = (0.02, 0.04, 0.08)
 _GAIN = 0.1  # of mean log density, required for a further height
-_SHARP, _TOLD = 0.9, 0.75
+_SHARP, _RECOGNISABLE = 0.9, 0.75  # explained shares
 _SECTOR_DEG = 60.0
 _MIN_BEAMS = 8
 _MIN_RETURNS = 8
@@ -85,8 +85,8 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     pattern = _find_from(0.0, points, ring)
     if not isinstance(pattern, str) and recognise(pattern).title:
         return pattern
-    n_told = None if isinstance(pattern, str) else len(pattern.elevation_deg)
-    sensors = [known for known in SENSORS.values() if n_told is None or abs(known.n_beams - n_told) <= _AS_MANY]
+    n_found = None if isinstance(pattern, str) else len(pattern.elevation_deg)
+    sensors = [known for known in SENSORS.values() if n_found is None or abs(known.n_beams - n_found) <= _AS_MANY]
     for focal_m in sorted({sensor.focal_m for sensor in sensors} - {0.0}):
         other = _find_from(focal_m, points, ring)
         if not isinstance(other, str) and recognise(other).title:
@@ -114,14 +114,16 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
     for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
         is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
         found.append(_read(tangent[is_in], nearness[is_in]) if is_in.sum() >= 1000 else None)
-    told = [
-        replace(each, is_sharp=False) for each in found if each and each.explained >= _TOLD and recognise(each).title
+    recognised = [
+        replace(each, is_sharp=False)
+        for each in found
+        if each and each.explained >= _RECOGNISABLE and recognise(each).title
     ]
-    if not told:
+    if not recognised:
         return (
             "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
         )
-    return max(told, key=lambda pattern: pattern.explained)
+    return max(recognised, key=lambda pattern: pattern.explained)
 
 
 class Recognition(NamedTuple):

@@ -110,17 +110,20 @@ def offset(planes: Iterable[Plane], sim: FloatArray) -> Offset:
     own = [plane for plane in planes if plane.is_plane]
     t, is_seen, axes, n_points = np.zeros(3), np.zeros(3, dtype=bool), np.eye(3), 0
     for _ in range(_MAX_STEPS):
-        squares, wanted, n_points = np.zeros((3, 3)), np.zeros(3), 0
+        squares, targets, n_points = np.zeros((3, 3)), np.zeros(3), 0
         for plane in own:
             apart = distances(sim, plane.point + t)
             i = int(apart.argmin())
             if apart[i] <= _REACH_M:
                 squares += np.outer(plane.normal, plane.normal)
-                wanted += plane.normal * (plane.normal @ (sim[i] - plane.point))
+                targets += plane.normal * (plane.normal @ (sim[i] - plane.point))
                 n_points += 1
         sizes, axes = np.linalg.eigh(squares)
         is_seen = (sizes >= _MIN_SHARE * n_points) & (n_points >= _MIN_POINTS)
-        before, t = t, sum((axes[:, i] * (axes[:, i] @ wanted) / sizes[i] for i in range(3) if is_seen[i]), np.zeros(3))
+        before, t = (
+            t,
+            sum((axes[:, i] * (axes[:, i] @ targets) / sizes[i] for i in range(3) if is_seen[i]), np.zeros(3)),
+        )
         if max(abs(t - before)) <= _MIN_STEP_M:
             break
     leaning = [sum(axes[a, i] ** 2 for i in range(3) if not is_seen[i]) for a in range(3)]

@@ -72,7 +72,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Influence:
-    """Range of a metric over the values of a parameter, and its spread over pairs."""
+    """Range of a metric over the values of a parameter, and its standard deviation over pairs at the current value."""
 
     name: str
     metric: str
@@ -83,19 +83,6 @@ class Influence:
     def is_within_spread(self) -> bool:
         """True if it moves less than the pairs differ."""
         return self.range_of_means < self.std_over_pairs
-
-
-def influence(name: str, metric: str, values: FloatArray, current: int) -> Influence | None:
-    """The influence of a parameter on the mean of a metric; None for fewer than two pairs or values.
-
-    Parameters
-    ----------
-    values : (n_pairs, n_values) float64, no NaN
-    current : column of the current value, whose standard deviation (n - 1) over pairs is taken
-    """
-    if min(values.shape) < 2:
-        return None
-    return Influence(name, metric, float(np.ptp(values.mean(axis=0))), float(values[:, current].std(ddof=1)))
 
 
 def choose_parameters(trials: Sequence[Trial]) -> list[Choice]:

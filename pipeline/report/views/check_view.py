@@ -12,7 +12,7 @@ from ....schemas.results import JsonObject
 from ....stages.inspect.sensor_description import sensor_lines
 from ...engine.costs import CostModel
 from ...inspect.scan_checks import DatasetCheck, ScanCheck
-from ...inspect.sensor_checks import SensorCheck
+from ...inspect.side_checks import SensorCheck
 from ...storage.files import free_bytes, megabytes
 from ..view import Note, Table, View
 
