@@ -6,7 +6,7 @@ If ties or rounding allow several correct answers, the stored one is accepted if
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -55,9 +55,7 @@ def stages_of(pair: StoredPair) -> list[Stage]:
 
 def rows(pair: StoredPair) -> Parts:
     """Names of pair and side in the rows of every table, and their order by the keys, without duplicates."""
-    versions = pair.run.record.stages
-    unchanged = [stage for stage in stages_of(pair) if versions.get(stage.name, stage.version) == stage.version]
-    for table, side in [(table, side) for stage in unchanged for side in stage.parts for table in stage.gives]:
+    for table, side in [(table, side) for stage in stages_of(pair) for side in stage.parts for table in stage.gives]:
         frame = pair.table(table, side)
         names = {"pair_id": pair.pair_id} | ({"side": side} if side else {})
         stored: Row = {f"{table}.{name}": int((frame[name] != own).sum()) for name, own in names.items()}
@@ -86,7 +84,7 @@ def scan(pair: StoredPair) -> Parts:
         limits = settings.min_range_m, settings.max_range_m, settings.exclude_box, T
         frame_of_side, box = settings.frame_of(side), settings.include_box
         kept, points = literal_method.clean(read.points, *limits, frame=frame_of_side, include_box=box)
-        frame = pd.DataFrame(points, columns=list("xyz"), index=pd.Index(kept, name="point_id", dtype=np.intp))
+        frame = {"point_id": np.array(kept, dtype=np.intp), **dict(zip("xyz", points.T, strict=True))}
         for name, own in (("intensity", read.intensity), ("instance", read.instances), ("label", read.labels)):
             frame[name] = None if own is None else own[kept]
         yield pair.part("scan", frame, side)
@@ -99,7 +97,7 @@ def ground(pair: StoredPair) -> Parts:
     for side in SIDES:
         stored, facts = pair.table("ground", side), pair.metadata("ground", side)
         cut, heights, is_clear = _cut(pair, side)
-        frame = pd.DataFrame({"height_m": heights - cut["peak_m"]}, index=pd.Index(stored["point_id"], name="point_id"))
+        frame = {"point_id": stored["point_id"].to_numpy(), "height_m": heights - cut["peak_m"]}
         if settings.method == "patchwork":
             yield Skipped("flags of ground by patchwork++: fidpipe has no second implementation", ["ground.is_ground"])
         else:
@@ -152,7 +150,7 @@ def sensor(pair: StoredPair) -> Parts:
         if read is not None:
             points = as_ros(read.points, pair.settings.input.frame_of(side))
             row = sensor_row(describe_sensor(points, read.rings, read.times_s is not None))
-            yield pair.part("sensor", _frame([row | {"side": side}], ["side"]), side)
+            yield pair.part("sensor", [row | {"side": side}], side)
 
 
 def graph(pair: StoredPair) -> Parts:
@@ -220,8 +218,7 @@ def communities(pair: StoredPair) -> Parts:
                 else:
                     visits = order if is_reference else np.random.RandomState(settings.seed).permutation(n)
                     labels = _canonical(np.array(literal_method.louvain(n, *own.edges, visits)), order)
-        frame = pd.DataFrame({"community_id": labels}, index=pd.Index(own.point_ids, name="point_id"))
-        yield pair.part("communities", frame, side)
+        yield pair.part("communities", {"point_id": own.point_ids, "community_id": labels}, side)
 
 
 def _reference_labels(pair: StoredPair, own: StoredSide) -> IndexArray:
@@ -272,8 +269,7 @@ def _canonical(labels: IndexArray, order: IndexArray) -> IndexArray:
 def objects(pair: StoredPair) -> Parts:
     """Number of points of every object; place, size, shape and label of the drawn ones."""
     for side, own in pair.sides.items():
-        ids = pd.RangeIndex(len(own.sizes), name="community_id")
-        yield pair.part("objects", pd.DataFrame({"n_points": own.sizes}, index=ids), side)
+        yield pair.part("objects", {"community_id": range(len(own.sizes)), "n_points": own.sizes}, side)
         words = pair.table("ground", side)["label"].to_numpy()[own.is_object]
         drawn = []
         for community in pair.drawn_ids(side):
@@ -284,7 +280,7 @@ def objects(pair: StoredPair) -> Parts:
                 expected = [*about.centroid, about.range_m, *about.extent, *about.shape]
             row: Row = {"community_id": community, "label": _most_frequent(words[members])}
             drawn.append(row | dict(zip(_DESCRIBED, expected, strict=True)))
-        yield pair.part("objects", _frame(drawn, ["community_id"]), side, is_whole=False)
+        yield pair.part("objects", drawn, side, is_whole=False)
 
 
 def _most_frequent(words: Iterable[Any]) -> str | None:
@@ -315,10 +311,10 @@ def matching(pair: StoredPair) -> Parts:
         for i, j in pairs
     ]
     missing = sorted(set(range(len(real))) - {i for i, _ in pairs})
-    expected += [{"real_id": i, "sim_id": -1, "status": "missing"} for i in missing]
+    expected += [{"real_id": i, "sim_id": -1, "status": "missing", "centroid_distance_m": None} for i in missing]
     unmatched = sorted(unmatched_sim - {j for _, j in pairs})
-    expected += [{"real_id": -1, "sim_id": j, "status": "hallucinated"} for j in unmatched]
-    yield pair.part("matching", _frame(expected, ["real_id", "sim_id"], ["status", "centroid_distance_m"]))
+    expected += [{"real_id": -1, "sim_id": j, "status": "hallucinated", "centroid_distance_m": None} for j in unmatched]
+    yield pair.part("matching", expected)
 
 
 def _optimum(real: FloatArray, sim: FloatArray, pairs: list[tuple[int, int]], delta_m: float) -> Part:
@@ -335,10 +331,10 @@ def _optimum(real: FloatArray, sim: FloatArray, pairs: list[tuple[int, int]], de
 
 def coverage(pair: StoredPair) -> Parts:
     """Coverage of each drawn object; for whole sides the mean over their objects."""
-    keys = ["side", "community_id"]
-    sizes = [(side, i, n) for side in SIDES for i, n in enumerate(pair.sides[side].sizes.tolist())]
-    sizes += [(side, -1, len(pair.sides[side].points)) for side in SIDES]
-    yield pair.part("coverage", pd.DataFrame(sizes, columns=[*keys, "n_points"]).set_index(keys))
+    sizes = [(side, i, n) for side, own in pair.sides.items() for i, n in enumerate(own.sizes.tolist())]
+    sizes += [(side, -1, len(own.points)) for side, own in pair.sides.items()]
+    columns = ("side", "community_id", "n_points")
+    yield pair.part("coverage", dict(zip(columns, zip(*sizes, strict=True), strict=True)))
     for side, other in (SIDES, SIDES[::-1]):
         own, others, cut = pair.sides[side], pair.sides[other].points, pair.metadata("ground", other)
         drawn = {community: own.members(community) for community in pair.drawn_ids(side)}
@@ -348,7 +344,7 @@ def coverage(pair: StoredPair) -> Parts:
             {"side": side, "community_id": community} | _covered(own.points[members], others, cut)
             for community, members in drawn.items()
         ]
-        yield pair.part("coverage", _frame(expected, keys), is_whole=False)
+        yield pair.part("coverage", expected, is_whole=False)
         stored = pair.table("coverage").query("side == @side")
         whole = stored[stored["community_id"] == -1].iloc[0]
         yield pair.in_pairs({f"covered_{side}_{reach}": whole[f"covered_{reach}"] for reach in COVERAGE_REACHES})
@@ -358,10 +354,8 @@ def coverage(pair: StoredPair) -> Parts:
         parts = stored[(stored["community_id"] >= 0) & (stored["n_points"] > 0)]
         shares = parts[[*(f"covered_{reach}" for reach in COVERAGE_REACHES), "road_share"]].astype(float)
         means = shares.mul(parts["n_points"], axis=0).sum(skipna=False) / parts["n_points"].sum()
-        mean = _frame(
-            [{"side": side, "community_id": -1} | dict(zip(map(str, means.index), means.tolist(), strict=True))], keys
-        )
-        yield pair.part("coverage", mean, is_whole=False)
+        mean = {"side": side, "community_id": -1} | means.to_dict()
+        yield pair.part("coverage", [mean], is_whole=False)
 
 
 def _covered(points: FloatArray, others: FloatArray, cut: dict[str, Any]) -> Row:
@@ -381,7 +375,7 @@ def surface(pair: StoredPair) -> Parts:
     """Displacement of the surfaces of the drawn real objects; for whole sides also the roughness."""
     stored = pair.table("surface").set_index("real_id")
     ids = [*range(len(pair.table("objects", "real"))), -1]
-    yield pair.part("surface", pd.DataFrame(index=pd.Index(ids, name="real_id")))
+    yield pair.part("surface", {"real_id": ids})
     yield pair.in_pairs({column: stored.loc[-1, column] for column in SHIFT_COLUMNS})
     points, sim = pair.sides["real"].points, pair.sides["sim"].points
     planes = {i: literal_surfaces.local_plane(points, points[i]) for i in _plane_points(pair, "real")}
@@ -397,7 +391,7 @@ def surface(pair: StoredPair) -> Parts:
         offset = literal_surfaces.offset(own, sim)
         row = {"real_id": community, "n_points": offset.n_points, "n_directions": offset.n_directions}
         expected.append(row | dict(zip(SHIFT_COLUMNS, (*offset.shift_m, offset.distance_m), strict=True)))
-    yield pair.part("surface", _frame(expected, ["real_id"]), is_whole=False)
+    yield pair.part("surface", expected, is_whole=False)
     if not pair.sample.whole_sides:
         return
     of_sim = [literal_surfaces.local_plane(sim, sim[i]) for i in _plane_points(pair, "sim")]
@@ -426,9 +420,9 @@ def _plane_points(pair: StoredPair, side: str) -> list[int]:
 
 def pieces(pair: StoredPair) -> Parts:
     """Numbers, shares and moves of the stored pieces; for whole sides the pieces themselves."""
-    keys, stored = ["side", "piece_id"], pair.table("pieces")
+    stored = pair.table("pieces")
     if pair.sample.whole_sides:
-        yield pair.part("pieces", _frame(_pieces(pair, "real", "sim") + _pieces(pair, "sim", "real"), keys))
+        yield pair.part("pieces", _pieces(pair, "real", "sim") + _pieces(pair, "sim", "real"))
     else:
         yield Skipped("", ["pieces"])
     of_side = {side: stored[stored["side"] == side].to_dict("records") for side in SIDES}
@@ -452,7 +446,7 @@ def pieces(pair: StoredPair) -> Parts:
                 vector = np.subtract(places["sim"][sim][0], places["real"][real][0]).tolist()
                 row |= {f"moved_{axis}_m": value for axis, value in zip("xyz", vector, strict=True)}
             expected.append(row)
-    yield pair.part("pieces", _frame(expected, keys), is_whole=False)
+    yield pair.part("pieces", expected, is_whole=False)
 
 
 def _pieces(pair: StoredPair, side: str, other: str) -> list[Row]:
@@ -471,9 +465,9 @@ def _pieces(pair: StoredPair, side: str, other: str) -> list[Row]:
 
 def selection(pair: StoredPair) -> Parts:
     """Number of aligned nodes of every object; for the drawn ones the nodes, their influence and alignment."""
-    keys = ["real_id", "sim_id", "rank"]
-    ranks = [(row["real_id"], row["sim_id"], k) for row in pair.matched for k in range(pair.n_kept(row))]
-    yield pair.part("selection", pd.DataFrame(ranks, columns=keys).set_index(keys))
+    ids = ("real_id", "sim_id")
+    ranks = [{name: row[name] for name in ids} | {"rank": k} for row in pair.matched for k in range(pair.n_kept(row))]
+    yield pair.part("selection", ranks)
     expected: list[Row] = []
     for match in pair.drawn_matches:
         members = pair.members(match)
@@ -483,19 +477,19 @@ def selection(pair: StoredPair) -> Parts:
                 f"influence and scores of an object of more than {MOST_NODES} points (dense matrices)", columns
             )
             continue
-        ids = {name: match[name] for name in ("real_id", "sim_id")}
         by_column: dict[str, Any] = {}
         for side in SIDES:
             nodes, influence = _selected(pair, match, side, members[side])
             by_column |= {f"{side}_point_id": pair.sides[side].point_ids[nodes], f"{side}_influence": influence}
         by_rank = zip(*by_column.values(), strict=True)
-        expected += [ids | {"rank": k} | dict(zip(by_column, row, strict=True)) for k, row in enumerate(by_rank)]
+        own = {name: match[name] for name in ids}
+        expected += [own | {"rank": k} | dict(zip(by_column, row, strict=True)) for k, row in enumerate(by_rank)]
         kept, what = pair.kept(match), "mean distance of aligned nodes, m"
         a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
         cost = cdist(a - a.mean(axis=0), b - b.mean(axis=0))
         stored = {what: math.fsum(np.diag(cost)) / len(cost)}
-        yield values("selection", stored, {what: literal_method.least_total(cost) / len(cost)}, **ids)
-    yield pair.part("selection", _frame(expected, keys), is_whole=False)
+        yield values("selection", stored, {what: literal_method.least_total(cost) / len(cost)}, **own)
+    yield pair.part("selection", expected, is_whole=False)
 
 
 def _selected(pair: StoredPair, match: Row, side: str, members: IndexArray) -> tuple[IndexArray, list[float]]:
@@ -527,7 +521,7 @@ def metrics(pair: StoredPair) -> Parts:
         | {"n_keep": pair.n_kept(match)}
         for match in pair.matched
     ]
-    yield pair.part("metrics", _frame(known, keys))
+    yield pair.part("metrics", known)
     for match in pair.drawn_matches:
         members, kept = pair.members(match), pair.kept(match)
         row: Row = {name: match[name] for name in keys}
@@ -545,9 +539,9 @@ def metrics(pair: StoredPair) -> Parts:
             row |= literal_method.spectral(L_real, L_sim)
             is_identical = row["laplacian_change"] <= literal_method.IDENTICAL_CHANGE
             row |= {"status": "identical" if is_identical else "scored", "reason": None}
-        yield pair.part("metrics", _frame([row], keys), is_whole=False)
+        yield pair.part("metrics", [row], is_whole=False)
     if not pair.drawn_matches:
-        yield pair.part("metrics", _frame([], keys), is_whole=False)
+        yield pair.part("metrics", [], is_whole=False)
 
 
 def baselines(pair: StoredPair) -> Parts:
@@ -555,13 +549,14 @@ def baselines(pair: StoredPair) -> Parts:
     chosen = [metric for metric in BASELINES if metric.method in pair.settings.metrics.baselines]
     if not chosen:
         return
-    keys = ["real_id", "sim_id", "baseline"]
     of_scans = [metric for metric in chosen if metric.method not in _OF_OBJECTS]
     names = [((row["real_id"], row["sim_id"]), metric) for row in pair.matched for metric in chosen]
     names += [((-1, -1), metric) for metric in of_scans]
     units = [{"baseline": metric.column, "unit": METRIC[metric.column].unit or None} for _, metric in names]
-    named = [dict(zip(keys, ids, strict=False)) | row for (ids, _), row in zip(names, units, strict=True)]
-    yield pair.part("baselines", _frame(named, keys))
+    named = [
+        dict(zip(("real_id", "sim_id"), ids, strict=True)) | row for (ids, _), row in zip(names, units, strict=True)
+    ]
+    yield pair.part("baselines", named)
     drawn = [((row["real_id"], row["sim_id"]), _distances(pair, row), chosen) for row in pair.drawn_matches]
     if pair.sample.whole_sides:
         real, sim = (pair.sides[side].points for side in SIDES)
@@ -574,7 +569,7 @@ def baselines(pair: StoredPair) -> Parts:
                 expected.append({"real_id": real_id, "sim_id": sim_id, "baseline": name, "value": values_[name]})
             else:
                 yield Skipped(f"baseline {name}: not in the literal twin")
-    yield pair.part("baselines", _frame(expected, keys), is_whole=False)
+    yield pair.part("baselines", expected, is_whole=False)
 
 
 def _distances(pair: StoredPair, match: Row) -> dict[str, float | None]:
@@ -605,10 +600,10 @@ def seeds(pair: StoredPair) -> Parts:
     n_seeds, first = pair.settings.stability.seeds, pair.settings.communities.seed
     if n_seeds == 1:
         return
-    yield pair.part("seeds", pd.DataFrame(index=pd.RangeIndex(first, first + n_seeds, name="seed")))
+    yield pair.part("seeds", {"seed": range(first, first + n_seeds)})
     columns = [name for name in TABLES["seeds"].schema.names if name not in ("pair_id", "seed")]
     row = {name: pair.row[name] for name in columns}
-    yield pair.part("seeds", _frame([row | {"seed": first}], ["seed"]), is_whole=False)
+    yield pair.part("seeds", [row | {"seed": first}], is_whole=False)
     yield Skipped("scores under other seeds of the communities")
 
 
@@ -635,11 +630,6 @@ def pairs(pair: StoredPair) -> Parts:
         expected[f"{name}_mean"], expected[f"{name}_std"] = literal_method.mean_and_std(own_values)
     yield pair.in_pairs(expected | {"pair_id": pair.pair_id, "status": "scored"})
     yield values("pairs", {"no reason": pair.row["reason"] or ""}, {"no reason": ""})
-
-
-def _frame(rows: Sequence[Row], keys: list[str], columns: list[str] | None = None) -> pd.DataFrame:
-    """Frame of rows with the keys as index."""
-    return pd.DataFrame(rows, columns=None if rows and columns is None else [*keys, *(columns or [])]).set_index(keys)
 
 
 #: Recomputation by table, in the order of the stages; stage of the table if it has another name.

@@ -29,8 +29,7 @@ def rays(pair: StoredPair) -> Iterator[Part | Skipped]:
     found = find_rays(points["real"], points["sim"], (sensors[0], sensors[1]), T_real_sim)
     again = rays_result(pair.pair_id, found, [pair.run.read_table("ground", pair.pair_id, side) for side in SIDES])
     for name, table in again.tables.items():
-        frame = TABLES[name].plain(table).to_pandas().set_index(list(TABLES[name].keys))
-        yield pair.part(name, frame.drop(columns="pair_id"))
+        yield pair.part(name, TABLES[name].plain(table).to_pandas().drop(columns="pair_id"))
     yield pair.in_pairs({"rays_reason": found if isinstance(found, str) else None})
     stored = pair.table("rays").set_index(_KEYS)
     noise_real, noise_sim = (sensor["range_noise_m"] or 0.0 for sensor in sensors)

@@ -90,10 +90,12 @@ class StoredPair:
                 frame[key] = frame[key].fillna(-1).astype(np.intp)
         return frame
 
-    def part(self, table: str, recomputed: pd.DataFrame, side: str = "", *, is_whole: bool = True) -> Part:
-        """Recomputed rows of a table next to the stored ones, by the keys of the recomputed."""
-        stored = self.table(TABLE_OF.get(table, table), side).set_index(recomputed.index.names)
-        return Part(table, stored, recomputed, side, is_whole)
+    def part(self, table: str, recomputed: Any, side: str = "", *, is_whole: bool = True) -> Part:
+        """Recomputed rows of a table, a list of rows or columns by name, next to the stored ones, by their keys."""
+        name = TABLE_OF.get(table, table)
+        keys = list(TABLES[name].keys)
+        frame = pd.DataFrame(recomputed, columns=None if len(recomputed) else keys).set_index(keys)
+        return Part(table, self.table(name, side).set_index(keys), frame, side, is_whole)
 
     def in_pairs(self, recomputed: Row) -> Part:
         """Recomputed columns of the pair's row of `pairs`."""

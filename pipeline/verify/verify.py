@@ -60,9 +60,6 @@ COMPARED = {
     "pairs": "counts, cuts, means, deviations, medians",
     "run.json": "means and deviations over pairs",
 }
-#: Stages of tables with another name than their stage.
-_STAGE_OF = {"scan": "ground", "objects": "communities", "pairs": "metrics"}
-_VERSIONS = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
 
 PairDone = Callable[[int, int], None]
 
@@ -231,9 +228,13 @@ def verify_run(
     Raises
     ------
     RunError
-        The folder is not a run, the run has not ended, or its table of pairs cannot be read.
+        The folder is not a run, the run has not ended, its table of pairs cannot be read, or another
+        version of a stage computed it.
     """
     run = FinishedRun(folder)
+    current = {stage.name: stage.version for stage in (*STAGES, *EXTRAS)}
+    if other := [name for name, version in run.record.stages.items() if current.get(name, version) != version]:
+        raise RunError(f"run {folder}: {', '.join(other)} by another version of fidpipe; recompute it with fidpipe run")
     settings = parse({group: own for group, own in run.record.settings.items() if group in Settings.model_fields})
     tally, rng, scans = _Tally(), np.random.default_rng(seed), _Scans(run)
     tally.add(_files(run))
@@ -278,7 +279,7 @@ def _compare_record(run: FinishedRun, settings: Settings, tally: _Tally) -> None
     for what, parts in (("unmatched objects", _unmatched), ("baselines", _baseline_means), ("scores", _summary)):
         try:
             tally.add(parts(run, settings))
-        except (RunError, LookupError, TypeError) as error:  # of another version, or damaged, which is reported already
+        except (RunError, LookupError, TypeError) as error:  # damaged, which is reported already
             tally.add([Skipped(f"{what} in run.json: {error}")])
 
 
@@ -359,13 +360,6 @@ def _pair_names(run: FinishedRun) -> Iterator[Part]:
 def _compare_pair(pair: StoredPair, tally: _Tally) -> None:
     """Compare the tables of one pair; an unusable table counts as a mismatch."""
     for table, recompute in RECOMPUTED.items():
-        stage = _STAGE_OF.get(table, table)
-        now = _VERSIONS.get(stage)  # the rows of all tables have none
-        version = pair.run.record.stages.get(stage, now)
-        if version != now:
-            why = f"{table} of version {version} of its stage, which is {now} now"
-            tally.add([Skipped(why, [TABLE_OF.get(table, table), "pairs"])])
-            continue
         try:
             tally.add(recompute(pair), pair.pair_id)
         except (FidpipeError, LookupError, ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:

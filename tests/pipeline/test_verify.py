@@ -311,14 +311,12 @@ def test_a_score_that_is_gone_from_the_record_is_found(copy):
     assert found == {("summary.cdc_mean.mean", "null"), ("summary.cdc_mean.n_pairs", "null")}
 
 
-def test_tables_of_another_version_of_a_stage_are_not_compared_and_that_is_said(copy):
+def test_a_run_of_another_version_of_a_stage_is_rejected(copy):
     record = orjson.loads((copy / "run.json").read_bytes())
     record["stages"]["coverage"] -= 1
     (copy / "run.json").write_bytes(orjson.dumps(record))
-    result = verify_run(copy, 2)
-    assert result.passed
-    assert "coverage of version 1 of its stage, which is 2 now" in result.not_compared
-    assert "coverage" not in {table.table for table in result.tables}
+    with pytest.raises(RunError, match="coverage by another version of fidpipe; recompute it with fidpipe run"):
+        verify_run(copy, 2)
 
 
 def test_other_scans_are_not_taken_for_those_of_the_run(tmp_path):
