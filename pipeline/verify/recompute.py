@@ -552,9 +552,9 @@ def baselines(pair: StoredPair) -> Parts:
     of_scans = [metric for metric in chosen if metric.method not in _OF_OBJECTS]
     names = [((row["real_id"], row["sim_id"]), metric) for row in pair.matched for metric in chosen]
     names += [((-1, -1), metric) for metric in of_scans]
-    units = [{"baseline": metric.column, "unit": METRIC[metric.column].unit or None} for _, metric in names]
     named = [
-        dict(zip(("real_id", "sim_id"), ids, strict=True)) | row for (ids, _), row in zip(names, units, strict=True)
+        {"real_id": ids[0], "sim_id": ids[1], "baseline": metric.column, "unit": METRIC[metric.column].unit or None}
+        for ids, metric in names
     ]
     yield pair.part("baselines", named)
     drawn = [((row["real_id"], row["sim_id"]), _distances(pair, row), chosen) for row in pair.drawn_matches]

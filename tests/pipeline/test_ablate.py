@@ -121,7 +121,7 @@ def test_a_broken_pair_is_listed_and_the_others_are_there(dataset, tmp_path):
 
 
 def test_a_wrong_value_is_refused_before_any_work(dataset, tmp_path):
-    with pytest.raises(SettingsError, match=r"setting graph.k: 0 found"):
+    with pytest.raises(SettingsError, match=r"setting graph.k: expected a number of at least 1, got 0"):
         ablated(dataset, tmp_path / "run", values={"k": (0,)})
     with pytest.raises(SettingsError, match="--k: expected whole numbers, got 7.5"):
         ablated(dataset, tmp_path / "run", values={"k": (7.5,)})
