@@ -25,7 +25,7 @@ _SECTOR_DEG = 60.0
 _MIN_BEAMS = 8
 _MIN_RETURNS = 8
 _EXACT_DEG = 0.06
-_AS_MANY = 3  # beams more or less
+_COUNT_SLACK = 3  # beams more or less
 _STEP_TOLERANCE = 0.015
 _HALVED_FROM = 64  # beams of a sensor of which a scan may have every second one
 _FIT = 0.25  # of the distance of neighbouring beams
@@ -86,7 +86,7 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     if not isinstance(pattern, str) and recognise(pattern).title:
         return pattern
     n_found = None if isinstance(pattern, str) else len(pattern.elevation_deg)
-    sensors = [known for known in SENSORS.values() if n_found is None or abs(known.n_beams - n_found) <= _AS_MANY]
+    sensors = [known for known in SENSORS.values() if n_found is None or abs(known.n_beams - n_found) <= _COUNT_SLACK]
     for focal_m in sorted({sensor.focal_m for sensor in sensors} - {0.0}):
         other = _find_from(focal_m, points, ring)
         if not isinstance(other, str) and recognise(other).title:

@@ -18,7 +18,7 @@ from .surfels import voxel_ids
 _COMPARED_M = (3.0, 40.0)
 _VOXEL_M = 0.5
 _ABOVE_GROUND_M = 0.5
-_ASKED = 800
+_SAMPLED_POINTS = 800
 _MIN_SAMPLED = 50
 _FARTHEST_M = 1.0
 
@@ -54,7 +54,7 @@ class SequenceScan:
         )
         self.ground_m = ground_height(thinned)
         above = thinned[thinned[:, 2] > self.ground_m + _ABOVE_GROUND_M]
-        self.sample: FloatArray = above[np.random.default_rng(0).permutation(len(above))[:_ASKED]]
+        self.sample: FloatArray = above[np.random.default_rng(0).permutation(len(above))[:_SAMPLED_POINTS]]
         self.tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
 
     def misfit_m(self, other: SequenceScan) -> float:

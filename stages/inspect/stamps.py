@@ -13,12 +13,12 @@ Place = Literal["first", "middle", "last"]
 
 _MAX_MISSING = 0.02
 _MAX_EQUAL_SHARE = 0.25
-_TURN_S = (0.01, 2.0)  # 100 to 0.5 revolutions per second
+_REVOLUTION_S = (0.01, 2.0)  # 100 to 0.5 revolutions per second
 _UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _BINS = 24
 _MIN_IN_BIN = 20
 _MIN_POINTS = 500
-_ROUND = 0.8
+_MIN_CONCENTRATION = 0.8
 _PLACES: dict[Place, float] = {"first": 0.0, "middle": 0.5, "last": 1.0}
 _PLACE_TOLERANCE = 0.1  # share of the duration of a scan
 
@@ -29,13 +29,13 @@ class StampCheck:
 
     span_s : duration from the first to the last point
     place : point to which the scan's own time belongs; None if none, or if the scan has no time
-    turn : +1 if azimuth increases with time, -1 if it decreases, 0 if unknown
+    rotation : +1 if azimuth increases with time, -1 if it decreases, 0 if unknown
     faults : problems, one sentence each
     """
 
     span_s: float
     place: Place | None = None
-    turn: int = 0
+    rotation: int = 0
     faults: tuple[str, ...] = ()
 
 
@@ -73,12 +73,14 @@ def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | No
         return StampCheck(0.0, faults=tuple(faults))
     points, times = points[~is_missing], times[~is_missing]
     span_s = float(np.ptp(times))
-    if not _TURN_S[0] <= span_s <= _TURN_S[1]:
-        units = [name for name, unit in _UNITS.items() if _TURN_S[0] <= unit * span_s <= _TURN_S[1]]
+    if not _REVOLUTION_S[0] <= span_s <= _REVOLUTION_S[1]:
+        units = [name for name, unit in _UNITS.items() if _REVOLUTION_S[0] <= unit * span_s <= _REVOLUTION_S[1]]
         hint = f"are they in {' or '.join(units)}?" if units else "are they in seconds?"
-        faults.append(f"times span {span_s:.3g} s; a revolution takes {_TURN_S[0]:g} to {_TURN_S[1]:g} s; {hint}")
-    turn = _turn(points, times)
-    if turn is None:
+        faults.append(
+            f"times span {span_s:.3g} s; a revolution takes {_REVOLUTION_S[0]:g} to {_REVOLUTION_S[1]:g} s; {hint}"
+        )
+    rotation = _rotation(points, times)
+    if rotation is None:
         faults.append("times do not follow the azimuth; do they belong to other points?")
     place = None
     if stamp_s is not None and not faults:
@@ -89,7 +91,7 @@ def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | No
                 f"the scan's own time is {before:+.3f} s after its first point, outside of the {span_s:.3f} s of its "
                 "points; are both from one clock?"
             )
-    return StampCheck(span_s, place, turn or 0, tuple(faults))
+    return StampCheck(span_s, place, rotation or 0, tuple(faults))
 
 
 def stamp_differences(real: StampCheck | None, sim: StampCheck | None) -> list[str]:
@@ -108,13 +110,14 @@ def stamp_differences(real: StampCheck | None, sim: StampCheck | None) -> list[s
             f"the time of a real scan is that of its {real.place} point, the time of a simulated scan that of its "
             f"{sim.place} point: scans with the same time are {apart:.2g} s apart"
         )
-    if real.turn * sim.turn < 0:
+    if real.rotation * sim.rotation < 0:
         ways = {1: "anticlockwise", -1: "clockwise"}
-        found.append(f"by the times, the real sensor rotates {ways[real.turn]} and the simulated one {ways[sim.turn]}")
+        own, other = ways[real.rotation], ways[sim.rotation]
+        found.append(f"by the times, the real sensor rotates {own} and the simulated one {other}")
     return found
 
 
-def _turn(points: FloatArray, times: FloatArray) -> int | None:
+def _rotation(points: FloatArray, times: FloatArray) -> int | None:
     """Sense of rotation by time: +1, -1, 0 if there are too few returns; None if there is no rotation."""
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     start, stop = np.quantile(times, (0.005, 0.995))
@@ -132,6 +135,6 @@ def _turn(points: FloatArray, times: FloatArray) -> int | None:
         return 0
     steps = np.angle(mean[1:] / mean[:-1])
     one_way = float(np.mean(np.sign(steps)))
-    if np.median(np.abs(mean)) < _ROUND or abs(one_way) < 0.6:
+    if np.median(np.abs(mean)) < _MIN_CONCENTRATION or abs(one_way) < 0.6:
         return None
     return 1 if one_way > 0 else -1

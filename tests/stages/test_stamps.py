@@ -23,9 +23,9 @@ def faults(times, points=None, stamp_s=None):
 def test_a_turn_whose_times_are_right_has_no_fault():
     points, times = turn()
     facts = describe_stamps(times, points, 0.0)
-    assert (facts.faults, facts.place, facts.turn) == ((), "first", -1)
+    assert (facts.faults, facts.place, facts.rotation) == ((), "first", -1)
     assert facts.span_s == pytest.approx(TURN_S, rel=1e-3)
-    assert describe_stamps(times, points * [1, -1, 1]).turn == 1
+    assert describe_stamps(times, points * [1, -1, 1]).rotation == 1
 
 
 @pytest.mark.parametrize("wrong", [np.nan, 0.0])
