@@ -65,10 +65,10 @@ def check_sweep_claims(means: Means, levels: Sequence[Perturbation]) -> list[Cla
 
 
 def _rigid_claims(check: _Check, rigid: _Levels, objects: Sequence[str]) -> Iterator[Claim]:
-    every = _least("{:.4f}", lambda rate: rate == 1)
+    every = partial(_smallest, digits=4, holds=lambda rate: rate == 1)
     yield from check("rigid motion keeps every object matched", "match rate 1", "match_rate", rigid, every)
     spectra = ("rigid motion keeps the spectra", "d_lambda below 1e-5", SPECTRA, rigid)
-    yield from check(*spectra, _below(RIGID_D_LAMBDA))
+    yield from check(*spectra, partial(_below, bound=RIGID_D_LAMBDA))
     rotations = [level for level in rigid if level.shift_m == 0 and level.amount]
 
     def is_linear(curves: _Curves) -> _Finding:
@@ -81,13 +81,13 @@ def _rigid_claims(check: _Check, rigid: _Levels, objects: Sequence[str]) -> Iter
         yield from check(claim, paper, "centroid_distance_m_mean", rotations, is_linear)
     for metric, bound in (("r_lambda", RIGID_R_LAMBDA), ("r_gap", RIGID_R_GAP)):
         claim = f"rigid motion leaves {metric} of objects at 0"
-        yield from check(claim, f"below {bound:g}", metric, rigid, _below(bound), objects)
+        yield from check(claim, f"below {bound:g}", metric, rigid, partial(_below, bound=bound), objects)
 
 
 def _dropout_claims(check: _Check, dropout: _Levels, objects: Sequence[str]) -> Iterator[Claim]:
     for metric in ("r_lambda", "r_gap"):
         claim = f"{metric} rises with dropout, object by object"
-        yield from check(claim, "all four", metric, dropout, _for_each_object(_is_rising), objects)
+        yield from check(claim, "all four", metric, dropout, partial(_for_each_object, holds=_is_rising), objects)
     if {*_CLASSES} <= {*objects}:
         yield from _class_claims(check, dropout)
     for claim, paper, metric, sign in (
@@ -129,12 +129,12 @@ def _class_claims(check: _Check, dropout: _Levels) -> Iterator[Claim]:
 
 
 def _noise_claims(check: _Check, means: Means, noise: _Levels, dropout: _Levels, rigid: _Levels) -> Iterator[Claim]:
-    nearly = _least("{:.3f}", lambda rate: rate > 0.95)
+    nearly = partial(_smallest, digits=3, holds=lambda rate: rate > 0.95)
     yield from check("noise keeps nearly all objects matched", "above 0.95", "match_rate", noise, nearly)
     n = len(noise)
     if any(all(means.series(name, own, "r_lambda") for own in (noise, dropout)) for name in means.objects):
         claim = "r_lambda under the most noise is below that under the most dropout"
-        is_less = _for_each_object(lambda values: max(values[:n]) < max(values[n:]))
+        is_less = partial(_for_each_object, holds=lambda values: max(values[:n]) < max(values[n:]))
         yield from check(claim, "all four", "r_lambda", [*noise, *dropout], is_less, means.objects)
     if {*_CLASSES} <= {*means.objects} and n > 1:
         claim = "noise: r_lambda of the tree is near-flat (moves least)"
@@ -180,35 +180,23 @@ def _check(
         yield Claim(claim=claim, paper=paper, here=here, verdict=verdict)
 
 
-def _below(bound: float) -> _Test:
+def _below(curves: _Curves, bound: float) -> _Finding:
     """Test that all values are below a bound."""
-
-    def test(curves: _Curves) -> _Finding:
-        most = max(max(_values(own)) for own in curves.values())
-        return f"{most:.1e}", decided(most < bound)
-
-    return test
+    most = max(max(_values(own)) for own in curves.values())
+    return f"{most:.1e}", decided(most < bound)
 
 
-def _least(pattern: str, holds: Callable[[float], bool]) -> _Test:
+def _smallest(curves: _Curves, digits: int, holds: Callable[[float], bool]) -> _Finding:
     """Test that the smallest value meets a condition."""
-
-    def test(curves: _Curves) -> _Finding:
-        least = min(min(_values(own)) for own in curves.values())
-        return pattern.format(least), decided(holds(least))
-
-    return test
+    least = min(min(_values(own)) for own in curves.values())
+    return f"{least:.{digits}f}", decided(holds(least))
 
 
-def _for_each_object(holds: Callable[[list[float]], bool]) -> _Test:
+def _for_each_object(curves: _Curves, holds: Callable[[list[float]], bool]) -> _Finding:
     """Test that the values of every object meet a condition."""
-
-    def test(curves: _Curves) -> _Finding:
-        others = [str(name) for name, own in curves.items() if not holds(_values(own))]
-        n = len(curves)
-        return f"{n - len(others)} of {n}, not {', '.join(others)}" if others else f"all {n}", decided(not others)
-
-    return test
+    others = [str(name) for name, own in curves.items() if not holds(_values(own))]
+    n = len(curves)
+    return f"{n - len(others)} of {n}, not {', '.join(others)}" if others else f"all {n}", decided(not others)
 
 
 def _moves(curves: _Curves, sign: int) -> _Finding:
