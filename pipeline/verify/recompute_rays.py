@@ -100,5 +100,5 @@ def _scores(pair: StoredPair, stored: pd.DataFrame) -> Iterator[Part]:
         if by not in ("all", "azimuth"):  # rays without any return have no range, incidence or class
             rows[-1]["rays_drop_f1"] = None
     whole = literal.scores(list(zip(*(stored[name].tolist() for name in _RAY), strict=True)))
-    yield pair.part("ray_scores", pd.DataFrame(rows, columns=["by", "band", *whole]).set_index(["by", "band"]))
+    yield pair.part("ray_scores", pd.DataFrame(rows, columns=["by", "band", *whole]))
     yield pair.in_pairs(whole if len(stored) else dict.fromkeys(whole))

@@ -23,7 +23,7 @@ from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
 from ...stages.literal.literal_method import mean_and_std
 from ..datasets.content import input_hashes
-from ..datasets.pairs import Dataset, ScanPair, read_dataset
+from ..datasets.pairs import ScanPair, read_dataset
 from ..jobs import EXTRAS, STAGES
 from ..results.finished import FinishedRun
 from ..storage.run_record import unmatched_worst
@@ -236,7 +236,7 @@ def verify_run(
     if other := [name for name, version in run.record.stages.items() if current.get(name, version) != version]:
         raise RunError(f"run {folder}: {', '.join(other)} by another version of fidpipe; recompute it with fidpipe run")
     settings = parse({group: own for group, own in run.record.settings.items() if group in Settings.model_fields})
-    tally, rng, scans = _Tally(), np.random.default_rng(seed), _Scans(run)
+    tally, rng = _Tally(), np.random.default_rng(seed)
     tally.add(_files(run))
     tally.add(_pair_names(run))
     counts = [(row["pair_id"], _n_rows(run, row["pair_id"])) for row in run.scored]
@@ -244,18 +244,17 @@ def verify_run(
     n_drawn = total if n_objects is None else min(n_objects, total)
     drawn = _draw(counts, np.sort(rng.choice(total, n_drawn, replace=False)).tolist() if total else [])
     n_whole = len(drawn) if n_objects is None else max(1, n_drawn // _OBJECTS_PER_WHOLE_PAIR)
-    n_scans, tables = 0, []
+    scans, label_names, faults = _unchanged_scans(run, drawn)
+    tables: list[str] = []
     for i, (pair_id, rows) in enumerate(drawn.items()):
-        scan_pair = scans.of(pair_id)
-        n_scans += scan_pair is not None
         sample = Sample(rows, all_nodes=n_objects is None, whole_sides=i < n_whole, rng=rng)
-        pair = StoredPair(run, pair_id, settings, sample, scan_pair, scans.label_names)
+        pair = StoredPair(run, pair_id, settings, sample, scans.get(pair_id), label_names)
         tables = [*(table for stage in stages_of(pair) for table in stage.gives), "pairs", "timings"]
         _compare_pair(pair, tally)
         if pair_done:
             pair_done(i + 1, len(drawn))
     _compare_record(run, settings, tally)
-    not_compared = [*_not_compared(tally, tables, n_whole, len(drawn)), *scans.faults]
+    not_compared = [*_not_compared(tally, tables, n_whole, len(drawn)), *faults]
     for check in tally.checks.values():
         check.columns = tally.columns(check.table)
     order = [table for table in COMPARED if table in tally.checks]
@@ -266,7 +265,7 @@ def verify_run(
         n_drawn=n_drawn,
         n_scored=len(counts),
         n_pairs=len(drawn),
-        n_scans=n_scans,
+        n_scans=len(scans),
         tables=tuple(tally.checks[table] for table in order),
         mismatches=tuple(mismatch for table in order for mismatch in tally.mismatches[table]),
         not_compared=tuple(not_compared),
@@ -295,40 +294,27 @@ def _not_compared(tally: _Tally, tables: Iterable[str], n_whole: int, n_pairs: i
     yield from (f"{name}: {why}" for name, why in NOT_COMPARED.items() if name.partition(".")[0] in tables)
 
 
-class _Scans:
-    """Scans of a run, if they still exist unchanged.
-
-    faults : reasons why they are not available
-    """
-
-    def __init__(self, run: FinishedRun) -> None:
-        self.faults: list[str] = []
-        self._inputs = run.record.inputs
-        self._dataset: Dataset | None = None
+def _unchanged_scans(
+    run: FinishedRun, pair_ids: Iterable[str]
+) -> tuple[dict[str, ScanPair], dict[int, str], list[str]]:
+    """Pairs of the dataset whose scans are those of the run, its class names, and reasons why other pairs are not."""
+    what = "points kept of the scans"
+    try:
+        dataset = read_dataset(Path(run.record.dataset))
+    except (FidpipeError, OSError) as error:
+        return {}, {}, [f"{what}, and their coordinates: {error}"]
+    pairs, unchanged, faults = {pair.pair_id: pair for pair in dataset.pairs}, {}, []
+    for pair_id in pair_ids:
+        pair, why = pairs.get(pair_id), "is no longer in the dataset"
         try:
-            self._dataset = read_dataset(Path(run.record.dataset))
-        except (FidpipeError, OSError) as error:
-            self.faults.append(f"points kept of the scans, and their coordinates: {error}")
-        self._pairs = {pair.pair_id: pair for pair in self._dataset.pairs} if self._dataset else {}
-
-    @property
-    def label_names(self) -> dict[int, str]:
-        """Class names of the dataset."""
-        return self._dataset.label_names if self._dataset else {}
-
-    def of(self, pair_id: str) -> ScanPair | None:
-        """Pair of the dataset if its scans are those of the run; else None."""
-        if self._dataset is None:
-            return None
-        pair = self._pairs.get(pair_id)
-        try:
-            if pair is not None and input_hashes(pair, self.label_names) == self._inputs.get(pair_id):
-                return pair
-            why = "is no longer in the dataset" if pair is None else "the scans of the dataset have changed"
+            if pair is not None and input_hashes(pair, dataset.label_names) == run.record.inputs.get(pair_id):
+                unchanged[pair_id] = pair
+                continue
+            why = why if pair is None else "the scans of the dataset have changed"
         except (FidpipeError, OSError) as error:
             why = str(error)
-        self.faults.append(f"points kept of the scans of pair {pair_id}: {why}")
-        return None
+        faults.append(f"{what} of pair {pair_id}: {why}")
+    return unchanged, dataset.label_names, faults
 
 
 def _files(run: FinishedRun) -> Iterator[Part]:
