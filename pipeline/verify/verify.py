@@ -148,7 +148,7 @@ class _Tally:
     """Results of comparisons so far.
 
     compared, excused : columns (`table.column`) with compared values; columns or tables that need no comparison
-    n_recomputed : rows by table; a table without any cannot be compared
+    n_rows : by table, of whole tables and of drawn objects; a table without any of either kind cannot be compared
     """
 
     checks: dict[str, TableCheck] = field(default_factory=dict)
@@ -156,7 +156,7 @@ class _Tally:
     skipped: Counter[str] = field(default_factory=Counter)
     compared: set[str] = field(default_factory=set)
     excused: set[str] = field(default_factory=lambda: {*NOT_COMPARED})
-    n_recomputed: Counter[str] = field(default_factory=Counter)
+    n_rows: Counter[tuple[str, bool]] = field(default_factory=Counter)
     is_damaged: bool = False
 
     def add(self, parts: Iterable[Part | Skipped], pair_id: str = "") -> None:
@@ -167,7 +167,7 @@ class _Tally:
                 self.excused.update(part.columns)
                 continue
             table = TABLE_OF.get(part.table, part.table)
-            self.n_recomputed[table] += len(part.recomputed)
+            self.n_rows[table, part.is_whole] += len(part.recomputed)
             for column in compare(table, part.stored, part.recomputed, is_whole=part.is_whole):
                 self._count(part, pair_id, column)
                 if len(column.rows):
@@ -187,7 +187,7 @@ class _Tally:
 
     def unknown(self, tables: Iterable[str]) -> Iterator[str]:
         """Columns that were not compared without a declared reason; empty if a table is damaged."""
-        without_rows = {table for table, n in self.n_recomputed.items() if not n}
+        without_rows = {table for (table, _), n in self.n_rows.items() if not n}
         for table in tables:
             if not (self.is_damaged or table in self.excused | without_rows):
                 columns = (f"{table}.{name}" for name in TABLES[table].schema.names)

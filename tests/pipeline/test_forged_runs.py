@@ -71,6 +71,11 @@ def metrics_of(folder):
     return pq.read_table(folder / "metrics/a.parquet", partitioning=None).to_pandas()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sample_without_matched_objects_leaves_nothing_unexplained(honest, seed):
+    assert verify_run(honest, 1, seed).unknown == ()
+
+
 SWAPPED = [
     *("ground/a.real", "graph/a.sim", "communities/a.real", "objects/a.sim", "matching/a"),
     *("selection/a", "metrics/a", "coverage/a", "surface/a", "baselines/a"),
