@@ -150,7 +150,7 @@ def check_scan(
 
 
 def check_pair(task: tuple[ScanPair, InputSettings, dict[int, str]]) -> PairCheck:
-    """Check the files of a pair, and whether both scans are in one frame."""
+    """Check the files of a pair, and the frames of both scans."""
     pair, settings, label_names = task
     sides, scans = {}, {}
     for side in SIDES:

@@ -160,14 +160,14 @@ def recognise(pattern: BeamPattern, step_deg: float | None = None, quantum_m: fl
         what = "no known sensor has these; simulators space theirs evenly"
         return Recognition(None, what if pattern.is_even else "no sensor of the table has such beams")
     best = max(score for score, _, _ in fits.values())
-    alike = {title: fit for title, fit in fits.items() if fit[0] >= best - 0.02}
-    why = {title: _disagreement(sensor, step_deg, quantum_m) for title, (_, sensor, _) in alike.items()}
-    agreeing = [title for title in alike if not why[title]]
+    closest = {title: fit for title, fit in fits.items() if fit[0] >= best - 0.02}
+    objections = {title: _disagreement(sensor, step_deg, quantum_m) for title, (_, sensor, _) in closest.items()}
+    agreeing = [title for title in closest if not objections[title]]
     if not agreeing:
-        return Recognition(None, "; ".join(f"the beams of {title}, but {why[title]}" for title in alike))
+        return Recognition(None, "; ".join(f"the beams of {title}, but {objections[title]}" for title in closest))
     if len(agreeing) > 2:
         return Recognition(None, f"these beams fit {', '.join(agreeing)} equally well")
-    return Recognition(" or ".join(agreeing), "", alike[agreeing[0]][2])
+    return Recognition(" or ".join(agreeing), "", closest[agreeing[0]][2])
 
 
 def _disagreement(sensor: SensorModel, step_deg: float | None, quantum_m: float | None) -> str:

@@ -52,7 +52,7 @@ Statistic = Callable[..., Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """One claim: the paper's value, the value here, and whether it holds.
+    """One claim: the paper's value, the value here, and the verdict.
 
     estimate, low, high : number that the rule evaluates, such as a difference, with its 95 % interval; None if absent
     n_pairs : independent pairs that it comes from

@@ -1,4 +1,4 @@
-"""The parameter set that the data prefer, by a stated rule, and whether they decide at all."""
+"""The parameter set that the data prefer by a stated rule, if they decide."""
 
 from __future__ import annotations
 

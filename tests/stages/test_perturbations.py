@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from fidpipe.stages.generate.perturbations import KINDS, Perturbation, perturb, remeasure
+from fidpipe.stages.generate.perturbations import KINDS, Perturbation, fill_gaps, perturb, remeasure
 
 
 def seeded(seed=3):
@@ -113,6 +113,16 @@ def test_the_null_row_loses_one_point_and_keeps_the_others_in_another_order(rng)
     assert len(left) == len(kept) == 49
     assert kept < {tuple(point) for point in points}
     assert not np.array_equal(left, points[:49])
+
+
+def test_lost_pulses_return_between_their_neighbours_evenly_in_direction_and_range():
+    ends = np.array([[9.0, 0, 0], [2, 0, 0], [0, 12, 0]])  # 90 degrees and 3 m apart
+    filled, rows = fill_gaps(ends, np.array([[0, 2], [1, 2]]), np.array([1, 2]))
+    half, third = np.sqrt(0.5), 1 / np.sqrt(5)
+    np.testing.assert_allclose(filled[0], [10.5 * half, 10.5 * half, 0])
+    np.testing.assert_allclose(filled[1], (2 + 10 / 3) * third * np.array([2, 1, 0]))
+    np.testing.assert_allclose(filled[2], (2 + 20 / 3) * third * np.array([1, 2, 0]))
+    assert rows.tolist() == [2, 1, 2]
 
 
 def test_a_second_measurement_moves_points_along_their_rays_alone(cloud):
