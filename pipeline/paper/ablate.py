@@ -34,12 +34,33 @@ from ..jobs.points_job import ANNOTATED_COLUMNS, annotation, object_points
 from ..stage import Grain, Inputs, JobResult, Stage
 from .experiment import ExperimentOutcome, experimenting, mean_rows, read_source
 
-#: The ablated settings: column of `ablate`, group and name of the setting, default values.
+
+@dataclass(frozen=True)
+class Parameter:
+    """An ablated setting.
+
+    group : of the settings
+    values : tried by default
+    text : description in tables
+    label : in figures
+    """
+
+    group: str
+    values: tuple[float, ...]
+    text: str
+    label: str
+
+
+#: The ablated settings by name, which is also their column of `ablate`.
 PARAMETERS = {
-    "k": ("graph", "k", (30, 60, 90, 120, 150)),
-    "tau_m": ("graph", "tau_m", (0.1, 0.2, 0.3, 0.5)),
-    "delta_m": ("matching", "delta_m", (1.0, 3.0, 5.0, 7.0, 10.0)),
-    "t": ("selection", "t", (0.1, 0.5, 1.0, 2.0, 5.0)),
+    "k": Parameter("graph", (30, 60, 90, 120, 150), "nearest neighbours of each point", "k, neighbours"),
+    "tau_m": Parameter(
+        "graph", (0.1, 0.2, 0.3, 0.5), "distance within which all points are connected, metres", "tau (m)"
+    ),
+    "delta_m": Parameter(
+        "matching", (1.0, 3.0, 5.0, 7.0, 10.0), "largest distance of matched centroids, metres", "delta (m)"
+    ),
+    "t": Parameter("selection", (0.1, 0.5, 1.0, 2.0, 5.0), "diffusion time of the heat kernel", "t, diffusion time"),
 }
 _NAMES = list(PARAMETERS)
 #: The parameters that the rule can choose.
@@ -152,7 +173,7 @@ def ablate_dataset(
         if {*requested.get("delta_m", ())} - {base.delta_m}:
             raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
         requested["delta_m"] = ()
-    tried = {name: _values(name, requested.get(name, PARAMETERS[name][2]), getattr(base, name)) for name in _NAMES}
+    tried = {name: _values(name, requested.get(name, PARAMETERS[name].values), getattr(base, name)) for name in _NAMES}
     settings_of = {choice: with_parameters(settings, choice) for choice in parameter_sets(base, tried, grid)}
     source = read_source(dataset, pattern, machines=machines)
     if is_scan_path(dataset):
@@ -231,8 +252,8 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
         A value is out of bounds.
     """
     plain: dict[str, Any] = settings.model_dump(mode="json")
-    for name, (group, setting, _) in PARAMETERS.items():
-        plain[group][setting] = getattr(parameters, name)
+    for name, parameter in PARAMETERS.items():
+        plain[parameter.group][name] = getattr(parameters, name)
     return parse(plain)
 
 

@@ -33,7 +33,6 @@ _MAX_OBJECTS = 4
 _OBJECT_COLOURS = {"vegetation": GREEN, "car": VERMILION, "tree": ORANGE, "wall": BLUE}
 _OTHER_COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
 _MARKERS = "os^Dvp"
-_SETTINGS = {"k": "k, neighbours", "tau_m": "tau (m)", "delta_m": "delta (m)", "t": "t, diffusion time"}
 _SCORES = {"r_lambda_mean": (BLUE, "o"), "match_rate": (GREEN, "s")}
 
 
@@ -142,7 +141,7 @@ def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:
     if values.max() > 10 * values.min() > 0:
         axis.set_xscale("log")
     mark_amounts(axis, values)
-    axis.set(ylim=(0, 1), xlabel=_SETTINGS[name])
+    axis.set(ylim=(0, 1), xlabel=PARAMETERS[name].label)
 
 
 def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
@@ -157,5 +156,5 @@ def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
             axis.text(column, row, f"{value:.3f}", **look)
         axis.set_xticks(range(table.shape[1]), [f"{k:g}" for k in table.columns])
         axis.set_yticks(range(table.shape[0]), [f"{tau_m:g}" for tau_m in table.index])
-        axis.set(xlabel=_SETTINGS["k"], ylabel=_SETTINGS["tau_m"], title=metric_of(score).label)
+        axis.set(xlabel=PARAMETERS["k"].label, ylabel=PARAMETERS["tau_m"].label, title=metric_of(score).label)
         figure.colorbar(picture, ax=axis)

@@ -20,12 +20,6 @@ _ROUNDING = 1e-12
 #: The parts of r_lambda, and other scores.
 _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
 
-_PARAMETERS = {
-    "k": "graph.k: nearest neighbours of each point",
-    "tau_m": "graph.tau_m: distance within which all points are connected, metres",
-    "delta_m": "matching.delta_m: largest distance of matched centroids, metres",
-    "t": "selection.t: diffusion time of the heat kernel",
-}
 _OBJECT_SCORES = ("r_lambda", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "cdc")
 #: Means over pairs; the first two also have a standard deviation.
 _ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_SCORES))
@@ -149,7 +143,8 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
             values[2:4] = [mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]]
         cells.append((f"{'*' if point == outcome.base else ''}{getattr(point, name):g}", *values))
     paper = f"; the paper chose {CHOSEN[name]:g}" if name in CHOSEN else ""
-    title = f"{_PARAMETERS[name]}; mean ± std over {n_pairs} pairs, * current{paper}"
+    parameter = PARAMETERS[name]
+    title = f"{parameter.group}.{name}: {parameter.text}; mean ± std over {n_pairs} pairs, * current{paper}"
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
     fixed = (0, *range(3, len(columns)))
     base = points.index(outcome.base)
