@@ -115,7 +115,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
         warnings.warn(frame_warning(check), stacklevel=2)
     with one_blas_thread():
         found = evaluate(scans["real"].points, scans["sim"].points, settings)
-        tables, metadata = _results(found, scans)
+        tables, metadata = _results(found, scans, settings)
         for stage in stages_under(settings):
             if stage.is_extra:
                 result = stage.make(Inputs(pair_id=_PAIR, part="", settings=settings, tables=tables, outputs=metadata))
@@ -149,7 +149,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
 
 
 def _results(
-    found: Evaluation, scans: Mapping[str, Scan]
+    found: Evaluation, scans: Mapping[str, Scan], settings: Settings
 ) -> tuple[dict[tuple[str, str], Callable[[], pa.Table]], dict[tuple[str, str], Metadata]]:
     """Tables and metadata of an evaluation, by table and side, as the jobs of a run return them."""
     results: list[tuple[str, JobResult]] = []
@@ -175,12 +175,13 @@ def _results(
     sizes = [
         (len(real), len(sim), len(own.selection.real_nodes)) for real, sim, own in zip(*members, scored, strict=True)
     ]
+    ground = [own.tables["ground"] for _, own in results if "ground" in own.tables]
     results += [
         ("", matching_result(_PAIR, matching, n_real, n_sim)),
         ("", coverage_result(_PAIR, (found.real.coverage, found.sim.coverage))),
         ("", surface_result(_PAIR, found.surface)),
         ("", pieces_result(_PAIR, found.pieces)),
-        ("", rays_result(_PAIR, found.rays, [own.tables["ground"] for _, own in results if "ground" in own.tables])),
+        ("", rays_result(_PAIR, found.rays, ground, settings.input)),
         ("", selection_result(_PAIR, zip(rows, *members, [own.selection for own in scored], strict=True))),
         ("", metrics_result(_PAIR, zip(rows, sizes, [own.scores for own in scored], strict=True))),
     ]

@@ -383,6 +383,54 @@ RAY_MEANS = tuple(
     metric.column for metric in RAY_SCORES if metric.column not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
 )
 
+#: Scores of the intensities of a pair, in the order of the columns of `pairs`.
+INTENSITY_SCORES = (
+    Metric(
+        "intensity_rank_corr",
+        "intensity, rank correlation",
+        "Spearman's correlation of both intensities on rays with the same range",
+        low=-1.0,
+        high=1.0,
+        better="higher",
+        equal=1.0,
+        source="fidpipe",
+    ),
+    Metric(
+        "intensity_rank_distance",
+        "intensity, rank distance",
+        "Wasserstein distance of the ranks of both intensities within bins of range and incidence",
+        high=1.0,
+        source="fidpipe",
+    ),
+    Metric(
+        "intensity_ratio",
+        "intensity ratio",
+        "mean simulated over mean real intensity on rays with the same range",
+        better=None,
+        equal=1.0,
+        source="fidpipe",
+    ),
+    Metric(
+        "intensity_rmse",
+        "intensity RMSE",
+        "root mean square difference, if input.intensity_scale is same",
+        source="fidpipe",
+    ),
+    *(
+        Metric(
+            f"intensity_{side}_by_{cause}",
+            f"{side} intensity by {cause}",
+            f"share of the variance of the ranks of the {word} intensity that {cause} explains",
+            high=1.0,
+            better=None,
+            equal=None,
+            source="fidpipe",
+        )
+        for side, word in _SIDES
+        for cause in ("range", "incidence", "class")
+    ),
+)
+
 #: Scores of the displacement of the simulated surface.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 
@@ -481,6 +529,7 @@ METRIC = {
         *SURFACE_SCORES,
         *PIECE_SCORES,
         *RAY_SCORES,
+        *INTENSITY_SCORES,
         *BASELINES,
     )
 }
@@ -502,6 +551,7 @@ RUN_SCORES = (
     *DATASET_SCORES,
     *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)),
     *RAY_MEANS,
+    *(metric.column for metric in INTENSITY_SCORES),
 )
 #: Columns of `pairs` in a summary of pairs and dataset.
 HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")

@@ -80,6 +80,9 @@ class InputSettings(_Group):
         + ". Converted to ros before T_real_sim is applied",
     )
     sim_frame: FrameName = Field("ros", description="axes of the simulated scans, metres; see real_frame")
+    intensity_scale: Literal["unknown", "same"] = Field(
+        "unknown", description="same: intensities of both sides have one scale, so that their RMSE is computed"
+    )
 
     @field_validator(
         "columns", "real_columns", "sim_columns", mode="before", json_schema_input_type=tuple[str, ...] | str

@@ -34,6 +34,7 @@ from .experiment_tables import EXPERIMENT_TABLES
 from .metric_catalogue import (
     COVERAGE_REACHES,
     COVERAGE_SCORES,
+    INTENSITY_SCORES,
     METRIC,
     OBJECT_METRICS,
     OBJECT_SCORES,
@@ -316,6 +317,8 @@ def _pair_columns() -> list[pa.Field]:
         ]
     fields += [score_column(metric) for metric in RAY_METRICS]
     fields.append(column("rays_reason", STRING, "why the pair has no rays", optional=True))
+    fields += [score_column(metric) for metric in INTENSITY_SCORES]
+    fields.append(column("intensity_note", STRING, "what is unusual about the intensities", optional=True))
     return fields
 
 

@@ -113,9 +113,10 @@ def compare(
 ) -> None:
     """Compare simulator versions on the same real scans: better, worse or mixed, in what, and which objects changed.
 
-    Scores are decided in families: surface missing, surface invented, position, surface noise, sensor, rays, objects.
-    Each has one test (exact sign flips over pairs, maxT over its scores), Holm over the families: of equal simulators
-    any is better or worse in 5 % of the comparisons or fewer. Neighbouring frames count once, see --independent.
+    Scores are decided in families: surface missing, surface invented, position, surface noise, sensor, rays,
+    intensity, objects. Each has one test (exact sign flips over pairs, maxT over its scores), Holm over the families:
+    of equal simulators any is better or worse in 5 % of the comparisons or fewer. Neighbouring frames count once, see
+    --independent.
 
     Exit codes: 0 compared; 1 a run or setting is wrong; 2 wrong usage; 4 with --fail-on worse: a family is worse or
     mixed, or a pair that the base has scored failed or is not compared; with --fail-on undecided also if nothing is

@@ -19,7 +19,7 @@ from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError,
 from ...schemas.settings import FRAME_AXES, InputSettings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
-from ...stages.generate.flaws import FLAWS, ChosenFlaw, lose_foliage
+from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried, lose_foliage
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
 from ...stages.inspect.sensor_models import SensorModel
@@ -34,7 +34,7 @@ from ..storage.run_record import library_versions
 from .dataset_folder import Recipe, prepare_folder, write_table, writing
 
 RECIPE = "twin.toml"
-RECIPE_VERSION = 1  # increase it when the same recipe results in other scans
+RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
 _LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
 _LEAST_OTHERS = 2
 
@@ -200,19 +200,17 @@ def _row(frame: Frame) -> tuple[str, ...]:
 def _write_twin(task: _Task) -> None:
     """Write the scans of a pair, and the labels of the real one."""
     real, sim = _files(task)
-    points = _rescan(task)
+    points, intensity = _rescan(task)
     gc.collect()  # trimesh surfaces are cyclic: otherwise 80 MB per frame wait for the collector
     labels = label_path_of(task.frame.path, stem_of(task.frame.path))
     if labels.exists():
         write_whole(real.with_name(labels.name), labels.read_bytes())
     write_whole(real, task.frame.path.read_bytes())
-    rows = np.zeros((len(points), 4), dtype="<f4")
-    rows[:, :3] = points
-    write_whole(sim, rows.tobytes())
+    write_whole(sim, np.column_stack([points, np.nan_to_num(intensity)]).astype("<f4").tobytes())
 
 
-def _rescan(task: _Task) -> FloatArray:
-    """The twin of a scan with its flaws, (n, 3) float64, metres, in its frame.
+def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
+    """The twin of a scan with its flaws, (n, 3) float64, metres, in its frame, and its (n,) intensities.
 
     Raises
     ------
@@ -224,16 +222,16 @@ def _rescan(task: _Task) -> FloatArray:
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # or the last bits would differ between machines
-        own, _ = _read(task, task.frame)
+        own, _, _ = _read(task, task.frame)
         T_sensor_world = np.linalg.inv(_square(task.frame))
         voxels, others = EMPTY_MAP, []
         for frame in task.others:
             try:
-                points, is_foliage = _read(task, frame)
+                points, is_foliage, intensity = _read(task, frame)
             except ScanError:  # its own pair fails
                 continue
             motion = T_sensor_world @ _square(frame)
-            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], is_foliage)
+            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], is_foliage, intensity)
             others.append(points)
         if len(others) < _LEAST_OTHERS:
             raise StageError(f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}")
@@ -243,31 +241,35 @@ def _rescan(task: _Task) -> FloatArray:
         else:
             directions = fire(task.sensor, rng.uniform(0.0, 360.0)).directions()
         rescan = SurfelModel(voxels).scan(directions, task.sensor, rng)
-        points = rescan.points
+        points, intensity = rescan.points, rescan.intensity
         for flaw in task.flaws:
             rng = _rng(task, flaw.name if FLAWS[flaw.name].is_systematic else f"{task.frame.name}/{flaw.name}")
-            if flaw.name == "foliage" and task.foliage:
-                points = lose_foliage(
-                    points, flaw.amount, rng, rescan.is_foliage
-                )  # the first flaw: no rows are lost yet
+            kind = FLAWS[flaw.name]
+            if flaw.name == "foliage" and task.foliage:  # the first flaw: no rows are lost yet
+                altered = lose_foliage(points, flaw.amount, rng, rescan.is_foliage)
             else:
-                points = FLAWS[flaw.name](points, flaw.amount, rng, flaw.at_m)
+                altered = kind(points, flaw.amount, rng, flaw.at_m)
+            intensity = carried(points, intensity, altered)
+            points = altered
+            if kind.intensity is not None:
+                intensity = kind.intensity(points, intensity, flaw.amount)
     if not len(points):
         raise StageError(
             "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts"
         )
-    return points
+    return points, intensity
 
 
-def _read(task: _Task, frame: Frame) -> tuple[FloatArray, BoolArray | None]:
-    """The cleaned points of a frame, and a mask of those labelled as foliage if the recipe names such labels."""
+def _read(task: _Task, frame: Frame) -> tuple[FloatArray, BoolArray | None, FloatArray | None]:
+    """The cleaned points of a frame, a mask of those labelled as foliage if the recipe names such labels, intensity."""
     scan = read_scan(frame.path, task.settings.columns_of("real"), dict(task.label_names))
     clean = clean_scan(scan.points, task.settings)
+    intensity = None if scan.intensity is None else scan.intensity[clean.point_ids]
     if not task.foliage:
-        return clean.points, None
+        return clean.points, None, intensity
     if scan.labels is None:
         raise ScanError(f"{frame.path}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})")
-    return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage)
+    return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage), intensity
 
 
 def _square(frame: Frame) -> FloatArray:

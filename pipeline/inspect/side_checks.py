@@ -27,11 +27,13 @@ from ...stages.inspect.sequence_checks import (
     moved_m,
 )
 from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
+from ...stages.intensity import intensity_law
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 
 _STRETCH = 5
 _WITH_STAMPS = 2  # pairs
+_UNIT_SCALE = 10.0  # a scale that reaches this is not that from 0 to 1
 _NAMES = {"real": "real", "sim": "simulated"}
 
 
@@ -67,6 +69,7 @@ class SideSamples:
         self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
         self._stamps: dict[str, StampCheck] = {}
         self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
+        self._intensity: dict[str, tuple[FloatArray, FloatArray]] = {}  # of the first scan that has it, with its ranges
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
         """Add the samples of a pair; scans that could not be read have no points."""
@@ -77,6 +80,9 @@ class SideSamples:
             own_axes = as_ros(scan.points, frame)  # neither cleaned nor moved: beams are those of its frame
             if len(scan.points):
                 self._sensors[side][pair.pair_id] = describe_sensor(own_axes, scan.rings, scan.times_s is not None)
+            if scan.intensity is not None and len(scan.points) and side not in self._intensity:
+                is_finite = np.isfinite(scan.points).all(axis=1) & np.isfinite(scan.intensity)
+                self._intensity[side] = scan.intensity[is_finite], np.linalg.norm(scan.points[is_finite], axis=1)
             if pair.pair_id in self._with_stamps and scan.times_s is not None and side not in self._stamps:
                 self._stamps[side] = describe_stamps(scan.times_s, own_axes, scan.stamp_s)
             if pair.pair_id in self._sampled:
@@ -118,6 +124,7 @@ class SideSamples:
         """
         lines = [f"{_NAMES[side]} scans: {text}" for side, own in self._stamps.items() for text in own.faults]
         lines += stamp_differences(self._stamps.get("real"), self._stamps.get("sim"))
+        lines += self._intensity_lines()
         counts = {side: np.array(n_clean[side], dtype=np.intp) for side in SIDES}
         if empty := find_empty_side(counts["real"], counts["sim"]):
             medians = {side: f"{np.median(own):.0f}" for side, own in counts.items()}
@@ -142,6 +149,23 @@ class SideSamples:
             lines += self._time_offset()
         for side in SIDES:
             lines += self._ego_hits(side, moved[side])
+        return lines
+
+    def _intensity_lines(self) -> list[str]:
+        """Intensities that no material can explain, and scales that differ, where both sides have intensities."""
+        if len(self._intensity) < len(SIDES):
+            return []
+        lines = []
+        for side, own in self._intensity.items():
+            if law := intensity_law(*own):
+                question = "are materials simulated?" if side == "sim" else "is it recorded?"
+                lines.append(f"{_NAMES[side]} scans: intensity is {law}; {question}")
+        highest = {side: float(np.quantile(own, 0.999)) for side, (own, _) in self._intensity.items() if len(own)}
+        if len(highest) == len(SIDES) and min(highest.values()) <= 1.0 and max(highest.values()) > _UNIT_SCALE:
+            lines.append(
+                f"intensities have different scales: up to {highest['real']:.3g} on the real side, up to "
+                f"{highest['sim']:.3g} on the simulated side; expected 0 to 1 or 0 to 255 on both"
+            )
         return lines
 
     def _time_offset(self) -> list[str]:

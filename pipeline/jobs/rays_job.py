@@ -10,8 +10,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ...schemas.columns import SIDES
+from ...schemas.settings import InputSettings
 from ...schemas.tables import RAY_SCORES, RAYS
 from ...stages.arrays import BoolArray, FloatArray
+from ...stages.intensity import score_intensity
 from ...stages.rays import (
     AZIMUTH_EDGES_DEG,
     INCIDENCE_EDGES_DEG,
@@ -33,15 +35,17 @@ def make_rays(own: Inputs) -> JobResult:
     moved = own.metadata("ground", "sim")["T_real_sim"]
     with own.step("rays"):
         rays = find_rays(real, sim, (sensors[0], sensors[1]), np.array(moved).reshape(3, 4) if moved else None)
-    return rays_result(own.pair_id, rays, tables)
+    with own.step("intensity"):
+        return rays_result(own.pair_id, rays, tables, own.settings.input)
 
 
-def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table]) -> JobResult:
+def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], settings: InputSettings) -> JobResult:
     """One row per ray, and one of scores for each group of rays; empty tables if there is a reason instead of rays.
 
     Parameters
     ----------
     ground : the table of each side, whose rows the returns are
+    settings : of input, for the scale of intensities
     """
     if isinstance(rays, str):
         of_pair: Metadata = {"rays_reason": rays}
@@ -72,7 +76,11 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table]) -> J
         scores.append({"pair_id": pair_id, "by": by, "band": band} | score_rays(rays, is_in))
         if by not in ("all", "azimuth"):  # rays without any return have no range, incidence or class
             scores[-1]["rays_drop_f1"] = None
-    return JobResult({"rays": table, "ray_scores": RAY_SCORES.from_rows(scores)}, {OF_PAIR: score_rays(rays)})
+    intensity = [None if own["intensity"].null_count == len(own) else column(own, "intensity") for own in ground]
+    classes = np.array(label.dictionary_encode().indices.fill_null(-1))
+    one_scale = settings.intensity_scale == "same"
+    of_pair = score_rays(rays) | score_intensity(rays, intensity, classes, has_one_scale=one_scale)
+    return JobResult({"rays": table, "ray_scores": RAY_SCORES.from_rows(scores)}, {OF_PAIR: of_pair})
 
 
 def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:
@@ -98,8 +106,9 @@ def _or_null(values: FloatArray) -> pa.Array:
 
 STAGE = Stage(
     name="rays",
-    takes={"ground": ("point_id", "x", "y", "z", "label"), "sensor": ()},
+    takes={"ground": ("point_id", "x", "y", "z", "intensity", "label"), "sensor": ()},
     gives=("rays", "ray_scores"),
+    settings=("input",),
     grain=Grain.PAIR,
     make=make_rays,
 )

@@ -8,7 +8,9 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import SIDES
+from ...schemas.metric_catalogue import INTENSITY_SCORES
 from ...schemas.tables import TABLES
+from ...stages.arrays import FloatArray
 from ...stages.literal import literal_method
 from ...stages.literal import literal_rays as literal
 from ...stages.rays import find_rays
@@ -27,7 +29,8 @@ def rays(pair: StoredPair) -> Iterator[Part | Skipped]:
     points = {side: pair.table("ground", side)[["x", "y", "z"]].to_numpy() for side in SIDES}
     T_real_sim = np.array(moved).reshape(3, 4) if moved else None
     found = find_rays(points["real"], points["sim"], (sensors[0], sensors[1]), T_real_sim)
-    again = rays_result(pair.pair_id, found, [pair.run.read_table("ground", pair.pair_id, side) for side in SIDES])
+    ground = [pair.run.read_table("ground", pair.pair_id, side) for side in SIDES]
+    again = rays_result(pair.pair_id, found, ground, pair.settings.input)
     for name, table in again.tables.items():
         yield pair.part(name, TABLES[name].plain(table).to_pandas().drop(columns="pair_id"))
     yield pair.in_pairs({"rays_reason": found if isinstance(found, str) else None})
@@ -38,6 +41,7 @@ def rays(pair: StoredPair) -> Iterator[Part | Skipped]:
     if pair.sample.whole_sides and len(stored):
         yield _partners(pair, stored)
     yield from _scores(pair, stored)
+    yield pair.in_pairs(_intensities(pair, stored))
 
 
 def _outcomes(pair: StoredPair, stored: pd.DataFrame, sim: np.ndarray, noise_m: float) -> Iterator[Part]:
@@ -102,3 +106,24 @@ def _scores(pair: StoredPair, stored: pd.DataFrame) -> Iterator[Part]:
     whole = literal.scores(list(zip(*(stored[name].tolist() for name in _RAY), strict=True)))
     yield pair.part("ray_scores", pd.DataFrame(rows, columns=["by", "band", *whole]))
     yield pair.in_pairs(whole if len(stored) else dict.fromkeys(whole))
+
+
+def _intensities(pair: StoredPair, stored: pd.DataFrame) -> dict[str, float | str | None]:
+    """Scores of intensities from the stored rays; null for all without rays."""
+    names = [*(metric.column for metric in INTENSITY_SCORES), "intensity_note"]
+    intensity: dict[str, FloatArray] = {}
+    range_m: dict[str, FloatArray] = {}
+    for side in SIDES:
+        of_point = pair.table("ground", side).set_index("point_id")["intensity"].astype(float)
+        intensity[side] = of_point.reindex(stored[f"{side}_point_id"]).to_numpy(dtype=np.float64)
+        range_m[side] = stored[f"{side}_range_m"].to_numpy(dtype=np.float64)
+    label = stored["label"].astype(object).where(stored["label"].notna(), None).tolist()
+    found = literal.intensity_scores(
+        stored["outcome"].tolist(),
+        intensity,
+        range_m,
+        stored["incidence_deg"].to_numpy(dtype=float),
+        label,
+        has_one_scale=pair.settings.input.intensity_scale == "same",
+    )
+    return dict.fromkeys(names) | found if len(stored) else dict.fromkeys(names)

@@ -39,6 +39,7 @@ class Flaw:
     at_m : default second parameter in metres, or None
     at : description of the second parameter
     is_whole : the amount is an integer
+    intensity : function of points, intensity and amount that returns the altered intensity, or None; see `carried`
     """
 
     name: str
@@ -50,6 +51,7 @@ class Flaw:
     at_m: float | None = None
     at: str = ""
     is_whole: bool = False
+    intensity: Callable[[FloatArray, FloatArray, float], FloatArray] | None = None
 
     def __call__(self, points: FloatArray, amount: float, rng: Generator, at_m: float | None = None) -> FloatArray:
         """Return the altered points, (m, 3): the kept points in their order, then new ones. No points remain no points.
@@ -98,6 +100,21 @@ class ChosenFlaw:
     name: str
     amount: float
     at_m: float | None = None
+
+
+def carried(points: FloatArray, intensity: FloatArray, altered: FloatArray) -> FloatArray:
+    """Intensity of the points after a flaw: of the same rows if their number is the same, else of the nearest point.
+
+    Parameters
+    ----------
+    points, intensity : (n, 3) and (n,) float64, before
+    altered : (m, 3) float64, after
+    """
+    if len(points) == len(altered) or not len(altered):
+        return intensity[: len(altered)]
+    _, nearest = cKDTree(points).query(altered)
+    own: FloatArray = intensity[nearest]
+    return own
 
 
 def is_foliage(points: FloatArray) -> BoolArray:
@@ -195,6 +212,23 @@ def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArra
     return altered
 
 
+def _keep(points: FloatArray, _: float, rng: Generator) -> FloatArray:
+    return points.copy()
+
+
+def _constant(points: FloatArray, _: FloatArray, amount: float) -> FloatArray:
+    return np.full(len(points), amount)
+
+
+def _attenuated(points: FloatArray, _: FloatArray, per_m: float) -> FloatArray:
+    intensity: FloatArray = np.exp(-per_m * np.linalg.norm(points, axis=1))
+    return intensity
+
+
+def _scaled(_: FloatArray, intensity: FloatArray, factor: float) -> FloatArray:
+    return factor * intensity
+
+
 _KINDS = (
     Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 0, 1, lose_foliage),
     Flaw("holes", "number of holes", 0, 10_000, _cut_holes, at_m=1.5, at="radius of a hole, metres", is_whole=True),
@@ -208,6 +242,9 @@ _KINDS = (
     Flaw("yaw", "turn about the vertical, degrees", -180, 180, _turn, is_systematic=True),
     Flaw("offset", "shift in a random horizontal direction, metres", 0, 100, _shift, is_systematic=True),
     Flaw("mirrored", "1: y is negated; 0: it is not", 0, 1, _mirror, is_systematic=True, is_whole=True),
+    Flaw("intensity-constant", "intensity of all points", 0, 65_535, _keep, intensity=_constant),
+    Flaw("intensity-range", "a of exp(-a d), 1/m, as in CARLA", 0, 10, _keep, intensity=_attenuated),
+    Flaw("intensity-scale", "factor of the intensity", 0, 65_535, _keep, intensity=_scaled),
 )
 #: Flaws by name, in the order in which they are applied to a scan: losses, distortions, additions, then rigid motions.
 FLAWS: dict[str, Flaw] = {flaw.name: flaw for flaw in _KINDS}

@@ -49,14 +49,16 @@ class VoxelMap:
     points : (n, 3) float64, metres, mean of the points in each voxel
     n_points : (n,) float64, their number
     foliage : (n,) float64, share of them that is labelled as foliage
+    intensity : (n,) float64, their mean intensity; NaN if a scan has none
     """
 
     points: FloatArray
     n_points: FloatArray
     foliage: FloatArray
+    intensity: FloatArray
 
 
-EMPTY_MAP = VoxelMap(np.empty((0, 3)), np.empty(0), np.empty(0))
+EMPTY_MAP = VoxelMap(np.empty((0, 3)), *(np.empty(0),) * 3)
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,20 @@ class Rescan:
 
     points : (n, 3) float64, metres, sensor frame, in the order of the rays
     is_foliage : (n,) bool, by the labels of the map
+    intensity : (n,) float64, of the surface that each ray hit; NaN if unknown
     """
 
     points: FloatArray
     is_foliage: BoolArray
+    intensity: FloatArray
 
 
-def extend_map(voxels: VoxelMap, points: FloatArray, is_foliage: BoolArray | None = None) -> VoxelMap:
+def extend_map(
+    voxels: VoxelMap,
+    points: FloatArray,
+    is_foliage: BoolArray | None = None,
+    intensity: FloatArray | None = None,
+) -> VoxelMap:
     """Add the points of a scan to a map; its size is bounded by the surface, not by the number of scans.
 
     Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the distance of
@@ -81,10 +90,12 @@ def extend_map(voxels: VoxelMap, points: FloatArray, is_foliage: BoolArray | Non
     ----------
     points : (n, 3) float64, metres, in the frame of the new scan
     is_foliage : (n,) bool, by label; by default no point is
+    intensity : (n,) float64, if the scan has it
     """
     merged = np.concatenate([voxels.points, points])
     weight = np.concatenate([voxels.n_points, np.ones(len(points))])
     foliage = np.concatenate([voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage])
+    bright = np.concatenate([voxels.intensity, np.full(len(points), np.nan) if intensity is None else intensity])
     band = _bands(merged)
     parts = []
     for number in range(_BANDS):
@@ -92,10 +103,10 @@ def extend_map(voxels: VoxelMap, points: FloatArray, is_foliage: BoolArray | Non
         _, ids = np.unique(voxel_ids(merged[rows], VOXEL_M * 2.0**number), return_inverse=True)
         own = weight[rows]
         total = np.bincount(ids, own)
-        columns = (*merged[rows].T, foliage[rows])
+        columns = (*merged[rows].T, foliage[rows], bright[rows])
         parts.append(np.column_stack([*(np.bincount(ids, own * column) / total for column in columns), total]))
     means = np.concatenate(parts)
-    return VoxelMap(means[:, :3], means[:, 4], means[:, 3])
+    return VoxelMap(means[:, :3], means[:, 5], means[:, 3], means[:, 4])
 
 
 class SurfelModel:
@@ -136,7 +147,7 @@ class SurfelModel:
         rng : noise and losses
         """
         if not len(self._voxels.points):
-            return Rescan(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
+            return Rescan(np.empty((0, 3)), np.empty(0, dtype=np.bool_), np.empty(0))
         hits = self._target.first_hits(directions)
         rays = directions[hits.ray_ids]
         surfels = hits.face_ids // 2
@@ -145,7 +156,8 @@ class SurfelModel:
         range_m = measure_ranges(sensor, range_m, rng)
         is_detected &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
         points: FloatArray = (rays * range_m[:, None])[is_detected]
-        return Rescan(points, self._voxels.foliage[surfels[is_detected]] > 0.5)
+        seen = surfels[is_detected]
+        return Rescan(points, self._voxels.foliage[seen] > 0.5, self._voxels.intensity[seen])
 
     def _onto_planes(self, rays: FloatArray, range_m: FloatArray, surfels: IndexArray) -> FloatArray:
         """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""

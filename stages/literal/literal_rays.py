@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy import stats
 
 from ..arrays import FloatArray
 
@@ -161,6 +163,77 @@ def scores(rays: Sequence[tuple[str, float, float]]) -> dict[str, float | None]:
         math.sqrt(math.fsum(error * error for error in errors) / size),
     )
     return found | {f"rays_{name}": value for name, value in zip(names, values, strict=True)}
+
+
+def intensity_scores(
+    outcome: Sequence[str],
+    intensity: dict[str, FloatArray],
+    range_m: dict[str, FloatArray],
+    incidence_deg: FloatArray,
+    label: Sequence[str | None],
+    *,
+    has_one_scale: bool,
+) -> dict[str, float | str | None]:
+    """Scores of the intensities, by column of `pairs`, with scipy's ranks, correlation and Wasserstein distance.
+
+    Parameters
+    ----------
+    intensity, range_m : by side, of each ray; NaN for none, and for all rays if the side has no intensity
+    """
+    found: dict[str, float | str | None] = {}
+    notes = []
+    names = sorted({own for own in label if own is not None})
+    classes = np.array([np.nan if own is None else float(names.index(own)) for own in label])
+    for side, own in intensity.items():
+        known = ~np.isnan(own)
+        if not known.any():
+            notes.append(f"{side}: no intensity")
+            continue
+        by_range = _eta_squared(own[known], range_m[side][known], n_groups=20)
+        found[f"intensity_{side}_by_range"] = by_range
+        found[f"intensity_{side}_by_incidence"] = _eta_squared(own[known], incidence_deg[known], n_groups=20)
+        found[f"intensity_{side}_by_class"] = _eta_squared(own[known], classes[known])
+        if known.sum() >= 100 and len(set(own[known].tolist())) == 1:
+            notes.append(f"{side}: constant ({own[known][0]:g})")
+        elif by_range is not None and by_range >= 0.97:
+            notes.append(f"{side}: a function of range alone")
+    found["intensity_note"] = "; ".join(notes) or None
+    real, sim = intensity["real"], intensity["sim"]
+    both = np.array([own == "same" for own in outcome], dtype=bool) & ~np.isnan(real) & ~np.isnan(sim)
+    if both.sum() < 100:
+        return found
+    ranks = [(stats.rankdata(own[both]) - 0.5) / both.sum() for own in (real, sim)]
+    bins: dict[tuple[int, int], list[int]] = {}
+    for i, (distance, angle) in enumerate(zip(range_m["real"][both], incidence_deg[both], strict=True)):
+        band = sum(distance >= edge for edge in (10, 20, 30, 50))
+        bins.setdefault(
+            (band, -1 if math.isnan(angle) else sum(angle >= edge for edge in (30, 60, 75, 85))), []
+        ).append(i)
+    large = [own for own in bins.values() if len(own) >= 10]
+    total = sum(len(own) * float(stats.wasserstein_distance(ranks[0][own], ranks[1][own])) for own in large)
+    varies = all(len(set(own.tolist())) > 1 for own in ranks)
+    mean = math.fsum(real[both]) / both.sum()
+    return found | {
+        "intensity_rank_corr": float(stats.spearmanr(real[both], sim[both])[0]) if varies else None,
+        "intensity_rank_distance": total / sum(map(len, large)) if large else None,
+        "intensity_ratio": math.fsum(sim[both]) / both.sum() / mean if mean > 0 else None,
+        "intensity_rmse": math.sqrt(math.fsum((sim - real)[both] ** 2) / both.sum()) if has_one_scale else None,
+    }
+
+
+def _eta_squared(values: FloatArray, cause: FloatArray, n_groups: int = 0) -> float | None:
+    """Sum of squares of ranks between groups over the total: groups of equal cause, or of about equal size."""
+    values, cause = values[~np.isnan(cause)], cause[~np.isnan(cause)]
+    if len(values) < 100 or len(set(values.tolist())) == 1:
+        return None
+    ascending = sorted(cause.tolist())
+    edges = [_quantile(ascending, i / n_groups) for i in range(1, n_groups)]
+    groups = np.array([bisect_left(edges, one) for one in cause.tolist()]) if edges else cause
+    ranks = stats.rankdata(values)
+    between = sum(
+        (groups == own).sum() * (ranks[groups == own].mean() - ranks.mean()) ** 2 for own in set(groups.tolist())
+    )
+    return float(between / ((ranks - ranks.mean()) ** 2).sum())
 
 
 _OUTCOMES = ("same", "in_front", "behind", "dropped", "no_surface", "sim_only", "none")

@@ -20,13 +20,14 @@ from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.pipeline.verify.verify_view import verify_view
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
+from fidpipe.schemas.metric_catalogue import INTENSITY_SCORES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_models import SENSORS
 from fidpipe.stages.literal import literal_method
 from runs import command, contents, rewrite, run, some_of
-from scenes import write_bin, write_dataset
+from scenes import write_dataset
 from toys import TOY_TABLES
 
 SMALL = ["matching.delta_m=20"]  # the objects of so small a street are matched all the same
@@ -58,8 +59,9 @@ def with_rays(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rays")
     pair = make_pair(0, 0, SENSORS["vlp16"], 8000)
     for side, scan in (("real", pair.real), ("sim", pair.sim)):
-        write_bin(folder / "streets" / side / "000.bin", scan.rows[:, :3])
-    run(folder / "streets", folder / "run", load(None, SMALL))
+        (folder / "streets" / side).mkdir(parents=True)
+        scan.rows.tofile(folder / "streets" / side / "000.bin")
+    run(folder / "streets", folder / "run", load(None, [*SMALL, "input.intensity_scale=same"]))
     return folder / "run"
 
 
@@ -175,10 +177,12 @@ def test_each_edited_column_of_rays_is_named(with_rays, tmp_path, monkeypatch):
         *(("rays", name) for name in rays if name not in ("pair_id", "beam", "column", "label")),
         *(("ray_scores", name) for name in scores if name not in keys),
         *(("pairs", name) for name in scores if name not in keys),
+        *(("pairs", metric.column) for metric in INTENSITY_SCORES),
+        ("pairs", "intensity_note"),
     }
     for table, name in forged:
         path = "pairs.parquet" if table == "pairs" else f"{table}/000.parquet"
-        is_text = name == "outcome"
+        is_text = name in ("outcome", "intensity_note")
         forge(copy, path, name, lambda values, is_text=is_text: another(values, is_text=is_text))
     wrong = {(mismatch.table, mismatch.column) for mismatch in verify_run(copy, None).mismatches}
     assert forged - wrong == set()

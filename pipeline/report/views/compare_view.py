@@ -26,7 +26,6 @@ GROUPS_NOTE = (
     "Classes and ranges are described, not tested: some of these changes are due to chance, and of many groups "
     "some always move. Mean changes are over the objects that both runs have matched; below 0 is better."
 )
-INTENSITY_NOTE = "intensity is not compared: no score uses it yet"
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
@@ -130,7 +129,7 @@ def remarks(comparison: Comparison) -> list[Note]:
     lines += left_out[:_MOST_LEFT_OUT]
     if len(left_out) > _MOST_LEFT_OUT:
         lines.append(f"left out: {len(left_out) - _MOST_LEFT_OUT} more pairs")
-    return [Note(f"note: {line}", "yellow") for line in [*lines, INTENSITY_NOTE]]
+    return [Note(f"note: {line}", "yellow") for line in lines]
 
 
 def _on_chance(comparison: Comparison) -> list[str]:
