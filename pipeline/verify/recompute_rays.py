@@ -115,7 +115,7 @@ def _intensities(pair: StoredPair, stored: pd.DataFrame) -> dict[str, float | st
     range_m: dict[str, FloatArray] = {}
     for side in SIDES:
         of_point = pair.table("ground", side).set_index("point_id")["intensity"].astype(float)
-        intensity[side] = of_point.reindex(stored[f"{side}_point_id"]).to_numpy(dtype=np.float64)
+        intensity[side] = np.asarray(of_point.reindex(stored[f"{side}_point_id"]), dtype=np.float64)
         range_m[side] = stored[f"{side}_range_m"].to_numpy(dtype=np.float64)
     label = stored["label"].astype(object).where(stored["label"].notna(), None).tolist()
     found = literal.intensity_scores(

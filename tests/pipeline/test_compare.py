@@ -25,7 +25,6 @@ from fidpipe.pipeline.report.views.compare_view import (
     compare_records,
     compare_view,
     decision,
-    remarks,
     score_table,
 )
 from fidpipe.pipeline.results.compare import compare_runs
