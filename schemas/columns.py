@@ -40,7 +40,11 @@ class Table:
             A column is missing, surplus, of another type, or has a null that the schema forbids.
         """
         if table.schema.names != self.schema.names:
-            raise ValueError(f"table {self.name}: expected columns {self.schema.names}, got {table.schema.names}")
+            expected, got = self.schema.names, table.schema.names
+            missing = [name for name in expected if name not in got]
+            unknown = [name for name in got if name not in expected]
+            differences = [f"{word} {', '.join(own)}" for word, own in (("no", missing), ("unknown", unknown)) if own]
+            raise ValueError(f"table {self.name}: {'; '.join(differences) or 'columns in another order'}")
         for field in self.schema:
             column = table.column(field.name)
             if column.type != field.type and not (field.type == CONSTANT and column.type == pa.string()):

@@ -551,7 +551,7 @@ RUN_SCORES = (
     *DATASET_SCORES,
     *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)),
     *RAY_MEANS,
-    *(metric.column for metric in INTENSITY_SCORES),
+    *(metric.column for metric in INTENSITY_SCORES if metric.equal is not None),
 )
 #: Columns of `pairs` in a summary of pairs and dataset.
 HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")

@@ -10,6 +10,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ...schemas.columns import SIDES
+from ...schemas.metric_catalogue import INTENSITY_SCORES
+from ...schemas.metric_catalogue import RAY_SCORES as RAY_METRICS
 from ...schemas.settings import InputSettings
 from ...schemas.tables import RAY_SCORES, RAYS
 from ...stages.arrays import BoolArray, FloatArray
@@ -47,8 +49,10 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
     ground : the table of each side, whose rows the returns are
     settings : of input, for the scale of intensities
     """
+    of_pair: Metadata = {metric.column: None for metric in (*RAY_METRICS, *INTENSITY_SCORES)}
+    of_pair |= {"rays_reason": None, "intensity_note": None}
     if isinstance(rays, str):
-        of_pair: Metadata = {"rays_reason": rays}
+        of_pair |= {"rays_reason": rays}
         return JobResult({"rays": RAYS.from_rows([]), "ray_scores": RAY_SCORES.from_rows([])}, {OF_PAIR: of_pair})
     returned = [pa.array(rows, mask=rows < 0) for rows in (rays.real_row, rays.sim_row)]
     ids, labels = (
@@ -79,7 +83,7 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
     intensity = [None if own["intensity"].null_count == len(own) else column(own, "intensity") for own in ground]
     classes = np.array(label.dictionary_encode().indices.fill_null(-1))
     one_scale = settings.intensity_scale == "same"
-    of_pair = score_rays(rays) | score_intensity(rays, intensity, classes, has_one_scale=one_scale)
+    of_pair |= score_rays(rays) | score_intensity(rays, intensity, classes, has_one_scale=one_scale)
     return JobResult({"rays": table, "ray_scores": RAY_SCORES.from_rows(scores)}, {OF_PAIR: of_pair})
 
 

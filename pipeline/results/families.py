@@ -8,7 +8,7 @@ invented surface explains is shown with its reason and does not count.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -186,12 +186,14 @@ def judge_families(
             )
         tends = before_holm is not None and before_holm < ERROR_RATE
         found[i] = replace(found[i], p=p, tendency=scores[0].towards if tends else "", scores=scores)
-    moved = {
-        word: {family.name for family in found[:2] if any(score.verdict == word for score in family.scores)}
+    called = {family.name: {score.verdict for score in family.scores} for family in found}
+    better, worse = (
+        {name for name in (SURFACE_MISSING, SURFACE_INVENTED) if word in called.get(name, ())}
         for word in ("better", "worse")
-    }
-    points = _points_change(rows)
-    return tuple(_decided(family, moved, points) for family in found)
+    )
+    is_displaced = bool({"better", "worse"} & called.get(POSITION, set()))
+    moved = _Moved(better, worse, is_displaced, _points_change(rows))
+    return tuple(_decided(family, moved) for family in found)
 
 
 def _changes(
@@ -254,6 +256,16 @@ class _Points:
     density: float
 
 
+@dataclass(frozen=True)
+class _Moved:
+    """Decided changes of other families: surfaces that are better and worse, the position, and the points."""
+
+    better: set[str]
+    worse: set[str]
+    is_displaced: bool
+    points: _Points
+
+
 def _points_change(rows: PairRows) -> _Points:
     counts = []
     for pair in rows.values():
@@ -266,11 +278,10 @@ def _points_change(rows: PairRows) -> _Points:
     return _Points(right, invented, after[2] / before[2] - 1)
 
 
-def _decided(family: FamilyChange, moved: Mapping[str, set[str]], points: _Points) -> FamilyChange:
+def _decided(family: FamilyChange, moved: _Moved) -> FamilyChange:
     """The family with its verdict, and with reasons for which verdicts do not count."""
-    worse = {score.name for score in family.scores if score.verdict == "worse"}
     scores = tuple(
-        replace(score, why=_consequence(family.name, score, moved, points, worse))
+        replace(score, why=_of_rays(family, score, moved) or _consequence(family.name, score, moved))
         if score.verdict in ("better", "worse")
         else score
         for score in family.scores
@@ -287,34 +298,42 @@ def _decided(family: FamilyChange, moved: Mapping[str, set[str]], points: _Point
     return replace(family, verdict=verdict, why=why, tendency=tendency, scores=scores)
 
 
-def _consequence(
-    family: str, score: ScoreChange, moved: Mapping[str, set[str]], points: _Points, worse: Container[str]
-) -> str:
+def _of_rays(family: FamilyChange, score: ScoreChange, moved: _Moved) -> str:
+    """The reason for which the verdict of a score of rays does not count; "" if it does, or for other scores.
+
+    A displaced simulation is paired with other rays. Lost and added returns, and simulated returns in front of and
+    behind the real ones, are opposed: if they move in opposite directions, only that of their sum counts.
+    """
+    if family.name != RAYS:
+        return ""
+    if moved.is_displaced:
+        return f"follows from {POSITION}"
+    other = next((own for own in family.scores if own.name == OPPOSED.get(score.name)), None)
+    if other is None or {score.verdict, other.verdict} != {"better", "worse"}:
+        return ""
+    net = (score.difference.difference or 0.0) + (other.difference.difference or 0.0)
+    is_main = net > 0 if score.verdict == "worse" else net < 0
+    return "" if is_main else f"follows from {other.name}"
+
+
+def _consequence(family: str, score: ScoreChange, moved: _Moved) -> str:
     """The reason for which the verdict of a score does not count; "" if it does.
 
     An improvement of a surface next to a loss of the other one counts only if the number of right simulated points grew
-    by more than half of that of the invented ones, or fell by less. Lost and added returns, and simulated returns in
-    front of and behind the real ones, are opposed: one improves at the cost of the other.
-
-    Parameters
-    ----------
-    moved : families of surfaces by verdict
-    worse : scores of the same family that became worse
+    by more than half of that of the invented ones, or fell by less.
     """
     if not score.is_direct:
-        if abs(points.density) > SAME_DENSITY:
+        if abs(moved.points.density) > SAME_DENSITY:
             return "follows from the number of points"
-        if score.verdict == "better" or moved["better"]:
+        if score.verdict == "better" or moved.better:
             return "roughness alone is not fidelity"
-    if score.verdict == "better" and OPPOSED.get(score.name) in worse:
-        return f"follows from {OPPOSED[score.name]}"
-    if score.verdict == "worse" or not moved["worse"]:
+    if score.verdict == "worse" or not moved.worse:
         return ""
-    if family == POSITION and len(moved["worse"]) == 2:
+    if family == POSITION and len(moved.worse) == 2:
         return "both surfaces lie farther apart"
     is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
-    follows = family == OBJECTS or (is_surface and points.right <= points.invented / 2)
-    return f"follows from {' and '.join(sorted(moved['worse'], reverse=True))}" if follows else ""
+    follows = family == OBJECTS or (is_surface and moved.points.right <= moved.points.invented / 2)
+    return f"follows from {' and '.join(sorted(moved.worse, reverse=True))}" if follows else ""
 
 
 def number(row: Row, column: str) -> float:

@@ -21,8 +21,8 @@ CONFIDENCE = 0.95
 LEAST_PAIRS = 6
 #: Fewer have no interval.
 LEAST_FOR_INTERVAL = 3
-#: From this number of blocks on, signs are flipped: 2^(1-n) is then below 5 % over six families. Below it, rotations.
-LEAST_FLIPPED = 8
+#: From this number of blocks on, signs are flipped: 2^(1-n) is then below 5 % over eight families. Below it, rotations.
+LEAST_FLIPPED = 9
 #: Up to this number of blocks, all flips of signs are enumerated; above it, `DRAWS` are drawn.
 MOST_ENUMERATED = 14
 DRAWS = 20_000

@@ -98,6 +98,53 @@ def test_range_noise_is_best_where_it_is_the_real_one():
     assert judged(base=noise, sensor_sim_range_noise_m=0.06)[1] == "worse"
 
 
+RAYS = {"rays_same": 0.7, "rays_in_front": 0.1, "rays_behind": 0.1, "rays_dropped": 0.05, "rays_no_surface": 0.0}
+RAYS |= {"rays_sim_only": 0.05, "rays_bias_m": 0.0, "rays_scale": 0.0}
+
+
+def test_lost_returns_solid_foliage_and_a_wrong_range_are_worse():
+    for steps in (
+        {"rays_same": -0.2, "rays_dropped": 0.2},
+        {"rays_same": -0.1, "rays_in_front": 0.1},
+        {"rays_bias_m": 0.1, "rays_scale": 0.01},
+    ):
+        families, decision = judged(base=RAYS, **steps)
+        assert (families["rays"].verdict, decision) == ("worse", "worse")
+
+
+def test_of_opposed_scores_of_rays_the_sum_counts():
+    families, decision = judged(base=RAYS, rays_same=0.05, rays_in_front=0.02, rays_behind=-0.07)
+    assert (families["rays"].verdict, decision) == ("better", "better")
+    assert {score.name: score.why for score in families["rays"].scores if score.why} == {
+        "simulated in front": "follows from simulated behind"
+    }
+    families, decision = judged(base=RAYS, rays_same=-0.05, rays_dropped=0.08, rays_sim_only=-0.03)
+    assert (families["rays"].verdict, decision) == ("worse", "worse")
+
+
+def test_rays_of_a_displaced_simulation_do_not_count():
+    steps = {
+        "shift_z_m": 0.12,
+        "ground_sim_peak_m": 0.12,
+        "rays_same": 0.3,
+        "rays_behind": -0.35,
+        "rays_sim_only": 0.05,
+    }
+    families, decision = judged(base=RAYS | {"shift_z_m": -0.12, "ground_sim_peak_m": -1.82}, **steps)
+    assert (families["position"].verdict, families["rays"].why, decision) == (
+        "better",
+        "follows from position",
+        "better",
+    )
+
+
+def test_an_intensity_that_depends_on_range_alone_is_worse():
+    base = {"intensity_rank_distance": 0.02, "intensity_ratio": 1.0}
+    base |= {"intensity_real_by_range": 0.1, "intensity_sim_by_range": 0.15}
+    families, decision = judged(base=base, intensity_rank_distance=0.25, intensity_sim_by_range=0.84)
+    assert (families["intensity"].verdict, decision) == ("worse", "worse")
+
+
 def test_half_the_beams_are_worse():
     families, decision = judged(8, sensor_sim_beams=-32)
     assert (families["sensor"].verdict, decision) == ("worse", "worse")

@@ -6,6 +6,7 @@ from fidpipe.schemas.metric_catalogue import (
     BASELINE_NAMES,
     BASELINES,
     COVERAGE_SCORES,
+    INTENSITY_SCORES,
     METRIC,
     OBJECT_METRICS,
     OBJECT_SCORES,
@@ -25,7 +26,19 @@ from scenes import box, subgraph
 
 def test_no_column_stands_in_the_catalogue_twice():
     assert len(METRIC) == sum(
-        map(len, (OBJECT_SCORES, PAIR_SCORES, COVERAGE_SCORES, SURFACE_SCORES, PIECE_SCORES, RAY_SCORES, BASELINES))
+        map(
+            len,
+            (
+                OBJECT_SCORES,
+                PAIR_SCORES,
+                COVERAGE_SCORES,
+                SURFACE_SCORES,
+                PIECE_SCORES,
+                RAY_SCORES,
+                INTENSITY_SCORES,
+                BASELINES,
+            ),
+        )
     )
 
 

@@ -18,7 +18,7 @@ def test_every_key_is_a_column():
 
 def test_a_missing_column_is_refused():
     rows = COMMUNITIES.build({"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)})
-    with pytest.raises(ValueError, match="table communities: expected columns"):
+    with pytest.raises(ValueError, match="table communities: (no|unknown) "):
         COMMUNITIES.check(rows.drop_columns(["side"]))
 
 

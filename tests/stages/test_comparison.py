@@ -25,15 +25,15 @@ def p_of(*changes, least=0.0, step=0.0):
     return adjusted_p_values(rows, np.full(len(rows), least), np.full(len(rows), step)).tolist()
 
 
-def test_eight_changes_of_one_sign_have_the_p_value_of_one_flip_in_128():
-    assert p_of([1.0] * 8) == [1 / 128]
-    assert p_of([-3.0, -1.0, -2.0, -1.0, -4.0, -1.0, -5.0, -9.0]) == [1 / 128]
+def test_nine_changes_of_one_sign_have_the_p_value_of_one_flip_in_256():
+    assert p_of([1.0] * 9) == [1 / 256]
+    assert p_of([-3.0, -1.0, -2.0, -1.0, -4.0, -1.0, -5.0, -9.0, -2.0]) == [1 / 256]
 
 
 def test_p_values_are_shares_of_all_joint_flips_that_reach_as_far(rng):
-    changes = rng.normal(0.6, 1, (2, 8))
+    changes = rng.normal(0.6, 1, (2, 9))
     highest = []
-    for signs in product([-1, 1], repeat=8):
+    for signs in product([-1, 1], repeat=9):
         flipped = changes * signs
         highest.append(max(abs(row.sum()) / (row**2).sum() ** 0.5 for row in flipped))
     own = [abs(row.sum()) / (row**2).sum() ** 0.5 for row in changes]
@@ -61,11 +61,11 @@ def test_a_displacement_far_beyond_the_noise_is_decided_by_three_pairs_and_a_mer
 
 
 def test_changes_up_to_the_least_one_that_matters_are_none():
-    small = [0.004, 0.005, 0.006, 0.004, 0.005, 0.006, 0.004, 0.005]
-    assert p_of(small) == [1 / 128]
+    small = [0.004, 0.005, 0.006, 0.004, 0.005, 0.006, 0.004, 0.005, 0.005]
+    assert p_of(small) == [1 / 256]
     assert np.isnan(p_of(small, least=0.005)).all(), "no signs make it larger"
-    assert p_of([0.02, -0.02, 0.02, -0.02, 0.02, -0.02, 0.02, -0.01], least=0.005) == [1.0]
-    assert p_of(np.array(small) + 0.1, least=0.005) == [1 / 128]
+    assert p_of([0.02, -0.02, 0.02, -0.02, 0.02, -0.02, 0.02, -0.01, 0.0], least=0.005) == [1.0]
+    assert p_of(np.array(small) + 0.1, least=0.005) == [1 / 256]
 
 
 def test_few_equal_steps_of_a_count_may_be_chance_and_large_ones_are_not():
@@ -74,9 +74,9 @@ def test_few_equal_steps_of_a_count_may_be_chance_and_large_ones_are_not():
 
 
 def test_constant_and_absent_scores_have_no_p_value_and_take_no_share():
-    changing = [1.0, 2.0, 1.0, 2.0, 3.0, 1.0, 2.0, 1.0]
-    found = p_of(changing, [0.0] * 8, [np.nan] * 8, [1e-12] * 8)
-    assert found[0] == 1 / 128
+    changing = [1.0, 2.0, 1.0, 2.0, 3.0, 1.0, 2.0, 1.0, 2.0]
+    found = p_of(changing, [0.0] * 9, [np.nan] * 9, [1e-12] * 9)
+    assert found[0] == 1 / 256
     assert np.isnan(found[1:]).all()
 
 
@@ -93,7 +93,7 @@ def test_equal_simulators_raise_a_false_alarm_in_at_most_one_of_twenty_cases(kin
     assert rate <= 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5  # and its binomial error, one-sided 1 %
 
 
-@pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.2), (10, 0.2, 0.9), (20, 0.8, 1.0)])
+@pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.2), (10, 0.1, 0.8), (20, 0.6, 1.0)])
 def test_changes_are_decided_the_more_often_the_more_pairs_there_are(n, one, two):
     _, _, by_one, by_two = false_alarms.rates(*false_alarms.DISTRIBUTIONS["normal"], n, 60)
     assert by_one >= one

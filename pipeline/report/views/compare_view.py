@@ -95,7 +95,7 @@ def decision(comparison: Comparison) -> str:
         is_few = comparison.n_blocks < LEAST_FOR_INTERVAL and not comparison.by_direction
         unsure = few if is_few else f"no change{others} stands out from chance"
         parts.append(f"no score{others} changed" if is_same else unsure)
-    words = [part.removeprefix(f"{comparison.decision}: ") for part in parts]
+    words = [parts[0].removeprefix(f"{comparison.decision}: "), *parts[1:]] if parts else []
     return f"{comparison.decision}: {'; '.join(words)}"
 
 
