@@ -25,21 +25,8 @@ from scenes import box, subgraph
 
 
 def test_no_column_stands_in_the_catalogue_twice():
-    assert len(METRIC) == sum(
-        map(
-            len,
-            (
-                OBJECT_SCORES,
-                PAIR_SCORES,
-                COVERAGE_SCORES,
-                SURFACE_SCORES,
-                PIECE_SCORES,
-                RAY_SCORES,
-                INTENSITY_SCORES,
-                BASELINES,
-            ),
-        )
-    )
+    of_objects, of_surfaces = (*OBJECT_SCORES, *PAIR_SCORES), (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)
+    assert len(METRIC) == len((*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES))
 
 
 def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():
