@@ -22,7 +22,7 @@ AT_ONCE := --numprocesses auto --dist worksteal
 TESTED := -m "not exhaustive"
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test test-all test-slice check faults docs bench fuzz clean setup browser javascript lock release-check test-pythons
+.PHONY: run test test-all test-slice check lint faults docs bench fuzz clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -35,7 +35,12 @@ test: check
 test-all: TESTED :=
 test-all: check
 
+# The documentation is built on one core while the code is checked on another.
 check: setup browser javascript
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint docs
+	$(BIN)/pytest $(AT_ONCE) $(TESTED)
+
+lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
@@ -43,8 +48,6 @@ check: setup browser javascript
 	$(BIN)/python tools/prose.py
 	$(BIN)/codespell
 	$(BIN)/python tools/size.py
-	$(SPHINX)
-	$(BIN)/pytest $(AT_ONCE) $(TESTED)
 
 test-slice: setup
 	$(BIN)/pytest $(AT_ONCE) --slice $$(($$(date +%s) / 86400)) --minutes 15

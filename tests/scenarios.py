@@ -13,6 +13,7 @@ from rich.console import Console
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate.floor_run import run_floor
+from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.schemas.settings import Settings, load
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 from runs import run
@@ -25,7 +26,7 @@ def plain(folder, n_pairs=3, n=150):
 
 
 def labelled(folder):
-    """Four small labelled pairs under the hostile names, and a fifth one that fails."""
+    """Four small labelled pairs under the hostile names, and a fifth one that fails; with their report in `report`."""
     dataset = folder / "streets"
     rows = []
     for i, name in enumerate((*HOSTILE_PAIRS, "broken <b>pair</b>")):
@@ -41,6 +42,7 @@ def labelled(folder):
     with (dataset / "pairs.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([["pair_id", "real", "sim"], *rows])
     run(dataset, folder / "run")
+    write_report(folder / "run", out=folder / "report")
 
 
 def reference(folder):

@@ -61,7 +61,7 @@ def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path
     out = tmp_path / "run"
     words = ["run", str(real_data / "kitti_twin"), "--out", str(out), "--workers", "2", "--pairs", "000002"]
     terminal = pexpect.spawn(FIDPIPE, words, encoding="utf-8", timeout=60, dimensions=(40, 160))
-    wait_for(out / "matching" / "000002.parquet")  # only objects are left
+    wait_until((out / "matching" / "000002.parquet").exists)  # only objects are left
     terminal.sendintr()
     begun = time.monotonic()
     terminal.expect("interrupted; run the same command again to resume")
@@ -75,7 +75,7 @@ def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path
 def test_a_second_run_on_the_same_folder_is_refused(dataset, finished, tmp_path):
     out = tmp_path / "run"
     process = start(dataset, out, 1)
-    wait_for(out / LEDGER)
+    wait_until((out / LEDGER).exists)
     process.send_signal(signal.SIGSTOP)
     second = own_process("run", dataset, "--out", out, "--workers", "1")
     assert second.returncode == 1
@@ -172,10 +172,6 @@ def break_run(how, stage, n, dataset, out):
 def start(dataset, out, workers):
     words = [FIDPIPE, "run", str(dataset), "--out", str(out), "--workers", str(workers)]
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def wait_for(path):
-    wait_until(path.exists)
 
 
 def wait_until(is_so, timeout=60):

@@ -254,19 +254,6 @@ def test_an_example_touches_the_files_that_its_section_names_and_they_are_few(ti
     assert int(re.search(r"\| (\d)", row)[1]) == len(files)
 
 
-@pytest.fixture(scope="module")
-def plain(dataset, tmp_path_factory):
-    """A run by the package as it is."""
-    out = tmp_path_factory.mktemp("runs") / "streets"
-    assert own_process("run", dataset, "--out", out, "--workers", 1).returncode == 0
-    return out
-
-
-@pytest.fixture
-def again(plain, tmp_path):
-    return shutil.copytree(plain, tmp_path / "run")
-
-
 def made_again(result):
     """The stages that the command says it replaces."""
     lines = [line for line in result.stderr.splitlines() if line.startswith("replacing ")]

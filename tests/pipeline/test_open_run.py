@@ -7,31 +7,22 @@ import pytest
 import fidpipe
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import TABLES
-from runs import run as run_dataset
-from scenes import write_bin, write_dataset
+from reports import HOSTILE_PAIRS
+from runs import FOLDERS
+
+FIRST, LAST = HOSTILE_PAIRS[0], HOSTILE_PAIRS[-1]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A run of two pairs, and one that failed."""
-    base = tmp_path_factory.mktemp("open")
-    data = write_dataset(base / "streets", 2)
-    for side in ("real", "sim"):
-        write_bin(data / side / "poor.bin", [[10.0, 0.0, 0.0]] * 3)
-    run_dataset(data, base / "run")
-    return base / "run"
+def run(report_run):
+    return fidpipe.open_run(str(report_run))
 
 
-@pytest.fixture(scope="module")
-def run(folder):
-    return fidpipe.open_run(str(folder))
-
-
-def test_the_frames_are_the_files(run, folder):
-    pd.testing.assert_frame_equal(run.pairs, pd.read_parquet(folder / "pairs.parquet"))
+def test_the_frames_are_the_files(run, report_run):
+    pd.testing.assert_frame_equal(run.pairs, pd.read_parquet(report_run / "pairs.parquet"))
     for name in ("objects", "metrics"):
         keys = list(TABLES[name].keys)
-        files = pd.read_parquet(folder / name).sort_values(["pair_id", *keys], ignore_index=True)
+        files = pd.read_parquet(report_run / name).sort_values(["pair_id", *keys], ignore_index=True)
         frame = getattr(run, name)
         assert len(frame) == len(files) > 0
         pd.testing.assert_frame_equal(frame.sort_values(["pair_id", *keys], ignore_index=True), files)
@@ -39,11 +30,11 @@ def test_the_frames_are_the_files(run, folder):
 
 @pytest.mark.parametrize("side", ["real", "sim"])
 def test_points_bear_their_object_and_edges_join_object_points(run, side):
-    points, edges = run.points("000", side), run.edges("000", side)
+    points, edges = run.points(FIRST, side), run.edges(FIRST, side)
     assert points.community_id[points.is_ground].isna().all()
     own = points[~points.is_ground]
     counts = own.groupby("community_id").size()
-    objects = run.objects.query("pair_id == '000' and side == @side").set_index("community_id")
+    objects = run.objects.query("pair_id == @FIRST and side == @side").set_index("community_id")
     assert counts.to_dict() == objects.n_points.to_dict()
     ends = own.set_index("point_id")[["x", "y", "z"]]
     lengths = ((ends.loc[edges.src].to_numpy() - ends.loc[edges.dst].to_numpy()) ** 2).sum(axis=1) ** 0.5
@@ -51,36 +42,25 @@ def test_points_bear_their_object_and_edges_join_object_points(run, side):
 
 
 def test_every_table_comes_as_arrow_with_its_schema(run):
-    for name in (
-        "ground",
-        "sensor",
-        "graph",
-        "communities",
-        "objects",
-        "matching",
-        "coverage",
-        "surface",
-        "pieces",
-        "selection",
-        "metrics",
-    ):
+    for name in FOLDERS:
         table = run.table(name)
         assert isinstance(table, pa.Table)
         assert table.schema.names == TABLES[name].schema.names, name
         assert run.table(name, []).schema.equals(table.schema), name
-        assert set(table.column("pair_id").to_pylist()) == {"000", "001"}
-    assert run.table("metrics", ["001"]).column("pair_id").unique().to_pylist() == ["001"]
+        # These streets have no rings, and so no rays.
+        assert set(table.column("pair_id").to_pylist()) == (set() if "ray" in name else set(HOSTILE_PAIRS)), name
+    assert run.table("metrics", [LAST]).column("pair_id").unique().to_pylist() == [LAST]
 
 
-def test_what_is_not_there_is_named(run, folder, tmp_path):
+def test_what_is_not_there_is_named(run, report_run, tmp_path):
     with pytest.raises(RunError, match="no table 'metric'; it has pairs, timings, ground"):
         run.table("metric")
     with pytest.raises(RunError, match="no pair '0000'"):
         run.points("0000", "real")
     with pytest.raises(RunError, match="expected side real or sim, got 'left'"):
-        run.points("000", "left")
-    with pytest.raises(RunError, match="pair poor: it failed and has no objects"):
-        run.edges("poor", "real")
+        run.points(FIRST, "left")
+    with pytest.raises(RunError, match="pair broken <b>pair</b>: it failed and has no objects"):
+        run.edges("broken <b>pair</b>", "real")
     with pytest.raises(RunError, match="no run.json"):
         fidpipe.open_run(tmp_path)
-    assert repr(run) == f"<fidpipe run {folder}: 2 pairs scored, 1 failed, preset paper>"
+    assert repr(run) == f"<fidpipe run {report_run}: 4 pairs scored, 1 failed, preset paper>"

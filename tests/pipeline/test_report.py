@@ -53,10 +53,14 @@ def copied_run(report_run, tmp_path):
     return shutil.copytree(report_run, tmp_path / "run")
 
 
-@pytest.fixture(scope="module")
-def written(report_run, tmp_path_factory):
-    folder = shutil.copytree(report_run, tmp_path_factory.mktemp("written") / "run")
-    return write_report(folder)
+@pytest.fixture(scope="session")
+def written(report_run):
+    """The folder of the report of that run; not to be written to."""
+    return report_run.with_name("report")
+
+
+def page_of(folder):
+    return folder / "report.html"
 
 
 def coverage_of(folder):
@@ -76,12 +80,11 @@ def words(page):
 
 
 def test_the_report_is_one_page_and_six_figures_as_png_svg_and_pdf(written):
-    assert written.page.name == "report.html"
-    assert written.page.stat().st_size < 15e6
-    assert {path.name for path in written.figures} == {
+    assert page_of(written).stat().st_size < 15e6
+    assert {path.name for path in (written / "figures").iterdir()} == {
         f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg", "pdf")
     }
-    for path in written.figures:
+    for path in (written / "figures").iterdir():
         if path.suffix == ".png":
             picture = np.asarray(Image.open(path).convert("L"))
             assert picture.std() > 5, "an empty picture"
@@ -96,8 +99,7 @@ def test_the_report_is_one_page_and_six_figures_as_png_svg_and_pdf(written):
 
 
 def test_the_figure_of_objects_shows_points_of_both_sides(written):
-    path = next(path for path in written.figures if path.name == "objects.png")
-    picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    picture = np.asarray(Image.open(written / "figures" / "objects.png").convert("RGB")).astype(int)
     for side, colour in SIDE_COLOURS.items():
         assert close_to(picture, colour).sum() > 200, side
 
@@ -170,18 +172,18 @@ def test_open_asks_for_a_browser_and_says_where_the_page_is_if_there_is_none(cop
 
 
 def test_no_name_ends_a_script_or_opens_a_tag(written):
-    text = written.page.read_text("utf-8")
+    text = page_of(written).read_text("utf-8")
     assert "alert(1)" in text, "the names are there"
     assert "<script>alert" not in text
     assert "<img src=x" not in text
-    data = embedded(written.page.read_text("utf-8"))
+    data = embedded(page_of(written).read_text("utf-8"))
     assert sorted(data["names"]) == sorted(HOSTILE_PAIRS)
     assert HOSTILE_CLASS in {row[2] for row in data["objects"]["rows"]}
 
 
 def test_the_page_asks_for_nothing_from_elsewhere(written):
-    assert "default-src 'none'" in words(written.page).partition("<body>")[0]
-    assert not re.search(r"(src|href)=[\"']?(https?:)?//", words(written.page))
+    assert "default-src 'none'" in words(page_of(written)).partition("<body>")[0]
+    assert not re.search(r"(src|href)=[\"']?(https?:)?//", words(page_of(written)))
 
 
 @pytest.mark.exhaustive
@@ -217,21 +219,17 @@ def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own
     assert not (copied_run / "report.html").exists()
 
 
-def test_a_run_after_a_report_neither_removes_nor_trips_over_it(tmp_path):
-    dataset = write_dataset(tmp_path / "dataset", n_pairs=1)
-    run(dataset, tmp_path / "run")
-    write_report(tmp_path / "run")
-    before = shutil.copytree(tmp_path / "run", tmp_path / "before")
-    outcome = run(dataset, tmp_path / "run")
-    assert outcome.n_made == 0
-    assert_same_tables(before, tmp_path / "run")
-    assert (tmp_path / "run" / "report.html").exists()
-    assert len(list((tmp_path / "run" / "figures").iterdir())) == 3 * len(FIGURES)
+def test_a_run_after_a_report_neither_removes_nor_trips_over_it(copied_run, report_run, written):
+    shutil.copytree(written, copied_run, dirs_exist_ok=True)
+    assert run(report_run.with_name("streets"), copied_run).n_made == 0
+    assert_same_tables(copied_run, report_run)
+    assert (copied_run / "report.html").exists()
+    assert len(list((copied_run / "figures").iterdir())) == 3 * len(FIGURES)
 
 
 def test_objects_carry_the_numbers_of_the_parquet(report_run, written):
     metrics = pd.read_parquet(report_run / "metrics").set_index(["pair_id", "real_id"])
-    data = embedded(written.page.read_text("utf-8"))
+    data = embedded(page_of(written).read_text("utf-8"))
     n = 0
     for pair, view in data["views"].items():
         for row in view["matched"]:
@@ -265,7 +263,7 @@ def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
     assert verdict.sentence.startswith(f"{real} of the real surface is simulated within 0.3 m, {sim} of the")
     counts = [pairs[f"n_{kind}_pieces"].mean() for kind in ("missing", "invented")]
     assert verdict.pieces == "{:.1f} pieces missing and {:.1f} invented per pair.".format(*counts)
-    page = words(written.page)
+    page = words(page_of(written))
     for cause in verdict.causes:
         assert cause.words in page
         assert cause.setting in page
@@ -293,10 +291,10 @@ def test_object_scores_say_of_how_many_pairs_they_are_and_what_they_are_with_unm
     assert of["CDC"]["pairs"] == f"{pairs.cdc_mean.count()} of {len(pairs)}"
     assert of["CDC"]["unmatched\nas worst"] == f"{worst.mean():.3f}"
     assert of["match rate"]["unmatched\nas worst"] == ""
-    assert f"<td>{worst.mean():.3f}</td>" in written.page.read_text("utf-8")
+    assert f"<td>{worst.mean():.3f}</td>" in page_of(written).read_text("utf-8")
 
 
-def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_reference, tmp_path):
+def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_reference, tmp_path, without_figures):
     pieces = FinishedRun(by_reference).record.overview.pieces
     made = write_report(by_reference, out=tmp_path)
     page = made.page.read_text("utf-8")
@@ -349,7 +347,7 @@ def test_the_worst_stand_first_and_unmatched_objects_last(report_run):
     assert ranks.is_monotonic_decreasing
 
 
-def test_identical_sides_are_faithful(tmp_path):
+def test_identical_sides_are_faithful(tmp_path, without_figures):
     for side in ("real", "sim"):
         write_bin(tmp_path / "dataset" / side / "a.bin", street())
     run(tmp_path / "dataset", tmp_path / "run")

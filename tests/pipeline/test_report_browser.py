@@ -5,7 +5,6 @@ import io
 import json
 import os
 import re
-import shutil
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -42,19 +41,15 @@ def browser(tmp_path_factory):
     found.quit()
 
 
-@pytest.fixture(scope="module")
-def run_folder(report_run, tmp_path_factory):
-    return shutil.copytree(report_run, tmp_path_factory.mktemp("browser") / "run")
-
-
-@pytest.fixture(scope="module")
-def page_path(run_folder):
-    return write_report(run_folder).page
+@pytest.fixture(scope="session")
+def page_path(report_run):
+    return report_run.with_name("report") / "report.html"
 
 
 @pytest.fixture(scope="module")
 def opened(browser, page_path):
     """The page, opened once; errors and requests of the browser meanwhile."""
+    browser.get("about:blank")  # the page that a browser starts with still asks for its parts
     complaints(browser), requests(browser)
     resize(browser, WIDTHS[0])
     open_page(browser, page_path)
@@ -178,10 +173,10 @@ def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
     assert near(alone, BLUE).sum() > 200
 
 
-def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(page, run_folder):
+def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(page, report_run):
     from selenium.webdriver import ActionChains
 
-    metrics = pd.read_parquet(run_folder / "metrics")
+    metrics = pd.read_parquet(report_run / "metrics")
     metrics = metrics[metrics.pair_id == FIRST_PAIR].set_index("real_id")
     choose(page, "colour", "r_lambda")
     picture = pixels(page, "scene")
@@ -207,8 +202,8 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     assert (pixels(page, "scene") != picture).any(axis=2).sum() > 50, "the object is marked"
 
 
-def test_tables_sort_and_filter(page, run_folder):
-    metrics = pd.read_parquet(run_folder / "metrics")
+def test_tables_sort_and_filter(page, report_run):
+    metrics = pd.read_parquet(report_run / "metrics")
     everything = table(page, "objects_table")
     sort_by(page, "objects_table", "CDC")
     falling = table(page, "objects_table").CDC
@@ -283,11 +278,11 @@ def buttons(browser):
 
 
 @pytest.mark.exhaustive
-def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, run_folder, tmp_path):
-    single = write_report(run_folder, one_page_a_pair=True, out=tmp_path / "single").page
-    (tmp_path / "compare.html").write_text(compare_page(compare_runs([run_folder, run_folder])), encoding="utf-8")
-    (tmp_path / "history.html").write_text(history_page(read_history([run_folder] * 3)), encoding="utf-8")
-    write_report(run_folder, out=tmp_path / "whole")
+def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, tmp_path, without_figures):
+    single = write_report(report_run, one_page_a_pair=True, out=tmp_path / "single").page
+    (tmp_path / "compare.html").write_text(compare_page(compare_runs([report_run, report_run])), encoding="utf-8")
+    (tmp_path / "history.html").write_text(history_page(read_history([report_run] * 3)), encoding="utf-8")
+    write_report(report_run, out=tmp_path / "whole")
     with_3d = [*(set(single.parent.glob("*.html")) - {single}), *(tmp_path / "whole").glob("*.html")]
     assert len(with_3d) == len(HOSTILE_PAIRS) + 1
     for path in with_3d:
@@ -301,8 +296,8 @@ def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, run_folder, 
 
 
 @pytest.mark.exhaustive
-def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, run_folder, tmp_path):
-    index = write_report(run_folder, one_page_a_pair=True, out=tmp_path).page
+def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, report_run, tmp_path, without_figures):
+    index = write_report(report_run, one_page_a_pair=True, out=tmp_path).page
     resize(browser, WIDTHS[0])
     requests(browser), complaints(browser)
     open_page(browser, index)
@@ -340,9 +335,9 @@ def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
 def test_comparison_and_history_draw_their_charts_in_the_theme_and_fit_the_window(
-    browser, run_folder, tmp_path, width, dark
+    browser, report_run, tmp_path, width, dark
 ):
-    (comparison,), history = compare_runs([run_folder] * 2), read_history([run_folder] * 3)
+    (comparison,), history = compare_runs([report_run] * 2), read_history([report_run] * 3)
     resize(browser, width, dark)
     for text, marks, chart, n_marks in (
         (compare_page([comparison]), "#changes_0 .ytick", "changes_0", len(comparison.scores)),
@@ -439,8 +434,8 @@ def test_next_and_previous_move_camera_list_address_and_table(page):
 
 
 @pytest.mark.exhaustive
-def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, run_folder):
-    metrics = pd.read_parquet(run_folder / "metrics")
+def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, report_run):
+    metrics = pd.read_parquet(report_run / "metrics")
     row = metrics[(metrics.pair_id == FIRST_PAIR) & (metrics.n_keep > 20)].iloc[0]
     choose(page, "object", f"real {row.real_id}")
     real, as_lie = drawn(page, "overlay", "own real"), drawn(page, "overlay", "own sim")
@@ -489,8 +484,8 @@ def test_road_and_sensor_are_seen_and_road_can_be_left_out(page):
 
 
 @pytest.mark.exhaustive
-def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(page, run_folder):
-    results = read_results(run_folder)
+def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(page, report_run):
+    results = read_results(report_run)
     lone = PairTables(results, FIRST_PAIR).unmatched
     for row in lone.head(3).itertuples():
         choose(page, "object", f"{row.side} {row.community_id}")
@@ -533,7 +528,7 @@ def filtered(browser, wanted):
 
 
 @pytest.mark.exhaustive
-def test_filters_know_columns_as_they_are_headed(page, run_folder):
+def test_filters_know_columns_as_they_are_headed(page, report_run):
     everything, _ = filtered(page, "")
     heading = {title.replace("\N{NO-BREAK SPACE}", " "): title for title in everything}
     for bound in ("range (m) > 8", "points, real > 100", "alignment (m) > 0.3", "r_lambda > 0.3", "CDC > 0.1"):
@@ -646,8 +641,8 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
 
 
 @pytest.mark.exhaustive
-def test_the_legend_of_a_score_says_over_which_range_it_is_coloured(page, run_folder):
-    limits = score_limits(read_results(run_folder))
+def test_the_legend_of_a_score_says_over_which_range_it_is_coloured(page, report_run):
+    limits = score_limits(read_results(report_run))
     for score in ("r_lambda", "cdc"):
         choose(page, "colour", score)
         said = by_id(page, "legend").text.split()

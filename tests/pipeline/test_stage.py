@@ -3,6 +3,7 @@
 import ast
 import shutil
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from fidpipe.schemas.columns import FLOAT64, column
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.tables import TABLES
 from pools import WatchedPool
-from runs import assert_same_tables, run
+from runs import assert_same_tables, run, some_of
 from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
 
 N_POINTS = 100
@@ -102,7 +103,7 @@ def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_pat
     assert_same_results(tmp_path / "run", whole)
 
 
-@pytest.mark.parametrize("policy", [Policy(), ALL_SPLIT])
+@pytest.mark.parametrize("policy", some_of([Policy(), ALL_SPLIT], [ALL_SPLIT]))
 def test_on_two_workers_they_give_the_same(whole, dataset, tmp_path, policy):
     run_with_toys(dataset, tmp_path / "run", workers=2, policy=policy)
     assert_same_results(tmp_path / "run", whole)
@@ -121,8 +122,12 @@ def interrupted(stage):
     return replace(stage, make=make)
 
 
-@pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
-@pytest.mark.parametrize("toy", ["of_side", "of_pair", "of_object"])
+@pytest.mark.parametrize(
+    ("toy", "is_split"),
+    some_of(
+        list(product(["of_side", "of_pair", "of_object"], [False, True])), [("of_side", False), ("of_object", True)]
+    ),
+)
 def test_interrupted_in_any_of_them_a_run_goes_on_where_it_was(whole, dataset, tmp_path, toy, is_split):
     out, options = tmp_path / "run", {"policy": ALL_SPLIT, "pool": WatchedPool()} if is_split else {}
     broken = interrupted({"of_side": OF_SIDE, "of_pair": OF_PAIR, "of_object": OF_OBJECT}[toy])
