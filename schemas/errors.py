@@ -9,8 +9,15 @@ from difflib import get_close_matches
 def suggestion(name: str, known: Iterable[str]) -> str:
     """End of a message about an unknown name: the most similar known name, or all known names."""
     known = list(known)
-    near = get_close_matches(name.lower(), known, 1)
-    return f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+    near = nearest(name, known)
+    return f"did you mean {near}?" if near else f"known are {', '.join(known)}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The known name most similar to a name, upper or lower case; None if no name is similar."""
+    by_lower = {other.lower(): other for other in known}
+    near = get_close_matches(name.lower(), by_lower, 1)
+    return by_lower[near[0]] if near else None
 
 
 class FidpipeError(Exception):

@@ -10,13 +10,12 @@ from __future__ import annotations
 import re
 import tomllib
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import DatasetError, ScanError
+from ...schemas.errors import DatasetError, ScanError, nearest
 from ...schemas.settings import FARTHEST_M
 from ...stages.arrays import FloatArray
 from .readers import formats, is_scan_path, stem_of, suffix_of
@@ -126,11 +125,12 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     by_side: dict[str, dict[str, Path]] = {}
     for side in SIDES:
         if not (folder / side).is_dir():
-            near = next((path.name for path in sorted(folder.iterdir()) if path.is_dir() and _means(path, side)), None)
+            folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
+            near = next((name for name in folders if name.lower().startswith(side)), None) or nearest(side, folders)
             hint = f"; did you mean {near}/? rename it {side}/" if near else "; expected one of the two"
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
         by_side[side] = _scans_by_stem(folder / side, warnings)
-    unread = {side: _unread_by_stem(folder / side) for side in SIDES}
+    unread = {side: {path.stem: path for path in _files(folder / side) if suffix_of(path) is None} for side in SIDES}
     orphans = {side: by_side[side].keys() - by_side[other].keys() for side, other in (SIDES, SIDES[::-1])}
     by_number = {side: {_frame_number(stem): stem for stem in orphans[side]} for side in SIDES}
     pairs = []
@@ -150,17 +150,6 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     return pairs
 
 
-def _means(path: Path, side: str) -> bool:
-    """True if a folder's name is a variant of a side's: `Real`, `simulated`."""
-    name = path.name.lower()
-    return name.startswith(side) or bool(get_close_matches(name, [side], 1, 0.7))
-
-
-def _unread_by_stem(folder: Path) -> dict[str, Path]:
-    """Files of unknown formats by stem."""
-    return {path.stem: path for path in _files(folder) if suffix_of(path) is None}
-
-
 def _files(folder: Path) -> list[Path]:
     """Files that may be scans: no hidden files, folders, labels or settings."""
     return [
@@ -168,11 +157,6 @@ def _files(folder: Path) -> list[Path]:
         for path in sorted(folder.iterdir())
         if not path.name.startswith(".") and not path.is_dir() and path.suffix not in (".label", ".toml")
     ]
-
-
-def _is_text(name: str) -> bool:
-    """True if a file name is valid Unicode (without lone surrogates)."""
-    return not any("\ud800" <= sign <= "\udfff" for sign in name)
 
 
 def _frame_number(stem: str) -> int | None:
@@ -188,7 +172,7 @@ def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
             warnings.append(f"{path}: {_IGNORED}")
             continue
         stem = stem_of(path)
-        if not stem or not _is_text(stem):
+        if not stem or any("\ud800" <= sign <= "\udfff" for sign in stem):  # lone surrogates: bytes that are not UTF-8
             raise DatasetError(f"{path}: the name is not UTF-8; rename the file")
         if stem in scans:
             raise DatasetError(
@@ -223,8 +207,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
         raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(map(str, rows.columns))}")
     for name in map(str, rows.columns):
         if name not in _MANIFEST_COLUMNS:
-            near = get_close_matches(name.lower(), [known.lower() for known in _MANIFEST_COLUMNS], 1)
-            meant = next((known for known in _MANIFEST_COLUMNS if [known.lower()] == near), None)
+            meant = nearest(name, _MANIFEST_COLUMNS)
             if meant is not None and meant not in rows.columns:
                 raise DatasetError(f"{manifest}: column {name} is not known; did you mean {meant}?")
             warnings.append(f"{manifest}: column {name} is not known, ignored")
