@@ -96,7 +96,7 @@ def again(finished, tmp_path) -> Path:
 
 @pytest.fixture
 def without_figures(monkeypatch) -> None:
-    """Reports are their pages alone, which takes a fifth of the time."""
+    """Reports are their pages alone."""
     monkeypatch.setattr("fidpipe.pipeline.report.page.run_page.draw_figures", lambda *_: [])
 
 
