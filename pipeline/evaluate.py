@@ -52,6 +52,7 @@ class PairResult:
     matching, coverage, surface, pieces, rays, ray_scores, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
+    nvs : of the pair, where `nvs.scores` is set
     """
 
     summary: dict[str, Any]
@@ -70,6 +71,7 @@ class PairResult:
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
     seeds: pd.DataFrame | None = None
+    nvs: pd.DataFrame | None = None
 
 
 def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[str, Any] | None = None) -> PairResult:
@@ -145,6 +147,7 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
         metrics=frames["metrics", ""],
         baselines=frames.get(("baselines", "")),
         seeds=frames.get(("seeds", "")),
+        nvs=frames.get(("nvs", "")),
     )
 
 

@@ -6,6 +6,7 @@ baseline metrics come from here. To add a score: a row here and the function tha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -519,6 +520,78 @@ BASELINES = (
     ),
 )
 
+_LIDAR4D = "Zheng et al., LiDAR4D, CVPR 2024: utils/metrics.py"
+_LIDARGEN = "Zyrianov et al., LiDARGen, ECCV 2022, as R2DM's metrics/bev.py"
+_NO_RETURN = "over all pixels of the range image, a pixel without a return being 0"
+
+
+def _nvs(column: str, meaning: str, **others: Any) -> Metric:
+    """Score of a paper on LiDAR synthesis, headed by its column."""
+    ending = column.rpartition("_")[2]
+    unit = {"m": "m", "m2": "m2", "db": "dB"}.get(ending)
+    return Metric(column, column, meaning, unit=unit, **({"source": _LIDAR4D} | others))
+
+
+def _nvs_image(what: str, ending: str, words: str) -> tuple[Metric, ...]:
+    return (
+        _nvs(f"nvs_{what}_rmse{ending}", f"root mean square difference of {words}, {_NO_RETURN}"),
+        _nvs(f"nvs_{what}_medae{ending}", f"median absolute difference of {words}, {_NO_RETURN}"),
+        _nvs(
+            f"nvs_{what}_psnr_db",
+            f"peak signal-to-noise ratio of the image of {words}",
+            low=None,
+            better="higher",
+            equal=None,
+        ),
+        _nvs(
+            f"nvs_{what}_ssim",
+            f"structural similarity of the images of {words}",
+            low=-1.0,
+            high=1.0,
+            better="higher",
+            equal=1.0,
+        ),
+    )
+
+
+#: Of a pair, and of all scans of a dataset at once.
+BEV_JSD = _nvs(
+    "bev_jsd_100x100_160m",
+    "root of the Jensen-Shannon divergence of the points in 100 x 100 cells of 1.6 m seen from above, 3 to 70 m",
+    high=math.sqrt(math.log(2)),
+    source=_LIDARGEN,
+)
+#: Scores of papers on LiDAR synthesis as their code defines them, in the order in which they are computed and shown.
+NVS_SCORES = (
+    *_nvs_image("depth", "_m", "ranges"),
+    *_nvs_image("intensity", "", "intensities"),
+    _nvs("nvs_raydrop_rmse", "root of the share of pixels with a return on one side only", high=1.0),
+    *(
+        _nvs(f"nvs_raydrop_{name}", meaning, high=1.0, better="higher", equal=1.0)
+        for name, meaning in (
+            ("accuracy", "share of pixels with a return on both sides or on neither"),
+            ("hit_f1", "F1 of the pixels with a return (not of the drops)"),
+        )
+    ),
+    _nvs(
+        "nvs_chamfer_m2", "mean squared distance to the nearest point of the other range image, both directions added"
+    ),
+    _nvs(
+        "nvs_f_score_0p05m2",
+        "harmonic mean of the shares of points with a squared distance below 0.05 m2 (22.4 cm) to the other image",
+        high=1.0,
+        better="higher",
+        equal=1.0,
+    ),
+    BEV_JSD,
+)
+#: Score of all scans of a dataset at once.
+BEV_MMD = _nvs(
+    "bev_mmd_100x100_160m_sigma0p5",
+    "squared maximum mean discrepancy of the same maps, each divided by its sum; Gaussian kernel, sigma 0.5",
+    source=_LIDARGEN,
+)
+
 #: Every score by its column.
 METRIC = {
     metric.column: metric
@@ -531,6 +604,8 @@ METRIC = {
         *RAY_SCORES,
         *INTENSITY_SCORES,
         *BASELINES,
+        *NVS_SCORES,
+        BEV_MMD,
     )
 }
 

@@ -12,8 +12,8 @@ from .results import Findings, JsonObject, Overview, PreviousRun, Result, ScoreS
 class BaselineSummary(Result):
     """A baseline over the pairs.
 
-    level : "objects" (mean over the matched objects of a pair) or "scans" (all object points of its two scans)
-    n, n_null : objects or scans with and without a value
+    level : "objects" (mean over the matched objects of a pair), "scans" (its two scans) or "dataset" (all at once)
+    n, n_null : objects, pairs of scans, or scans with and without a value
     seconds : per pair, with the first number of a method; else null
     """
 
@@ -163,7 +163,7 @@ class RunRecord(RunHeader):
     frames : by pair, those whose simulated scan seems to lie in another frame
     notes : by pair, notes on its ground cut
     metrics : what is behind the unmatched objects
-    baselines, seeds : only if requested
+    baselines, seeds, nvs : only if requested
     """
 
     model_config = ConfigDict(extra="allow")  # what a later version adds is shown as it is
@@ -185,3 +185,4 @@ class RunRecord(RunHeader):
     metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
+    nvs: tuple[BaselineSummary, ...] = ()

@@ -345,6 +345,14 @@ class StabilitySettings(_Group):
     ] = 1
 
 
+class NvsSettings(_Group):
+    """Scores of papers on LiDAR synthesis (novel view synthesis), to compare with their tables."""
+
+    scores: bool = Field(
+        False, description="compute errors of range images as LiDAR4D defines them, and distances of maps from above"
+    )
+
+
 class MachineSettings(_Group):
     """Limits on the machine's resources; no result depends on them."""
 
@@ -368,6 +376,7 @@ class Settings(_Group):
     selection: SelectionSettings = SelectionSettings()
     metrics: MetricsSettings = MetricsSettings()
     stability: StabilitySettings = StabilitySettings()
+    nvs: NvsSettings = NvsSettings()
 
     @model_validator(mode="after")
     def _seeds_stay_in_range(self) -> Settings:
@@ -381,15 +390,18 @@ class Settings(_Group):
     machine: MachineSettings = MachineSettings()
 
 
+_REFERENCE: dict[str, dict[str, Any]] = {
+    "ground": {"peak": "real"},
+    "graph": {"ties": "coordinates"},
+    "communities": {"objects": "reference"},
+}
+
 #: Settings that belong together, as departures from the defaults. `paper` reproduces the paper; `reference` fixes the
-#: objects on the real side, for comparing simulators.
+#: objects on the real side, for comparing simulators; `nvs` is `reference` with the scores of papers on synthesis.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {},
-    "reference": {
-        "ground": {"peak": "real"},
-        "graph": {"ties": "coordinates"},
-        "communities": {"objects": "reference"},
-    },
+    "reference": _REFERENCE,
+    "nvs": _REFERENCE | {"nvs": {"scores": True}},
 }
 
 #: What the objects of each preset are.
@@ -400,7 +412,7 @@ PRESET_OBJECTS = {
 
 
 def preset_of(settings: Settings) -> str:
-    """The preset that settings belong to: the one whose objects they have."""
+    """The preset that settings belong to: the first one whose objects they have, "reference" for those of "nvs"."""
     return next(
         name for name, values in PRESETS.items() if parse(values).communities.objects == settings.communities.objects
     )
@@ -445,7 +457,7 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
             raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
     if preset is not None:
         values["preset"] = preset
-    if path is not None and preset is not None and preset_of(parse(values)) != preset:
+    if path is not None and preset is not None and preset_of(parse(values)) != preset_of(parse({"preset": preset})):
         raise SettingsError(
             f"settings file {path}: has communities.objects = {values['communities']['objects']!r}, unlike the preset "
             f"{preset}; remove --preset, or that line of the file"

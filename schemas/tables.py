@@ -254,6 +254,15 @@ BASELINES = table(
     column("reason", STRING, "why the value is null, or a note about it", optional=True),
 )
 
+NVS = table(
+    "nvs",
+    ("score",),
+    PAIR,
+    column("score", STRING, "name of the score, with its convention and unit"),
+    column("value", FLOAT64, "value of the score in `unit`", optional=True),
+    column("unit", STRING, "m, m2 or dB; null for a plain number", optional=True),
+    column("reason", STRING, "why the value is null", optional=True),
+)
 
 SEEDS = table(
     "seeds",
@@ -341,7 +350,7 @@ TABLES = {
     for own in (
         *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, RAYS, RAY_SCORES),
         *(SELECTION, METRICS),
-        *(BASELINES, SEEDS, PAIRS, TIMINGS),
+        *(BASELINES, SEEDS, NVS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )
 }

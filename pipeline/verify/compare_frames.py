@@ -31,6 +31,7 @@ RULES: dict[str, float | str] = {
     "pairs.ground_real_tilt_deg": 1e-5,
     "pairs.ground_sim_tilt_deg": 1e-5,
     "baselines.reason": "text for people",
+    "nvs.reason": "text for people",
     "pairs.reason": "why a pair failed: it is not tried again",
     "timings": "seconds of a clock",
 }

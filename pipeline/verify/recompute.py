@@ -25,6 +25,7 @@ from ...stages.literal import literal_pieces as surface_pieces
 from ..jobs import EXTRAS, STAGES
 from ..stage import Stage
 from .compare_frames import DEFAULT_TOLERANCE
+from .recompute_nvs import nvs
 from .recompute_rays import rays
 from .stored import Part, Skipped, StoredPair, StoredSide, values
 
@@ -637,6 +638,6 @@ RECOMPUTED: dict[str, Callable[[StoredPair], Parts]] = {
     one.__name__: one
     for one in (
         *(rows, scan, ground, sensor, graph, communities, objects, matching, coverage, surface, pieces, rays),
-        *(selection, metrics, baselines, seeds, pairs),
+        *(selection, metrics, baselines, seeds, nvs, pairs),
     )
 }

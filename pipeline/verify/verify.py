@@ -29,6 +29,7 @@ from ..results.finished import FinishedRun
 from ..storage.run_record import unmatched_worst
 from .compare_frames import NOT_COMPARED, ColumnComparison, compare
 from .recompute import RECOMPUTED, UNMATCHED, stages_of
+from .recompute_nvs import nvs_means
 from .stored import TABLE_OF, Part, Sample, Skipped, StoredPair, values
 
 DEFAULT_OBJECTS = 20
@@ -57,6 +58,7 @@ COMPARED = {
     "metrics": "scores from dense matrices",
     "baselines": "baseline metrics",
     "seeds": "row of the configured seed",
+    "nvs": "all scores, pixel by pixel",
     "pairs": "counts, cuts, means, deviations, medians",
     "run.json": "means and deviations over pairs",
 }
@@ -275,7 +277,12 @@ def verify_run(
 
 def _compare_record(run: FinishedRun, settings: Settings, tally: _Tally) -> None:
     """Compare the values of `run.json` that the tables determine."""
-    for what, parts in (("unmatched objects", _unmatched), ("baselines", _baseline_means), ("scores", _summary)):
+    for what, parts in (
+        ("unmatched objects", _unmatched),
+        ("baselines", _baseline_means),
+        ("nvs", nvs_means),
+        ("scores", _summary),
+    ):
         try:
             tally.add(parts(run, settings))
         except (RunError, LookupError, TypeError) as error:  # damaged, which is reported already

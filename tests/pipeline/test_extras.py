@@ -1,4 +1,4 @@
-"""Baselines and further seeds, which a run computes on demand: their tables, their record, and how long they stay."""
+"""Stages that a run has on demand (baselines, seeds, nvs): their tables, their record, and how long they stay."""
 
 import json
 import shutil
@@ -13,14 +13,14 @@ from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.metric_catalogue import SEEDED_SCORES
+from fidpipe.schemas.metric_catalogue import BEV_JSD, BEV_MMD, NVS_SCORES, SEEDED_SCORES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import BASELINES, SEEDS
 from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, command, marks, run
 
 BASELINE_WORD, SEED_WORD = "metrics.baselines=all", "stability.seeds=2"
-BOTH = load(None, [BASELINE_WORD, SEED_WORD])
-EXTRAS = ("baselines", "seeds")
+ALL = load(None, [BASELINE_WORD, SEED_WORD, "nvs.scores=true"])
+EXTRAS = ("baselines", "seeds", "nvs")
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def dataset(folder):
 
 @pytest.fixture(scope="module")
 def finished(folder):
-    """The run of two pairs with both extras; not to be written to."""
+    """The run of two pairs with all extras; not to be written to."""
     return folder / "run"
 
 
@@ -45,22 +45,22 @@ def record(finished):
 
 
 def extras(out):
-    """The tables of both extras by stage and pair."""
+    """The tables of the extras by stage and pair."""
     return {(stage, path.stem): pq.read_table(path) for stage in EXTRAS for path in (out / stage).glob("*.parquet")}
 
 
 def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, finished, tmp_path):
     out = tmp_path / "run"
     run(dataset, out)
-    assert not {"baselines", "seeds"} & (json.loads((out / "run.json").read_text()).keys() | set(out.iterdir()))
+    assert not set(EXTRAS) & (json.loads((out / "run.json").read_text()).keys() | set(out.iterdir()))
     before = marks(out)
-    outcome = run(dataset, out, BOTH)
-    assert (outcome.n_made, outcome.n_reused) == (2 * 2, 2 * JOBS_PER_PAIR)
+    outcome = run(dataset, out, ALL)
+    assert (outcome.n_made, outcome.n_reused) == (2 * len(EXTRAS), 2 * JOBS_PER_PAIR)
     assert not changed_files(out, before)
     assert_same_tables(out, finished)
     assert extras(out) == extras(finished)
-    assert run(dataset, out, BOTH).n_made == 0
-    assert [run_status(out).stages[stage] for stage in EXTRAS] == [{"done": 2}] * 2
+    assert run(dataset, out, ALL).n_made == 0
+    assert [run_status(out).stages[stage] for stage in EXTRAS] == [{"done": 2}] * len(EXTRAS)
 
 
 def test_there_is_a_baseline_for_each_object_and_each_pair_of_scans(finished):
@@ -102,7 +102,7 @@ def test_the_record_holds_the_spread_over_seeds_and_pairs(finished, record):
 def test_seconds_are_in_the_timings_one_step_a_baseline(finished):
     timings = pd.read_parquet(finished / "timings.parquet").query("stage == 'baselines'")
     steps = set(timings.step)
-    assert set(BOTH.metrics.baselines) <= steps
+    assert set(ALL.metrics.baselines) <= steps
     assert {f"{name}, whole scan" for name in ("chamfer", "dcd", "icp", "sliced_wasserstein")} <= steps
     assert not {"emd, whole scan", "r_h, whole scan"} & steps
 
@@ -112,15 +112,15 @@ def test_what_a_run_made_is_new_in_its_timings_and_all_else_reused(again, datase
         timings = pd.read_parquet(again / "timings.parquet")
         return {stage: set(own) for stage, own in timings.groupby("stage").reused}
 
-    assert run(dataset, again, BOTH, from_stage="baselines").n_made == 4
+    assert run(dataset, again, ALL, from_stage="baselines").n_made == 2 * len(EXTRAS)
     first = reused()
-    assert [first.pop(stage) for stage in EXTRAS] == [{False}] * 2
+    assert [first.pop(stage) for stage in EXTRAS] == [{False}] * len(EXTRAS)
     assert set().union(*first.values()) == {True}
-    run(dataset, again, BOTH)
+    run(dataset, again, ALL)
     assert set().union(*reused().values()) == {True}
     run(dataset, again)
     assert "baselines" not in reused()
-    run(dataset, again, BOTH)
+    run(dataset, again, ALL)
     assert reused()["baselines"] == {True}
 
 
@@ -149,7 +149,7 @@ def test_they_stay_while_they_are_true_and_go_when_the_results_change(again, dat
 def test_a_damaged_table_is_made_again(again, dataset, finished, stage):
     path = again / stage / "001.parquet"
     path.write_bytes(path.read_bytes()[:-9])
-    assert run(dataset, again, BOTH).n_made == 1
+    assert run(dataset, again, ALL).n_made == 1
     assert extras(again) == extras(finished)
 
 
@@ -166,12 +166,13 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
         np.fromfile(dataset / side / "001.bin", dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
         for side in ("real", "sim")
     ]
-    result = fidpipe.evaluate_pair(*scans, settings=BOTH)
+    result = fidpipe.evaluate_pair(*scans, settings=ALL)
     assert result.summary["status"] == "scored"
-    for stage, found in (("baselines", result.baselines), ("seeds", result.seeds)):
+    for stage, found in (("baselines", result.baselines), ("seeds", result.seeds), ("nvs", result.nvs)):
         written = extras(finished)[stage, "001"].to_pandas()
         pd.testing.assert_frame_equal(found.drop(columns="pair_id"), written.drop(columns="pair_id"), check_exact=True)
-    assert fidpipe.evaluate_pair(*scans).baselines is None
+    plain = fidpipe.evaluate_pair(*scans)
+    assert (plain.baselines, plain.nvs) == (None, None)
 
 
 def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset):
@@ -184,6 +185,20 @@ def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset)
         assert name in done.stdout
     for word in ("match rate", "r_lambda", "repeatability limit", "000", "001"):
         assert word in done.stdout
+
+
+def test_the_record_has_the_scores_of_papers_over_pairs_and_over_all_scans(finished, record):
+    of = {(row["baseline"], row["level"]): row for row in record["nvs"]}
+    values = pd.read_parquet(finished / "nvs").pivot(index="score", columns="pair_id", values="value")
+    for metric in NVS_SCORES:
+        own, row = values.loc[metric.column].dropna(), of.pop((metric.column, "scans"))
+        assert (row["unit"], row["n"], row["n_null"]) == (metric.unit, len(own), 2 - len(own))
+        assert row["mean"] == (pytest.approx(own.mean()) if len(own) else None)
+    assert of.keys() == {(metric.column, "dataset") for metric in (BEV_JSD, BEV_MMD)}
+    assert all(row["n"] == 2 and 0 < row["mean"] < 1 for row in of.values())
+    shown = command("show", finished).stdout
+    assert "Scores of papers on LiDAR synthesis" in shown
+    assert "nvs_intensity_rmse is null for 2 of 2" in shown
 
 
 def test_a_baseline_that_is_null_in_every_object_has_no_mean():

@@ -31,7 +31,7 @@ from scenes import write_dataset
 from toys import TOY_TABLES
 
 SMALL = ["matching.delta_m=20"]  # the objects of so small a street are matched all the same
-WITH_EXTRAS = [*SMALL, "metrics.baselines=all", "stability.seeds=2"]
+WITH_EXTRAS = [*SMALL, "metrics.baselines=all", "stability.seeds=2", "nvs.scores=true"]
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,8 @@ def test_all_numbers_of_a_run_agree(whole):
     assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
     assert {table.table for table in result.tables} == {
         *("files", "scan", "ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"),
-        *("pieces", "rays", "ray_scores", "selection", "metrics", "baselines", "seeds", "pairs", "run.json", "rows"),
+        *("pieces", "rays", "ray_scores", "selection", "metrics", "baselines", "seeds", "nvs", "pairs"),
+        *("run.json", "rows"),
     }
     assert all(table.n_numbers > 0 for table in result.tables if "ray" not in table.table)
     assert result.tables[-1].largest < 1e-12
@@ -116,7 +117,7 @@ FILES = {
     "communities": "communities/000.sim.parquet",
     "objects": "objects/000.real.parquet",
     **{name: f"{name}/000.parquet" for name in ("matching", "coverage", "surface", "pieces", "selection", "metrics")},
-    **{name: f"{name}/000.parquet" for name in ("baselines", "seeds")},
+    **{name: f"{name}/000.parquet" for name in ("baselines", "seeds", "nvs")},
     "pairs": "pairs.parquet",
 }
 #: Tables of which all columns are forged at once, but for those by which rows are found and counts of other tables.
@@ -133,7 +134,13 @@ SINGLE = [
 ]
 FEW = [
     *(("ground", "x"), ("graph", "length_m"), ("communities", "community_id"), ("matching", "sim_id")),
-    *(("selection", "sim_point_id"), ("baselines", "value"), ("surface", "n_points"), ("metrics", "status")),
+    *(
+        ("selection", "sim_point_id"),
+        ("baselines", "value"),
+        ("nvs", "value"),
+        ("surface", "n_points"),
+        ("metrics", "status"),
+    ),
 ]
 
 
@@ -144,7 +151,7 @@ def forge_column(folder, table, name):
 
 @pytest.mark.parametrize(("table", "column"), some_of(SINGLE, FEW))
 def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_path, table, column):
-    copy = shutil.copytree(whole if table in ("baselines", "seeds") else plain, tmp_path / "run")
+    copy = shutil.copytree(whole if table in ("baselines", "seeds", "nvs") else plain, tmp_path / "run")
     forge_column(copy, table, column)
     try:
         result = verify_run(copy, None)

@@ -1,7 +1,7 @@
 import pytest
 
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, load
+from fidpipe.schemas.settings import Settings, load, overrides, preset_of
 from fidpipe.schemas.settings_text import to_toml
 
 
@@ -89,6 +89,19 @@ def test_the_mirror_is_the_frame_of_carla():
     flipped, named = load(None, ["input.sim_flip_y=true"]).input, load(None, ["input.sim_frame=carla"]).input
     assert flipped.frame_of("sim") == named.frame_of("sim") == "carla"
     assert flipped.frame_of("real") == "ros"
+
+
+def test_the_preset_nvs_is_reference_with_its_scores(tmp_path):
+    own, reference = load(preset="nvs"), load(preset="reference")
+    assert own == reference.model_copy(update={"nvs": own.nvs})
+    assert (own.nvs.scores, reference.nvs.scores) == (True, False)
+    assert (preset_of(own), overrides(own)) == ("reference", ["nvs.scores=true"])
+    file = tmp_path / "s.toml"
+    file.write_text("[graph]\nk = 60\n")
+    assert load(file, preset="nvs").nvs.scores
+    file.write_text(to_toml(load(preset="paper")))
+    with pytest.raises(SettingsError, match="unlike the preset nvs"):
+        load(file, preset="nvs")
 
 
 @pytest.mark.parametrize("frame", ["carla", "nuscenes", "kitti-cam"])
