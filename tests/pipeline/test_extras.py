@@ -141,7 +141,7 @@ def test_they_stay_while_they_are_true_and_go_when_the_results_change(again, dat
     before = extras(again)
     assert run(dataset, again).n_made == 0
     assert extras(again) == before
-    run(dataset, again, load(None, ["selection.t=2"]))
+    run(dataset, again, load(None, ["ground.prior_m=0.4"]))
     assert not extras(again)
 
 
