@@ -588,7 +588,7 @@ NVS_SCORES = (
 #: Score of all scans of a dataset at once.
 BEV_MMD = _nvs(
     "bev_mmd_100x100_160m_sigma0p5",
-    "squared maximum mean discrepancy of the same maps, each divided by its sum; Gaussian kernel, sigma 0.5",
+    "squared maximum mean discrepancy of the same maps, each of sum 1; Gaussian kernel, sigma 0.5",
     source=_LIDARGEN,
 )
 

@@ -187,7 +187,7 @@ def map_distance(real: FloatArray, sim: FloatArray) -> float | str:
 
 
 def map_discrepancy(real: FloatArray, sim: FloatArray) -> float | str:
-    """Maximum mean discrepancy, squared and biased, of maps each divided by its sum; Gaussian kernel, sigma 0.5.
+    """Maximum mean discrepancy, squared and biased, of maps of sum 1; Gaussian kernel, sigma 0.5.
 
     mean k(p, p') + mean k(q, q') - 2 mean k(p, q) over all pairs of maps, also of one with itself.
 
