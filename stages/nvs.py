@@ -169,7 +169,7 @@ def map_from_above(points: FloatArray) -> FloatArray:
     is_in = (range_m > BEV_RANGES_M[0]) & (range_m < BEV_RANGES_M[1])
     half = BEV_WIDTH_M / 2
     counts: FloatArray
-    counts, _, _ = np.histogram2d(*points[is_in, :2].T, BEV_CELLS, [(-half, half)] * 2)
+    counts, _, _ = np.histogram2d(points[is_in, 0], points[is_in, 1], BEV_CELLS, ((-half, half), (-half, half)))
     return counts
 
 

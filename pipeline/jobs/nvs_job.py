@@ -71,8 +71,9 @@ def _of_dataset(records: Sequence[JobRecord]) -> Iterator[Row]:
         (BEV_JSD, nvs.map_distance(*sums), n),
         (BEV_MMD, nvs.map_discrepancy(*single), len(chosen)),
     ):
-        is_null = isinstance(value, str)
-        yield _row(metric.column, OF_DATASET, None if is_null else value, None, 0 if is_null else size, size * is_null)
+        known = None if isinstance(value, str) else value
+        n_null = size if known is None else 0
+        yield _row(metric.column, OF_DATASET, known, None, size - n_null, n_null)
 
 
 def _row(name: str, level: str, mean: float | None, std: float | None, n: int, n_null: int) -> Row:

@@ -32,11 +32,10 @@ def nvs(pair: StoredPair) -> Iterator[Part | Skipped]:
     if NOT_INSTALLED in pair.table("nvs")["reason"].tolist():
         yield Skipped("SSIM: scikit-image was not installed")
         skipped = (*skipped, *(name for name in expected if name.endswith("_ssim")))
-    index = pd.Index(sorted(expected), name="score")
-    units = pd.DataFrame({"unit": [METRIC[name].unit for name in index]}, index=index)
-    yield pair.part("nvs", units)
-    known = index.difference(list(skipped))
-    yield pair.part("nvs", pd.DataFrame({"value": [expected[name] for name in known]}, index=known), is_whole=False)
+    rows = [{"score": name, "unit": METRIC[name].unit, "value": value} for name, value in expected.items()]
+    yield pair.part("nvs", [{name: row[name] for name in ("score", "unit")} for row in rows])
+    known = [{name: row[name] for name in ("score", "value")} for row in rows if row["score"] not in skipped]
+    yield pair.part("nvs", known, is_whole=False)
 
 
 def _scores(pair: StoredPair) -> dict[str, float | None]:
