@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from sphinx.util.docutils import SphinxDirective
 
-from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.stage import SCAN, Grain, Stage
 from fidpipe.schemas import metric_catalogue, settings_text, tables
 from fidpipe.schemas.settings import Settings
@@ -54,7 +54,7 @@ class StageTables(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """A table of the inputs, and one for each output table."""
-        stage = next((own for own in STAGES if own.name == self.arguments[0]), None)
+        stage = next((own for own in (*STAGES, *EXTRAS) if own.name == self.arguments[0]), None)
         if stage is None:
             raise self.error(f"stage {self.arguments[0]!r}: no such stage; known are {', '.join(_names())}")
         return self.parse_text_to_nodes(tables_of(stage))
@@ -94,7 +94,7 @@ def _table_word(name: str) -> str:
 
 
 def _names() -> list[str]:
-    return [stage.name for stage in STAGES]
+    return [stage.name for stage in (*STAGES, *EXTRAS)]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
