@@ -28,7 +28,9 @@ from scenes import box, subgraph
 
 def test_no_column_stands_in_the_catalogue_twice():
     of_objects, of_surfaces = (*OBJECT_SCORES, *PAIR_SCORES), (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)
-    assert len(METRIC) == len((*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES, *NVS_SCORES, BEV_MMD))
+    assert len(METRIC) == len(
+        (*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES, *NVS_SCORES, BEV_MMD)
+    )
 
 
 def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():
