@@ -14,6 +14,7 @@ from ...schemas.metric_catalogue import METRIC
 from ...stages.arrays import IntArray
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from ..results.quadrants import QUADRANTS, UNKNOWN
+from .look import OUTCOME_COLOURS
 from .run_frames import RunResults
 
 #: The two scores that are drawn side by side.
@@ -98,6 +99,19 @@ def range_bands(results: RunResults) -> pd.DataFrame:
     objects = pd.concat([results.matched.assign(status="matched")[["range_m", "status"]], results.unmatched])
     counts = pd.crosstab(band_of(objects.range_m), objects.status)
     return counts.reindex(columns=list(_FATES), fill_value=0)
+
+
+def ray_outcomes(results: RunResults) -> pd.DataFrame:
+    """Shares of the outcomes of rays (columns) by range (rows, near to far), and `n_rays`, over the scored pairs."""
+    outcomes = {f"rays_{name}": name for name in OUTCOME_COLOURS}
+    part = {("ray_scores", ""): ["by", "band", "n_rays", *outcomes]}
+    table, _ = results.run.store.read_pairs(results.pairs.pair_id.tolist(), part)["ray_scores", ""]
+    rows = table.to_pandas().query("by == 'range'").set_index("band").rename(columns=outcomes)
+    rows[[*OUTCOME_COLOURS]] = rows[[*OUTCOME_COLOURS]].mul(rows.n_rays, axis=0)
+    total: pd.DataFrame = rows.drop(columns="by").groupby(level=0, sort=False).sum()
+    total = total.loc[sorted(total.index, key=lambda band: float(band.removeprefix("over ").split()[0]))]
+    total[[*OUTCOME_COLOURS]] = total[[*OUTCOME_COLOURS]].div(total.n_rays, axis=0)
+    return total
 
 
 @dataclass(frozen=True)

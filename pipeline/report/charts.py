@@ -37,9 +37,21 @@ from .aggregates import (  # fmt: skip
     quadrants,
     range_bands,
     range_bins,
+    ray_outcomes,
     stage_times,
 )
-from .look import FATE_COLOURS, GREEN, QUADRANT_COLOURS, SCORE_COLOURS, SERIES, in_chart, of_theme, on_page
+from .look import (
+    FATE_COLOURS,
+    GREEN,
+    OUTCOME_COLOURS,
+    OUTCOME_WORDS,
+    QUADRANT_COLOURS,
+    SCORE_COLOURS,
+    SERIES,
+    in_chart,
+    of_theme,
+    on_page,
+)
 from .run_frames import RunResults
 
 Chart = dict[str, Any]  #: data and layout
@@ -92,6 +104,7 @@ def run_charts(results: RunResults) -> dict[str, Told]:
         "polar": _polar(results.unmatched),
         **{f"fates_{name}": _fates_by(bins, binned_fates(results, bins)) for name, bins in by_place.items()},
         "bands": _bands(range_bands(results)),
+        **({"rays_range": _rays(rays)} if len(rays := ray_outcomes(results)) else {}),
         "times": _times(stage_times(results)),
     }
 
@@ -218,6 +231,27 @@ def _bands(bands: pd.DataFrame) -> Told:
     figure.update_xaxes(type="category", showgrid=False, tickangle=-45)
     counts = _listed(f"{band} {', '.join(f'{n} {fate}' for fate, n in row.items())}" for band, row in bands.iterrows())
     return _plain(figure), f"Objects by distance: {counts}"
+
+
+def _rays(rays: pd.DataFrame) -> Told:
+    """Shares of the outcomes of rays by range, stacked."""
+    figure = go.Figure()
+    for name, colour in OUTCOME_COLOURS.items():
+        figure.add_bar(
+            name=OUTCOME_WORDS[name],
+            x=rays.index.tolist(),
+            y=100 * rays[name],
+            customdata=rays.n_rays,
+            marker={"color": on_page(colour)},
+            hovertemplate=f"%{{y:.1f}} % {OUTCOME_WORDS[name]} of %{{customdata:,}} rays<extra></extra>",
+        )
+    figure.update_layout(barmode="stack", yaxis_title_text="share of the rays (%)", margin_t=60)
+    figure.update_xaxes(type="category", showgrid=False)
+    counts = _listed(
+        f"{band} {', '.join(f'{row[name]:.0%} {OUTCOME_WORDS[name]}' for name in OUTCOME_COLOURS)}"
+        for band, row in rays.iterrows()
+    )
+    return _plain(figure), f"Outcomes of the rays by range: {counts}"
 
 
 def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Told:

@@ -15,6 +15,14 @@ SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, GREY)
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
 SCORE_COLOURS = {"r_lambda": BLUE, "cdc": ORANGE}
 FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILION, "too small": PURPLE}
+#: Outcomes of rays, as `stages.rays` names them.
+OUTCOME_COLOURS = {
+    "same": GREY, "in_front": VERMILION, "behind": PURPLE, "dropped": BLUE, "no_surface": SKY, "sim_only": ORANGE,
+}  # fmt: skip
+OUTCOME_WORDS = {
+    "same": "same range", "in_front": "simulated in front", "behind": "simulated behind",
+    "dropped": "lost, surface is simulated", "no_surface": "lost, no surface", "sim_only": "simulated only",
+}  # fmt: skip
 QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILION, GREY), strict=True))
 
 #: Where a score is better, by whether higher is.

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
@@ -25,6 +26,7 @@ from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ..engine.pool import one_blas_thread
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
+from .look import OUTCOME_COLOURS
 
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
@@ -178,6 +180,16 @@ class PairTables:
         """The sensor of each side, as stage `sensor` describes it."""
         jobs = self._run.store.ledger.jobs(self._pair_id)
         return {side: SensorDescription(**jobs["sensor", side].metadata["sensor"]) for side in SIDES}
+
+    @cached_property
+    def ray_image(self) -> NDArray[np.uint8]:
+        """(beams, columns) place in `OUTCOME_COLOURS`, 255 for none; left on the left, the highest beam on top."""
+        rays = self._columns("rays", "", ["beam", "column", "outcome"])
+        beams, columns = (rays[name].max() + 1 if len(rays) else 0 for name in ("beam", "column"))
+        image = np.full((beams, columns), 255, dtype=np.uint8)
+        places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
+        image[rays.beam, rays.column] = rays.outcome.map(places).fillna(255)
+        return image[::-1, ::-1]
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:

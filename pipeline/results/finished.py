@@ -296,14 +296,15 @@ class ObjectFacts:
 
 @dataclass(frozen=True)
 class PairFacts:
-    """A pair: its row of `pairs`, and its objects; no objects where it failed."""
+    """A pair: its row of `pairs`, its objects, and its rows of `ray_scores`; none of both where it failed."""
 
     pair: Row
     objects: tuple[ObjectFacts, ...]
+    rays: tuple[Row, ...] = ()
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        return {"pair": self.pair, "objects": [each.as_dict() for each in self.objects]}
+        return {"pair": self.pair, "objects": [each.as_dict() for each in self.objects], "rays": [*self.rays]}
 
 
 def open_run(folder: Path | str) -> FinishedRun:
@@ -343,7 +344,9 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
         for i, each in enumerate(found)
         if (scores := each.scores)
     )
-    return PairFacts(row, (*(found[i] for *_, i in matched), *(each for each in found if each.scores is None)))
+    rays = run.read_table("ray_scores", pair_id).drop_columns(["pair_id"]).to_pylist()
+    objects = (*(found[i] for *_, i in matched), *(each for each in found if each.scores is None))
+    return PairFacts(row, objects, tuple(rays))
 
 
 def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:

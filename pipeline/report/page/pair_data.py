@@ -63,7 +63,8 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
     return {
         "step_m": step_m,
         "sides": {side: _counted(tables, side, shown[side]) for side in SIDES},
-        "packed": _packed(_points(tables, shown, step_m)),
+        "n_beams": len(tables.ray_image),
+        "packed": _packed(_points(tables, shown, step_m) | {"rays": tables.ray_image.ravel()}),
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
         "matched": plain_rows(tables.matched, MATCHED_COLUMNS),
         "unmatched": plain_rows(tables.unmatched, UNMATCHED_COLUMNS),

@@ -16,7 +16,16 @@ from ...results.floor import RunExcess
 from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits
 from ..charts import MOST_DOTS, MOST_SCANS, run_charts
-from ..look import FATE_COLOURS, GREY, QUADRANT_COLOURS, RAMPS, SIDE_COLOURS, on_page
+from ..look import (
+    FATE_COLOURS,
+    GREY,
+    OUTCOME_COLOURS,
+    OUTCOME_WORDS,
+    QUADRANT_COLOURS,
+    RAMPS,
+    SIDE_COLOURS,
+    on_page,
+)
 from ..pictures import FRAME
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults
 from ..verdict import limits_in_words, verdict_of
@@ -68,6 +77,10 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
             "ramps": RAMPS,
             "quadrants": {key: on_page(colour) for key, colour in QUADRANT_COLOURS.items()},
+            "outcomes": {
+                name: {"colour": on_page(colour), "words": OUTCOME_WORDS[name]}
+                for name, colour in OUTCOME_COLOURS.items()
+            },
             "none": GREY,
         },
         "far_m": FAR_M,

@@ -19,6 +19,7 @@ _OBJECT_SCORES = (
 )
 _MATCHED_SCORES = ("cdc", "r_lambda", "r_gap", "centroid_distance_m", "alignment_rms_m")
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
+_OUTCOMES = ("rays_same", "rays_in_front", "rays_behind", "rays_dropped", "rays_no_surface", "rays_sim_only")
 _MOST_UNCOVERED = 10
 _MOST_ALIGNMENTS = 3
 #: Columns of `objects` and `coverage`: place and shape, and how much of it the other side has.
@@ -45,12 +46,42 @@ def pair_view(facts: PairFacts) -> View:
     return [
         Table(title, names, counts, digits={4: 2}),
         Table("Surface (share of the object points with one of the other side)", ("side", *within), shares),
+        *_rays(facts),
         _matched(facts),
         *alignment_warning(facts.objects),
         Note(""),
         _least_covered(facts),
         _unmatched(facts),
     ]
+
+
+def _rays(facts: PairFacts) -> View:
+    """Outcomes of the rays and errors of range, of all and by range, incidence and class; or why there are none."""
+    if facts.pair["rays_reason"]:
+        return [Note(f"no rays: {facts.pair['rays_reason']}", "yellow")]
+    order = {"all": 0, "range": 1, "incidence": 2, "class": 3}
+    groups = [row for row in facts.rays if row["by"] in order]
+    groups.sort(key=lambda row: (order[row["by"]], *_lower_edge(row["band"])))
+    columns = (*_OUTCOMES, "rays_bias_m", "rays_rmse_m")
+    names = [_short(row["band"]) if row["by"] != "class" else row["band"] for row in groups]
+    rows = [
+        (name or "all", row["n_rays"], *(row[column] for column in columns))
+        for name, row in zip(names, groups, strict=True)
+    ]
+    headings = ("rays", "number", "same", "in front", "behind", "dropped", "no\nsurface", "sim\nonly")
+    title = "Rays (share of those with a return on either side), and simulated minus real range (m)"
+    return [Table(title, (*headings, "bias", "RMSE"), rows, words=(0,), digits=dict.fromkeys(range(2, 10), 2))]
+
+
+def _short(band: str) -> str:
+    """`10-20m` for `10 to 20 m`: a column that does not wrap."""
+    return band.replace(" to ", "-").replace("over ", ">").replace(" degrees", "°").replace(" m", "m")
+
+
+def _lower_edge(band: str) -> tuple[float, str]:
+    """Order of bands such as `10 to 20 m` and `over 50 m`; classes by name."""
+    first = band.removeprefix("over ").split(" ")[0]
+    return (float(first), "") if first.replace(".", "").isdigit() else (0.0, band)
 
 
 def _matched(facts: PairFacts) -> Table:

@@ -99,7 +99,7 @@ export async function pointsOf(view, objects) {
     points[side] = { ...inSpace(side), object, ranges, kept, distance, aligned };
   }
   const road = Object.fromEntries(SIDES.map((side) => [side, inSpace(`${side}_road`)]));
-  return { ...points, road, lines: { real: columns.real_line, sim: columns.sim_line } };
+  return { ...points, road, rays: columns.rays, lines: { real: columns.real_line, sim: columns.sim_line } };
 }
 
 // Places among the points of a side that an object has.

@@ -67,8 +67,30 @@ async function openPair(name) {
   say("scene_note", `Shown: ${parts.join(", ")}, thinned for display only; all scores are of all points.`);
   suggest();
   setChosen(null);
+  drawRays();
   drawScene(wholePair());
   return true;
+}
+
+// The range image of the outcomes: a byte a ray, row by row from the highest beam; 255 for a ray that returned nothing.
+function drawRays() {
+  const { view, points } = scene.pair;
+  byId("ray_figure").hidden = !view.n_beams;
+  if (!view.n_beams) return;
+  const canvas = byId("ray_image");
+  const outcomes = Object.values(report.colours.outcomes);
+  const colours = outcomes.map(({ colour }) => paint(colour).match(/\w\w/g).map((part) => parseInt(part, 16)));
+  canvas.height = view.n_beams;
+  canvas.width = points.rays.length / view.n_beams;
+  const image = new ImageData(canvas.width, canvas.height);
+  points.rays.forEach((outcome, i) => {
+    if (outcome < colours.length) image.data.set([...colours[outcome], 255], 4 * i);
+  });
+  canvas.getContext("2d").putImageData(image, 0, 0);
+  const entries = outcomes.map(({ colour, words }) =>
+    element("span", null, {}, element("i", null, { style: `background: ${paint(colour)}` }), words),
+  );
+  byId("ray_legend").replaceChildren(...entries);
 }
 
 // Every Nth point of each object, so that about MOST_DRAWN remain.
@@ -153,7 +175,9 @@ function drawScene(camera = byId("scene").layout.scene.camera) {
 }
 
 function redrawPair() {
-  if (scene.pair !== null) drawScene();
+  if (scene.pair === null) return;
+  drawScene();
+  drawRays();
 }
 
 // Redraws pair and object in the colours of the theme.
