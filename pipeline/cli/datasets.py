@@ -127,9 +127,9 @@ def twin(
     """Make a dataset: posed real scans, and a simulated scan of each place in a model built from the other scans.
 
     A simulator whose flaws are known: it casts rays onto surfels of the other frames and adds the flaws that --flaw
-    names: foliage, holes, far-dropout, dropout, density, beams, blur, noise, ghosts, yaw, offset, mirrored (amounts:
-    docs/twin.md). twin.toml next to the scans is the recipe; the same recipe produces the same bytes. Run again to
-    resume after an interruption.
+    names: foliage, holes, far-dropout, dropout, density, beams, blur, noise, ghosts, yaw, offset, mirrored,
+    intensity-constant, intensity-range, intensity-scale (amounts: docs/twin.md). twin.toml next to the scans is the
+    recipe; the same recipe produces the same bytes. Run again to resume after an interruption.
 
     For example:
 

@@ -79,7 +79,11 @@ function drawRays() {
   if (!view.n_beams) return;
   const canvas = byId("ray_image");
   const outcomes = Object.values(report.colours.outcomes);
-  const colours = outcomes.map(({ colour }) => paint(colour).match(/\w\w/g).map((part) => parseInt(part, 16)));
+  const colours = outcomes.map(({ colour }) =>
+    paint(colour)
+      .match(/\w\w/g)
+      .map((part) => parseInt(part, 16)),
+  );
   canvas.height = view.n_beams;
   canvas.width = points.rays.length / view.n_beams;
   const image = new ImageData(canvas.width, canvas.height);
