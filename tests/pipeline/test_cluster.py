@@ -110,7 +110,7 @@ def never_ending_graph(folder, context):
     if context.pair_id == broken_jobs.POISON:
         (folder / str(os.getpid())).touch()
         ctypes.PyDLL(None).sleep(ENDLESS_S)
-    return broken_jobs.graph.make_graph(context)
+    return broken_jobs.graph_job.make_graph(context)
 
 
 def never_ending_selection(context):
