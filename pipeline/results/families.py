@@ -450,7 +450,7 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
             _column("rays_scale", "zero", 0.001),
         ),
         "intensity": (
-            _column("intensity_rank_distance", "low", 0.02),
+            _column("intensity_rank_distance", "low", 0.02, "rank distance"),
             _column("intensity_ratio", "one", 0.05),
             _excess("intensity_sim_by_range", "intensity_real_by_range", "intensity by range", 0.05),
         ),
