@@ -1,1 +1,1 @@
-"""Order, storage, machines, people: what drives the stages."""
+"""Scheduling, storage, workers and the command line: everything around the stages."""

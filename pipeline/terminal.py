@@ -27,7 +27,7 @@ def shown(text: object) -> str:
 
 
 class Terminal(Console):
-    """A console that shows steering signs by their numbers, wherever in a view they stand; its own colours stay."""
+    """A console that shows control characters in texts as escapes; its own colours stay."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(highlight=False, **options)

@@ -545,7 +545,7 @@ _EXPECTED = {
 
 
 def expected_and_got(problem: ErrorDetails) -> str:
-    """Text of an error of pydantic: what is expected, and what was found.
+    """Text of an error of pydantic: expected and found value.
 
     Examples
     --------

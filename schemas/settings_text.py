@@ -70,7 +70,7 @@ def to_markdown() -> str:
 
 
 def group_to_markdown(group: str) -> str:
-    """A table of the settings of one group: name, value under each preset, what is allowed, what it is for.
+    """A table of the settings of one group: name, value under each preset, allowed values, purpose.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ def partition(
     annotation: Annotation | None = None,
     watch: Watch = unwatched,
 ) -> PartitionedScan:
-    """The graph of a side's object points, its objects, and what these look like.
+    """The graph of a side's object points, its objects, and their description.
 
     Parameters
     ----------

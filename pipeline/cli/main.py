@@ -78,7 +78,7 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """Opens to nowhere what is closed of the standard streams; files would take their numbers, and be written into."""
+    """Redirect closed standard streams to the null device: otherwise files would get their descriptors."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             stream = Path(os.devnull).open(mode, encoding="utf-8")  # noqa: SIM115, until the process ends

@@ -151,7 +151,7 @@ def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
 def write_dataset(
     out: Path, real: Timeline, sim: Timeline, pairing: Pairing, kept: IntArray, *, replace: bool = False
 ) -> int:
-    """Writes `pairs.csv`, and `unpaired.csv` with the frames that have no partner; gives how many these are.
+    """Write `pairs.csv`, and `unpaired.csv` with the frames without a partner; return the number of these.
 
     Parameters
     ----------

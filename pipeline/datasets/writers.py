@@ -25,7 +25,7 @@ _PLY_NAMES = {"f4": "float", "f8": "double", "i4": "int"}
 def convert(
     source: Path, out: Path, to: str = "parquet", columns: tuple[str, ...] | None = None, *, replace: bool = False
 ) -> list[Path]:
-    """Writes a scan into a file, or each frame of a recording into a folder; gives the files.
+    """Write a scan into a file, or each frame of a recording into a folder; return the files.
 
     Numbers keep their value to the last bit: in PLY and PCD a coordinate is a float where that holds all of it, else a
     double. Labels that are words are numbers there, which `labels.toml` next to the file names.

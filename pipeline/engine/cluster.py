@@ -297,7 +297,7 @@ class DaskPool:
             self._cluster.scale(len(self._cluster.worker_spec))  # starts the missing ones
 
     async def _give_up(self, name: Any) -> None:
-        """End what is left of a worker."""
+        """End the remaining processes of a worker."""
         nanny = self._cluster.workers.pop(name, None)
         if nanny is not None:
             await asyncio.gather(nanny.close(timeout=_KILL_S), return_exceptions=True)
@@ -421,7 +421,7 @@ def other_versions(there: Mapping[str, str | None], here: Mapping[str, str]) -> 
 
 
 def library_versions_there(names: Iterable[str]) -> dict[str, str | None]:
-    """Versions by distribution name in this process; None of what is not installed."""
+    """Versions by distribution name in this process; None if not installed."""
     versions: dict[str, str | None] = {}
     for name in names:
         try:

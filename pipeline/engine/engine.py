@@ -149,7 +149,7 @@ class RunEngine:
         return 0 if self._pool is None else self._pool.n_workers
 
     def _limited(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
-        """The plans with the time limit of their pairs; what was noted of an earlier run is removed."""
+        """The plans with the time limit of their pairs; notes of an earlier run are removed."""
         seconds = self._machines.pair_timeout_s
         for i, plan in enumerate(plans):
             if seconds is None or plan.folder is None:

@@ -1,4 +1,4 @@
-"""The memory budget: batches that may run at the same time, and pairs that cannot fit at all."""
+"""The memory budget: batches that may run at the same time, and pairs that do not fit."""
 
 from __future__ import annotations
 

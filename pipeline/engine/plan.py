@@ -42,7 +42,7 @@ class Part:
 
 
 class Source(NamedTuple):
-    """A table that a job takes: its declared columns, none for the metadata alone, and the job that gives it.
+    """A table that a job takes: its declared columns, none for the metadata alone, and the job that writes it.
 
     maker : None for an input file
     """
@@ -210,7 +210,7 @@ class Planner:
         return PairPlan(pair, tuple(jobs), inputs, self.label_names)
 
     def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> list[_PlannedJob]:
-        """The jobs of all pairs that have files of these sides, with what each reads."""
+        """The jobs of all pairs that have files of these sides, with the tables that each reads."""
         makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in sides}
         jobs: dict[JobId, _PlannedJob] = {}
         for part in (*self._parts, *parts):
@@ -232,7 +232,7 @@ class Planner:
         return list(jobs.values())
 
     def _method_key(self, stage: Stage, settings: Settings) -> str:
-        """A hash of what a stage computes with, which is the same for all pairs."""
+        """A hash of the settings, versions and code of a stage, which is the same for all pairs."""
         name = (stage.name, id(settings))
         if name not in self._method_keys:
             key = key_of(
@@ -251,7 +251,7 @@ class Planner:
 
 
 def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:
-    """Name and type of the columns of each table that a stage gives; `ValueError` where it names what is not there."""
+    """Name and type of the columns of each table of a stage; `ValueError` for a table or column that does not exist."""
     for table in (*stage.takes, *stage.gives):
         if table not in (*TABLES, SCAN):
             raise ValueError(f"stage {stage.name}: schemas.tables has no table {table}")

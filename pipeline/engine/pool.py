@@ -1,4 +1,4 @@
-"""Somewhere to run batches: what every pool can do, and the one in this process.
+"""Pools that run batches: the interface of all, and the pool within this process.
 
 A pool takes a function and its arguments and returns the outcomes in any order.
 """

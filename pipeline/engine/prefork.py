@@ -1,4 +1,4 @@
-"""The process that the workers of this machine are forked from: it imports once what each of them needs.
+"""The process from which the workers of this machine are forked: it imports the libraries once for all of them.
 
 It is started before the command imports the same modules, so that both are ready at the same time. Without it each
 worker imports them itself, also one that replaces a dead one: 2.5 s of CPU per worker. Windows cannot fork and does the

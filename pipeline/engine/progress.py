@@ -37,7 +37,7 @@ class Reporter:
             self.console.print("\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow")
 
     def fail(self, name: str, reason: str) -> None:
-        """Print one line for what failed."""
+        """Print one line for each failure."""
         self.console.print(shown(f"{name}: {reason}"), markup=False, style="red")
         self._n_failed += 1
 

@@ -1,4 +1,4 @@
-"""The order of work: when the jobs of each pair are submitted, and what follows when a batch ends.
+"""The order of work: when the jobs of each pair are submitted, and the next step when a batch ends.
 
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
 only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. Parts
@@ -55,7 +55,7 @@ class Watcher(Protocol):
         """Some jobs of a pair are finished, or failed."""
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """A pair has ended; its plan knows what is finished."""
+        """A pair has ended; its plan lists the finished jobs."""
 
 
 @dataclass

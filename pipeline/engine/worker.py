@@ -132,7 +132,7 @@ def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRo
 
 
 def make_job(tables: PairTables, job: Job) -> JobRecord:
-    """Run one job of a pair and write its results; raises what its stage raises."""
+    """Run one job of a pair and write its results; errors of its stage are raised unchanged."""
     objects = tuple(number for number, _ in tables.objects) if job.stage.grain is Grain.OBJECT else ()
     inputs = tables.inputs(job, objects)
     result = job.stage.make(inputs)
@@ -166,7 +166,7 @@ class PairTables:
         self._n_raw = plan.n_raw
 
     def bytes_needed(self, job: Job, costs: CostModel) -> int:
-        """Bytes that a job may need, by what is known of the pair by now."""
+        """Memory that a job may need, bytes, estimated from the counts known so far."""
         n_bytes = costs.pair_bytes(self._n_raw)
         if job.stage.grain is Grain.OBJECT:
             n_bytes += costs.object_bytes(largest_object(self.objects)[1])
@@ -179,7 +179,7 @@ class PairTables:
         rows: Mapping[tuple[str, str], pa.Table] | None = None,
         step: Steps | None = None,
     ) -> Inputs:
-        """The argument of a job: what its stage declares.
+        """The argument of a job: the inputs that its stage declares.
 
         Parameters
         ----------

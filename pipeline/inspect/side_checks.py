@@ -64,7 +64,7 @@ class SideSamples:
         self._stretches = _stretches(pairs)
         self._sampled = {pair.pair_id for stretch in self._stretches for pair in stretch}
         self._with_stamps = {pair.pair_id for pair in pairs[:_WITH_STAMPS]}
-        self.pair_ids = self._sampled | self._with_stamps  # pairs that are looked at closely
+        self.pair_ids = self._sampled | self._with_stamps  # sampled pairs
         self._points: dict[str, dict[str, FloatArray]] = {side: {} for side in SIDES}  # clean, own frame, z up
         self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
         self._stamps: dict[str, StampCheck] = {}
@@ -213,7 +213,7 @@ def _stretches(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
 
 
 def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:
-    """The hits, and the settings that drop them, with what else these drop."""
+    """The hits, the settings that drop them, and the share of other points that these drop."""
     axes = as_ros(np.eye(3), settings.frame_of(side))  # a row for each axis of the side's own frame
     corners = np.array([hits.low, hits.high]) @ axes.T
     box = ",".join(f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0)))

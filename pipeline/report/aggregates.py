@@ -67,7 +67,7 @@ def evenly(n: int, most: int) -> list[int]:
 
 
 def boxes(results: RunResults, column: str, groups: Iterable[str]) -> list[dict[str, Any]]:
-    """For each group of objects name, number (n), and what a box plot shows of both scores.
+    """Name, number (n) and box plot statistics of both scores for each group of objects.
 
     By score med, q1, q3, whislo, whishi and fliers, as matplotlib calls them (whiskers at 1.5 quartile distances); None
     for fewer than three values.

@@ -55,7 +55,7 @@ from .look import (
 from .run_frames import RunResults
 
 Chart = dict[str, Any]  #: data and layout
-Told = tuple[Chart, str]  #: a chart, and a sentence with its main numbers
+CaptionedChart = tuple[Chart, str]  #: a chart, and a sentence with its main numbers
 
 #: More dots than these would make a page slow; the texts next to the charts then name the part that they show.
 MOST_DOTS = 3000
@@ -88,7 +88,7 @@ TEMPLATE: Chart = go.layout.Template(
 ).to_plotly_json()
 
 
-def run_charts(results: RunResults) -> dict[str, Told]:
+def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
     """The charts of a whole run with their sentences, by the id of their place in the page."""
     names = results.pairs.pair_id.tolist()
     scans = [names[i] for i in evenly(len(names), MOST_SCANS)]
@@ -109,7 +109,7 @@ def run_charts(results: RunResults) -> dict[str, Told]:
     }
 
 
-def _histogram(score: str, counted: dict[str, Any]) -> Told:
+def _histogram(score: str, counted: dict[str, Any]) -> CaptionedChart:
     edges, median = counted["edges"], counted["median"]
     bars = go.Bar(
         x=(edges[:-1] + edges[1:]) / 2,
@@ -128,7 +128,7 @@ def _histogram(score: str, counted: dict[str, Any]) -> Told:
     return _plain(figure), f"Histogram of {title}."
 
 
-def _quadrants(results: RunResults) -> Told:
+def _quadrants(results: RunResults) -> CaptionedChart:
     """r_lambda over CDC, one dot per object; evenly over the order from worst to best where they are too many."""
     scored = results.matched[results.matched.r_lambda.notna()]
     dots = scored.iloc[evenly(len(scored), MOST_DOTS)]
@@ -154,7 +154,7 @@ def _quadrants(results: RunResults) -> Told:
     return _plain(figure), f"r_lambda over CDC of each object: {counts}"
 
 
-def _boxes(what: str, groups: Sequence[dict[str, Any]]) -> Told:
+def _boxes(what: str, groups: Sequence[dict[str, Any]]) -> CaptionedChart:
     """Both scores of each group side by side; shortened names may be equal, so that boxes are placed at numbers."""
     figure = go.Figure()
     names = {"q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
@@ -184,7 +184,7 @@ def _boxes(what: str, groups: Sequence[dict[str, Any]]) -> Told:
     return _plain(figure), f"Box plots {what}. Medians: {medians}"
 
 
-def _polar(unmatched: pd.DataFrame) -> Told:
+def _polar(unmatched: pd.DataFrame) -> CaptionedChart:
     """Unmatched objects around the sensor, seen from above, the largest first where they are too many."""
     figure = go.Figure()
     drawn = unmatched.head(MOST_DOTS)
@@ -212,7 +212,7 @@ def _polar(unmatched: pd.DataFrame) -> Told:
     )
 
 
-def _bands(bands: pd.DataFrame) -> Told:
+def _bands(bands: pd.DataFrame) -> CaptionedChart:
     figure, n_real = go.Figure(), bands.matched + bands.missing
     for fate, shape, side, n_all in (
         ("matched", "", "real", n_real),
@@ -233,7 +233,7 @@ def _bands(bands: pd.DataFrame) -> Told:
     return _plain(figure), f"Objects by distance: {counts}"
 
 
-def _rays(rays: pd.DataFrame) -> Told:
+def _rays(rays: pd.DataFrame) -> CaptionedChart:
     """Shares of the outcomes of rays by range, stacked."""
     figure = go.Figure()
     for name, colour in OUTCOME_COLOURS.items():
@@ -254,7 +254,7 @@ def _rays(rays: pd.DataFrame) -> Told:
     return _plain(figure), f"Outcomes of the rays by range: {counts}"
 
 
-def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Told:
+def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> CaptionedChart:
     """Median and quartiles of both scores in each bin, above the number of objects that they are of."""
     figure = go.Figure()
     for offset, (score, rows) in zip((-0.1, 0.1), scores.items(), strict=True):
@@ -282,7 +282,7 @@ def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> Told:
     return _above_counts(figure, bins, n), f"Medians by {_place(bins)}: {medians}"
 
 
-def _fates_by(bins: Bins, fates: pd.DataFrame) -> Told:
+def _fates_by(bins: Bins, fates: pd.DataFrame) -> CaptionedChart:
     """Share of the real objects missing in each bin, and of the simulated ones hallucinated; their number."""
     figure = go.Figure()
     for fate, side, symbol in (("missing", "real", "circle-open"), ("hallucinated", "simulated", "x-thin")):
@@ -337,7 +337,7 @@ def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
     return _plain(figure)
 
 
-def _sequence(pairs: PairsInOrder) -> Told:
+def _sequence(pairs: PairsInOrder) -> CaptionedChart:
     """Match rate and the means of both scores of each pair, one after the other."""
     figure, ends, rows = go.Figure(), [], pairs.rows.iloc[evenly(len(pairs.rows), MOST_DOTS)]
     colours = {"match_rate": GREEN, **{METRIC[score].mean_column: SCORE_COLOURS[score] for score in SCORES}}
@@ -365,7 +365,7 @@ def _sequence(pairs: PairsInOrder) -> Told:
     return _plain(figure), f"Each of {len(pairs.rows)} pairs by {order}, lowest to highest: {_listed(ends)}"
 
 
-def _times(times: pd.DataFrame) -> Told:
+def _times(times: pd.DataFrame) -> CaptionedChart:
     figure = go.Figure()
     patterns = ("", "/", "x")
     for i, (step, own) in enumerate(times.groupby("step", sort=False)):

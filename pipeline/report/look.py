@@ -53,7 +53,7 @@ def of_theme(name: str) -> str:
 
 
 def on_page(colour: str) -> str:
-    """A colour as a page has it: on black, blue is too dark and gives way to sky blue."""
+    """A colour on a page: on black, blue is too dark and becomes sky blue."""
     return of_theme("blue") if colour == BLUE else colour
 
 

@@ -147,7 +147,7 @@ class _AnswerLines:
 
 
 def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:
-    """An item in lines: words, detail, and at the end of the first line the setting; what does not fit comes below."""
+    """An item in lines: words, detail, and at the end of the first line the setting; the rest is wrapped below."""
     words, detail, setting = item
     hang = " " * 3 * (words[1:3] == "  ")
     if detail and len(words) + len(detail) + len(setting) + 5 <= width:

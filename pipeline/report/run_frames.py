@@ -199,7 +199,7 @@ class PairTables:
 
     @cached_property
     def alignment_moves(self) -> dict[int, FloatArray]:
-        """By real id, what moves the simulated object onto the real one: mean of kept real less simulated nodes, (3,).
+        """Motion of the simulated object onto the real one, by real id: mean of kept real less simulated nodes, (3,).
 
         The nodes are aligned with both sides centred so (`stages.selection`), and `alignment_rms_m` is of it.
         """

@@ -245,7 +245,7 @@ def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tu
 
 
 def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:
-    """When the real scans were taken, by pair; {} where no dataset that says so is on this machine."""
+    """Times of the real scans by pair; {} if the dataset is not on this machine or has none."""
     times_s: dict[str, float] = {}
     for run in runs:
         try:
@@ -320,7 +320,7 @@ def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
 
 
 def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
-    """By score, what two means over the pairs may differ by through Louvain seeds alone (95 %).
+    """Difference of two means over the pairs that Louvain seeds alone can cause (95 %), by score.
 
     Only scores that are known of every pair under the same number of seeds.
     """

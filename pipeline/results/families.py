@@ -417,7 +417,7 @@ _FOUND = {
 
 
 def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
-    """The scores of each family, by its name; the first one stands for it over many runs.
+    """The scores of each family, by its name; the first score represents it over many runs.
 
     Parameters
     ----------

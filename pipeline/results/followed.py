@@ -1,4 +1,4 @@
-"""Real objects followed from one run to another: what became of each, and of all of a class or of a band of range.
+"""Real objects followed from one run to another: the fate of each, and of all objects of a class or a band of range.
 
 The real side's objects are the same where scan and settings are; that is checked by content.
 """

@@ -58,7 +58,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class GateResult:
-    """Results of all criteria of a run; `notes` has what could not be checked, and other remarks."""
+    """Results of all criteria of a run; `notes` lists unchecked criteria and other remarks."""
 
     run: Path
     dataset: str

@@ -1,6 +1,6 @@
 """Up to eight runs of the same real scans in a row: how has the simulator developed?
 
-Only pairs that all of the runs have scored are looked at, so that means of different runs are of the same scans.
+Only pairs that all runs have scored are used, so that the means of all runs are over the same scans.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Step:
 
 @dataclass(frozen=True)
 class FamilyHistory:
-    """A family over the runs, with the score that stands for it.
+    """A family over the runs, with its representative score.
 
     name, mark : of the score; direction of good
     """

@@ -1,4 +1,4 @@
-"""Decides what geometry and structure say together of an object: the four quadrants and their limits.
+"""The four quadrants of an object by geometry and structure, and their limits.
 
 The paper names the quadrants' meaning and gives examples, no limits. They are fidpipe's, fixed so that runs compare,
 and stand with their reasons in the catalogue of metrics.

@@ -81,7 +81,7 @@ def free_bytes(path: Path) -> int | None:
 
 
 def disk_full(path: Path, reason: object) -> DiskFullError:
-    """The error of a file that finds no space, with what is free there and the next step."""
+    """The error of a file for which no space is left, with the free space and the next step."""
     free = free_bytes(path)
     space = "what is free is not known" if free is None else f"{megabytes(free)} free"
     return DiskFullError(f"{path}: {reason}, {space}; make room, then run the same command again")

@@ -71,19 +71,19 @@ class Ledger:
         weakref.finalize(self, self._db.close)
 
     def close(self) -> None:
-        """Writes what is not written yet, and ends the use of the file."""
+        """Write pending entries and close the file."""
         self.commit()
         self._db.close()
 
     def commit(self) -> None:
-        """Writes what was put in since the last time."""
+        """Write the entries added since the last call."""
         if self._begun is not None:
             self._begun = None
             with self._writing():
                 self._db.execute("COMMIT")
 
     def set_complete(self, is_complete: bool) -> None:
-        """Notes, at once, that it knows every finished job, or that jobs may be finished without it."""
+        """Record immediately whether the ledger lists every finished job."""
         self.commit()
         if is_complete:
             write_whole(self._seal, hash_file(self._path).encode())

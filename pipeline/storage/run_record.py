@@ -1,4 +1,4 @@
-"""The record of a run: what it was made with, from and on, and how long each step took."""
+"""The record of a run: versions, settings, inputs, machine, and the duration of each step."""
 
 from __future__ import annotations
 

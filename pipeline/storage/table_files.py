@@ -172,7 +172,7 @@ class TableFolder:
         return self.folder / table_name(table, pair_id, part)
 
     def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
-        """Writes the tables of a finished job, each with the job in its footer; gives what was written by name.
+        """Write the tables of a finished job, each with the job in its footer; return the written files by name.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Two simulator versions on the same real scans: which scores changed beyond chance, and what became of each object.
+"""Two simulator versions on the same real scans: which scores changed beyond chance, and the fate of each object.
 
 Equal simulators exchange *before* and *after*, so that each change is as likely as its opposite. That is all that the
 test of `adjusted_p_values` assumes. Its rates of false alarms and its power were found by simulation:

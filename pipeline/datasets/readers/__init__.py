@@ -131,7 +131,7 @@ def frames_of(path: Path) -> list[Path]:
 
 
 def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: dict[int, str] | None = None) -> Scan:
-    """The points of a scan file, or of one frame of a recording, with what else it has of them.
+    """The points of a scan file, or of one frame of a recording, with their other columns.
 
     Points that are not finite or zero are kept: cleaning drops and counts them.
 
@@ -168,7 +168,7 @@ def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: d
 
 @contextmanager
 def _reader(path: Path, known: Format) -> Iterator[Any]:
-    """The module that reads files of a format; what hinders it becomes a `ScanError`."""
+    """The module that reads files of a format; import errors become a `ScanError`."""
     try:
         yield importlib.import_module(known.module, __name__)
     except ModuleNotFoundError as error:

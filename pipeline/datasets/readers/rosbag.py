@@ -95,7 +95,7 @@ def topics(file: Path) -> list[str]:
 
 @contextmanager
 def _opened(file: Path) -> Iterator[Any]:
-    """The bag's reader; what it raises on a broken bag becomes a `ScanError`."""
+    """The bag's reader; its errors on a broken bag become a `ScanError`."""
     from rosbags.rosbag1 import Reader as Ros1Reader
     from rosbags.rosbag2 import Reader as Ros2Reader
 

@@ -91,7 +91,7 @@ class Scan:
 def scan_from_columns(
     path: Path, columns: Mapping[str, NDArray[Any]], label_names: Mapping[int, str] | None = None
 ) -> Scan:
-    """A scan from named columns; what readers end with.
+    """A scan from named columns: the last step of every reader.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
 
 
 def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
-    """Numbers of things from 1; 0 for none, which files also write as a negative number or none at all."""
+    """Numbers of objects from 1; 0 for none, which files also write as a negative number or leave out."""
     numbers = _numbers(path, "instance", column)
     is_thing = numbers > 0  # not where it is NaN
     things, ids = np.unique(numbers[is_thing], return_inverse=True)

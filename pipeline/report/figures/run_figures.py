@@ -39,7 +39,7 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
     Parameters
     ----------
     chosen : names of the pairs to choose that pair from, worst first
-    folder : where the files go; made if it is not there
+    folder : where the files go; created if missing
     """
     pair_id = chosen[len(chosen) // 2]
     drawn = [
@@ -218,7 +218,7 @@ def draw_boxes(results: RunResults, folder: Any) -> Any:
 
 
 def _draw_groups(axis: Any, groups: list[dict[str, Any]]) -> list[Any]:
-    """Two boxes per group; gives what a legend shows of each score."""
+    """Two boxes per group; returns the legend entry of each score."""
     handles = []
     for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
         known = [(i + offset, group[score]) for i, group in enumerate(groups) if group[score]]

@@ -72,7 +72,7 @@ def dots(axis: Any, points: FloatArray, size: float, colour: Any, **look: Any) -
 
 
 def frame_of(*clouds: FloatArray) -> FloatArray:
-    """(2, 2) corners of what is shown from above: all but the farthest hundredth of the points, and the sensor."""
+    """(2, 2) corners of the area shown from above: all but the farthest hundredth of the points, and the sensor."""
     low, high = np.quantile(np.concatenate(clouds)[:, :2], [0.005, 0.995], axis=0)
     low, high = np.minimum(low, 0), np.maximum(high, 0)
     margin = 0.04 * (high - low).max()

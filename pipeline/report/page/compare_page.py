@@ -1,4 +1,4 @@
-"""A comparison of runs, or their history, as one page: what its tables hold; nothing is fetched from the network."""
+"""A comparison of runs, or their history, as one page with its tables; nothing is fetched from the network."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def _counted(tables: PairTables, side: str, shown: IndexArray) -> dict[str, Any]
 
 
 def _points(tables: PairTables, shown: dict[str, IndexArray], step_m: float) -> dict[str, Any]:
-    """By name, what is packed of a pair; `lines` are the places of aligned nodes among the points of either side."""
+    """Packed columns of a pair by name; `lines` are the places of aligned nodes among the points of either side."""
     columns: dict[str, Any] = {}
     aligned = _aligned_distances(tables)
     lines = np.ones(len(tables.selection), dtype=bool)

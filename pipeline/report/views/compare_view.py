@@ -29,7 +29,7 @@ GROUPS_NOTE = (
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
-    """The decision, its families and causes, and what qualifies them.
+    """The decision, its families and causes, and their limits.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def score_view(comparison: Comparison) -> View:
 
 
 def object_view(comparison: Comparison) -> View:
-    """The real objects by what has become of them, by class or shape, and by range."""
+    """The real objects by fate, by class or shape, and by range."""
     if not comparison.objects:
         return []
     n_all = len(comparison.objects)
@@ -213,7 +213,7 @@ def score_table(comparison: Comparison) -> Table:
 
 
 def object_table(title: str, changes: Sequence[ObjectChange]) -> Table:
-    """One row per real object: pair, what has become of it, class, place, scores before and after."""
+    """One row per real object: pair, fate, class, place, scores before and after."""
     scores = [f"{name}_{when}" for name in SHARED_SCORES for when in ("before", "after")]
     headings = [heading for name in SHARED_SCORES for heading in (METRIC[name].label, "after")]
     rows = [
@@ -228,7 +228,7 @@ def object_table(title: str, changes: Sequence[ObjectChange]) -> Table:
 
 
 def _group_table(what: str, groups: Sequence[GroupChange]) -> Table:
-    """One row per class or band of range: how many objects became what, and how far scores moved."""
+    """One row per class or band of range: number of objects by fate, and changes of scores."""
     kinds = ("vanished", "appeared", "worse", "better")
     changes = (f"{METRIC[score].label}\nchange" for score in SHARED_SCORES)
     rows = [

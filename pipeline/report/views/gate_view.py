@@ -17,7 +17,7 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 
 def gate_view(result: GateResult) -> View:
-    """Each criterion with value, bound and verdict; then what failed, with the reason for the criterion."""
+    """Each criterion with value, bound and verdict; then the failed ones with the reason for each criterion."""
     rows = [
         (own.criterion.name, own.criterion.measure, _value(own), _bound(own), "pass" if own.passed else "FAIL")
         for own in result.judged

@@ -36,7 +36,7 @@ def history_view(history: History) -> View:
 
 
 def history_decision(history: History) -> str:
-    """In one line, how the last run stands against the first, and on how many independent pairs."""
+    """The last run against the first in one line, with the number of independent pairs."""
     last = [score.steps[-1].since_first for score in history.families]
     n, pairs = len(last), f"{history.n_blocks} independent pair{'s' * (history.n_blocks != 1)}"
     counts = [f"{last.count(word)} of {n} families {word}" for word in ("worse", "mixed", "better") if word in last]

@@ -250,7 +250,7 @@ def unmatched_lines(record: RunRecord) -> list[str]:
 
 
 def preset_line(record: RunRecord) -> str:
-    """The preset of a run, what its objects are, and the settings in which it departs from it."""
+    """The preset of a run, the kind of its objects, and the settings that differ from the preset."""
     differing = f", but {' '.join(record.departures)}" if record.departures else ""
     return f"preset {record.preset} ({PRESET_OBJECTS[record.preset]}){differing}"
 
