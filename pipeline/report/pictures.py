@@ -19,7 +19,7 @@ from ...stages.arrays import BoolArray, FloatArray
 from ..results.finished import FinishedRun
 from ..results.followed import SHARED_SCORES, ObjectChange
 from .figures.style import VIEW
-from .run_frames import Cloud, PairTables, RunResults
+from .run_frames import GROUND_COLUMNS, Cloud, PairFrames, RunResults
 from .view import number
 
 #: Width and height of a drawing, in the units of its paths.
@@ -81,7 +81,7 @@ def draw_object(
 
 def draw_piece(results: RunResults, piece: Piece) -> Picture:
     """The box around one of the largest pieces: in colour the points that the other side lacks, others in grey."""
-    tables = PairTables(results, piece.pair_id)
+    tables = PairFrames(results, piece.pair_id)
     clouds = tables.clouds
     everything = {side: np.concatenate([clouds[side].points, tables.road[side]]) for side in SIDES}
     reach_m = float(str(results.run.record.settings["pieces"]["reach_m"]))
@@ -169,7 +169,5 @@ def object_address(pair_id: str, name: str) -> str:
 
 def _cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:
     """The object points of a side."""
-    rows = run.read_table("ground", pair_id, side, ["point_id", "x", "y", "z", "is_ground"]).to_pandas()
-    objects = rows[~rows.is_ground]
-    community = run.read_table("communities", pair_id, side, ["community_id"]).to_pandas().community_id
-    return Cloud(objects.point_id.to_numpy(), objects[["x", "y", "z"]].to_numpy(), community.to_numpy())
+    ground = run.read_table("ground", pair_id, side, GROUND_COLUMNS).to_pandas()
+    return Cloud.of(ground, run.read_table("communities", pair_id, side, ["community_id"]).to_pandas())

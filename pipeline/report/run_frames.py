@@ -113,6 +113,10 @@ def read_results(folder: Path) -> RunResults:
     )
 
 
+#: Columns of `ground` for a `Cloud`.
+GROUND_COLUMNS = ["point_id", "x", "y", "z", "is_ground"]
+
+
 @dataclass(frozen=True)
 class Cloud:
     """The object points of one side.
@@ -125,6 +129,12 @@ class Cloud:
     point_ids: IntArray
     points: FloatArray
     community: IntArray
+
+    @classmethod
+    def of(cls, ground: pd.DataFrame, communities: pd.DataFrame) -> Cloud:
+        """The object points of a side, from the rows of its tables."""
+        points = ground[~ground.is_ground]
+        return cls(points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), communities.community_id.to_numpy())
 
     def members(self, community_id: int) -> FloatArray:
         """The points of one object, (m, 3)."""
@@ -141,7 +151,7 @@ class Spectra:
     reason: str = ""
 
 
-class PairTables:
+class PairFrames:
     """The tables of one scored pair, each read when first requested.
 
     Raises
@@ -157,8 +167,7 @@ class PairTables:
 
     @cached_property
     def _ground(self) -> dict[str, pd.DataFrame]:
-        columns = ["point_id", "x", "y", "z", "is_ground"]
-        return {side: self._columns("ground", side, columns) for side in SIDES}
+        return {side: self._columns("ground", side, GROUND_COLUMNS) for side in SIDES}
 
     @cached_property
     def road(self) -> dict[str, FloatArray]:
@@ -168,12 +177,9 @@ class PairTables:
     @cached_property
     def clouds(self) -> dict[str, Cloud]:
         """The object points by side."""
-        clouds = {}
-        for side in SIDES:
-            points = self._ground[side].query("~is_ground")
-            community = self._columns("communities", side, ["community_id"]).community_id
-            clouds[side] = Cloud(points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), community.to_numpy())
-        return clouds
+        return {
+            side: Cloud.of(self._ground[side], self._columns("communities", side, ["community_id"])) for side in SIDES
+        }
 
     @cached_property
     def sensors(self) -> dict[str, SensorDescription]:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.errors import DatasetError, ScanError, SettingsError
+from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
@@ -69,8 +68,8 @@ class Measures:
                     return Measured(float(measure(self, **match.groupdict())))
                 except _AbsentError as why:
                     return Measured(None, str(why))
-        near = get_close_matches(name, PLAIN_NAMES, 1)
-        hint = f"did you mean {near[0]}? " if near else ""
+        near = nearest(name, PLAIN_NAMES)
+        hint = f"did you mean {near}? " if near else ""
         raise SettingsError(f"criterion {name!r}: no such measure; {hint}known are {'; '.join(KNOWN)}")
 
     @cached_property

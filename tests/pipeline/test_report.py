@@ -33,7 +33,7 @@ from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.run_data import page_data, page_words
 from fidpipe.pipeline.report.page.run_page import MOST_VIEWS, some_of, views_of, write_report
 from fidpipe.pipeline.report.render import terminal
-from fidpipe.pipeline.report.run_frames import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.report.view import Note, Table
 from fidpipe.pipeline.report.views.run_view import summary_view
@@ -246,7 +246,7 @@ def test_spectra_that_are_drawn_have_the_stored_largest_shift(report_run):
     n = 0
     for pair in results.select(None):
         rows = results.matched[results.matched.pair_id == pair].set_index("real_id")
-        for real_id, spectra in PairTables(results, pair).spectra():
+        for real_id, spectra in PairFrames(results, pair).spectra():
             assert spectra.reason == ""
             assert np.abs(spectra.sim - spectra.real).max() == pytest.approx(
                 rows.max_eigenvalue_shift[real_id], abs=1e-9

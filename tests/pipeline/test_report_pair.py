@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.report.page.pair_data import pair_data, thinned
-from fidpipe.pipeline.report.run_frames import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from reports import points_in, unpacked
 
 
@@ -14,7 +14,7 @@ from reports import points_in, unpacked
 def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(run_of, request):
     results = read_results(request.getfixturevalue(run_of))
     pair = results.pairs.iloc[0]
-    tables, view = PairTables(results, pair.pair_id), pair_data(results, pair.pair_id)
+    tables, view = PairFrames(results, pair.pair_id), pair_data(results, pair.pair_id)
     for side, distance_m in tables.distances_m.items():
         for reach_m, reach in ((0.1, "0p1m"), (0.3, "0p3m"), (1.0, "1m")):
             assert (distance_m <= reach_m).mean() == pytest.approx(pair[f"covered_{side}_{reach}"], abs=1e-12)
@@ -27,7 +27,7 @@ def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(ru
 def test_a_page_has_every_point_of_every_object_and_no_other(run_of, request):
     results = read_results(request.getfixturevalue(run_of))
     for pair_id in results.select(None):
-        tables, view = PairTables(results, pair_id), pair_data(results, pair_id)
+        tables, view = PairFrames(results, pair_id), pair_data(results, pair_id)
         for side, cloud in tables.clouds.items():
             counted, shown = view["sides"][side], points_in(view, side)
             assert counted["n"] == len(cloud.points) == len(shown)
@@ -45,7 +45,7 @@ def test_a_page_has_every_point_of_every_object_and_no_other(run_of, request):
 def test_aligned_points_lie_as_the_alignment_error_is_measured(report_run):
     results = read_results(report_run)
     pair_id = results.pairs.pair_id[0]
-    tables, view = PairTables(results, pair_id), pair_data(results, pair_id)
+    tables, view = PairFrames(results, pair_id), pair_data(results, pair_id)
     columns = unpacked(view)
     real, sim = (points_in(view, side) for side in ("real", "sim"))
     owner = np.repeat(view["sides"]["real"]["ids"], view["sides"]["real"]["counts"])

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from fidpipe import evaluate_pair
-from fidpipe.pipeline.report.run_frames import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_models import SENSORS
@@ -48,7 +48,7 @@ def test_the_table_has_the_sensor_of_each_side_in_the_frame_of_its_own_file(fini
 
 
 def test_the_report_has_the_description_of_both_sensors(finished):
-    sensors = PairTables(read_results(finished), "a").sensors
+    sensors = PairFrames(read_results(finished), "a").sensors
     assert (sensors["real"].model, len(sensors["sim"].elevation_deg)) == ("Velodyne VLP-16", 32)
 
 

@@ -16,7 +16,7 @@ from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
 from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
-from ..run_frames import PairTables, RunResults
+from ..run_frames import PairFrames, RunResults
 from . import style
 
 NAMES = ("overview", "coverage", "unmatched", "distributions", "box_plots", "objects")
@@ -58,7 +58,7 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
 
 def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: the objects of the real scan, both sides with matched centroids joined, the map of r_lambda."""
-    tables = PairTables(results, pair_id)
+    tables = PairFrames(results, pair_id)
     real, matched = tables.clouds["real"], tables.matched
     n_objects = int(real.community.max()) + 1
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
@@ -94,7 +94,7 @@ def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
 
 def draw_coverage(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: the points of each side by their distance to the other one, far ones on top."""
-    tables = PairTables(results, pair_id)
+    tables = PairFrames(results, pair_id)
     pair = results.pairs.set_index("pair_id").loc[pair_id]
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
     is_worst = len(results.pairs) > 1 and pair_id == results.pairs.pair_id[0]
@@ -115,7 +115,7 @@ def draw_coverage(results: RunResults, pair_id: str, folder: Any) -> Any:
 
 def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: left both sides, right the objects that only one side has."""
-    tables = PairTables(results, pair_id)
+    tables = PairFrames(results, pair_id)
     alone = tables.unmatched
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
     with style.new_figure(9, _height(frame, 4.0), f"pair {style.shown_name(pair_id)}") as figure:
@@ -148,7 +148,7 @@ def draw_objects(results: RunResults, folder: Any) -> Any:
         grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
         for place, index in enumerate(chosen):
             row = results.matched.iloc[index]
-            clouds = PairTables(results, row.pair_id).clouds
+            clouds = PairFrames(results, row.pair_id).clouds
             members = {side: cloud.members(row[f"{side}_id"]) for side, cloud in clouds.items()}
             corner, size = style.box_of(np.concatenate(list(members.values())))
             for level, (side, points) in enumerate(members.items()):
@@ -266,7 +266,7 @@ def _choose_objects(results: RunResults) -> list[int]:
     return [*chosen, *largest][:4]
 
 
-def _draw_sides(axis: Any, tables: PairTables) -> None:
+def _draw_sides(axis: Any, tables: PairFrames) -> None:
     for side, cloud in tables.clouds.items():
         style.dots(axis, cloud.points, 0.8, SIDE_COLOURS[side], alpha=0.5, label=side)
 

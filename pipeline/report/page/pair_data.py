@@ -17,7 +17,7 @@ from ....schemas.columns import SIDES
 from ....stages.arrays import BoolArray, FloatArray, IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from ..aggregates import plain_rows
-from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults, Spectra
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, Spectra
 
 #: Properties shown of a chosen object.
 FACTS = (
@@ -56,7 +56,7 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
     RunError
         One of the pair's tables is damaged.
     """
-    tables = PairTables(results, pair_id)
+    tables = PairFrames(results, pair_id)
     clouds = [*(tables.clouds[side].points for side in SIDES), *tables.road.values()]
     step_m = max(float(np.abs(points).max(initial=0.0)) for points in clouds) / _STEPS
     shown = {side: _shown(tables, side, most_points // 2) for side in SIDES}
@@ -92,7 +92,7 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     return kept
 
 
-def _shown(tables: PairTables, side: str, most: int) -> IndexArray:
+def _shown(tables: PairFrames, side: str, most: int) -> IndexArray:
     """The points that the page holds, by object, of each ring by ring around the sensor."""
     cloud = tables.clouds[side]
     shown = thinned(cloud.community, most)
@@ -107,13 +107,13 @@ def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
     return order
 
 
-def _counted(tables: PairTables, side: str, shown: IndexArray) -> dict[str, Any]:
+def _counted(tables: PairFrames, side: str, shown: IndexArray) -> dict[str, Any]:
     """Number of points, and the objects of those on the page: ids, and the number of points of each."""
     ids, counts = np.unique(tables.clouds[side].community[shown], return_counts=True)
     return {"n": len(tables.clouds[side].points), "ids": ids.tolist(), "counts": counts.tolist()}
 
 
-def _points(tables: PairTables, shown: dict[str, IndexArray], step_m: float) -> dict[str, Any]:
+def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> dict[str, Any]:
     """Packed columns of a pair by name; `lines` are the places of aligned nodes among the points of either side."""
     columns: dict[str, Any] = {}
     aligned = _aligned_distances(tables)
@@ -141,7 +141,7 @@ def _marked(n: int, places: IndexArray) -> BoolArray:
     return marked
 
 
-def _aligned_distances(tables: PairTables) -> dict[str, FloatArray]:
+def _aligned_distances(tables: PairFrames) -> dict[str, FloatArray]:
     """Distance of each point of a matched object to its partner, the simulated object moved onto the real one.
 
     Infinite for the points of other objects.

@@ -27,7 +27,7 @@ from ..look import (
     on_page,
 )
 from ..pictures import FRAME
-from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairTables, RunResults
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
 from ..verdict import limits_in_words, verdict_of
 from ..views.floor_view import excess_view
 from ..views.run_view import preset_line
@@ -123,7 +123,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
 def _sensors(results: RunResults) -> dict[str, Any]:
     """Sensors of both sides, estimated from the first pair by name."""
     pair_id = results.pairs.pair_id.min()
-    facts = PairTables(results, pair_id).sensors
+    facts = PairFrames(results, pair_id).sensors
     lines = {side: sensor_lines(facts[side]) for side in SIDES}
     return {"pair_id": pair_id, "lines": lines, "differences": differences(facts["real"], facts["sim"])}
 
