@@ -12,7 +12,7 @@ from PIL import Image
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import SIDE_COLOURS
-from fidpipe.pipeline.report.run_frames import PairTables
+from fidpipe.pipeline.report.run_frames import PairFrames
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.stages.coverage import nearest_distances
@@ -84,7 +84,7 @@ class MatchedObject:
     """
 
     def __init__(self, results, row):
-        tables = PairTables(results, row.pair_id)
+        tables = PairFrames(results, row.pair_id)
         kept = tables.selection[tables.selection.real_id == row.real_id]
         self.row, self.graphs, self.nodes = row, {}, {}
         for side in SIDES:

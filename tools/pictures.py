@@ -13,7 +13,7 @@ from matplotlib.patches import Circle
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
-from fidpipe.pipeline.report.run_frames import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.quadrants import CDC_LIMIT, R_LAMBDA_LIMIT
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
@@ -52,7 +52,7 @@ class PairView:
 
     def __init__(self, results, pair_id):
         self.results, self.run, self.pair_id = results, results.run, pair_id
-        self.tables = PairTables(results, pair_id)
+        self.tables = PairFrames(results, pair_id)
         self.row = results.pairs.set_index("pair_id").loc[pair_id]
         matched = self.tables.matched
         aligned = matched[matched.alignment_rms_m <= max(GOOD_ALIGNMENT_M, matched.alignment_rms_m.min())]

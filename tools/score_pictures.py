@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import SIDE_COLOURS
-from fidpipe.pipeline.report.run_frames import PairTables, read_results
+from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.pieces import CutScan, find_pieces
@@ -26,7 +26,7 @@ MISSING_COLOUR = "#d62728"
 
 def draw_surface(results, pair_id, path):
     """The real points from above: covered by the simulation within 0.3 m, or not."""
-    tables = PairTables(results, pair_id)
+    tables = PairFrames(results, pair_id)
     points = tables.clouds["real"].points
     is_covered = tables.distances_m["real"] <= 0.3
     with style.new_figure(*SIZE_IN) as figure:
