@@ -17,6 +17,7 @@ from typing import Annotated
 import typer
 
 from .datasets import convert, pair, synth, twin
+from .diagnosing import diagnose
 from .experiments import ablate, perturb
 from .judging import compare, gate, verify
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
@@ -161,6 +162,6 @@ def _root(
 
 for _command in (
     *(check, run, synth, report, status, perturb, ablate, show, gate, compare),
-    *(export, floor, twin, pair, convert, verify, settings),
+    *(diagnose, export, floor, twin, pair, convert, verify, settings),
 ):
     app.command()(_command)

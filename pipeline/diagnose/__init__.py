@@ -1,0 +1,1 @@
+"""`fidpipe diagnose`: explaining the difference between real and simulated scans of a run."""

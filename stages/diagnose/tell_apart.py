@@ -1,0 +1,214 @@
+"""Classifier two-sample test: does the local neighbourhood of a point show if it is real or simulated?
+
+Lopez-Paz and Oquab, Revisiting classifier two-sample tests, ICLR 2017. Neighbouring points, and neighbouring frames,
+show the same surface: points of one place are never in the training and the test set at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...schemas.errors import StageError
+from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
+from ..statistics.comparison import mean_test
+
+#: Numbers of neighbours over which the shape of the surface is described.
+SCALES = (8, 24, 64)
+#: With fewer independent places, places are cut into sectors of azimuth.
+LEAST_PLACES = 5
+SECTORS, MOST_FOLDS = 8, 10
+#: Points next to a tested sector are not trained on.
+GUARD_DEG = 10.0
+_LEAST_POINTS = 20  # of each side in a fold
+_DENSITY_M = 0.5
+_ROW_WEIGHT = 4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
+_SURFACE = (*("shape", "roughness", "spacing") * len(SCALES), "inclination", "density", "height above the road")
+_RAYS = ("azimuth step", "elevation step", "range step between rays", "range step between rays")
+_INTENSITY = ("intensity", "intensity", "intensity contrast")
+#: Features by family. Each is also tested alone: a single regular ray pattern is enough to recognise every point.
+FAMILIES = {"surface": _SURFACE, "rays": _RAYS, "intensity": _INTENSITY}
+
+
+@dataclass(frozen=True)
+class Separation:
+    """Result of the test; the AUC is 0.5 if the sides are indistinguishable, and 1 if every point is recognised.
+
+    auc : area under the ROC curve on points of places that were not trained on, mean over the folds
+    low, high : its 95 % interval, Student's t over the folds
+    n_folds : number of folds that have points of both sides
+    by_place : folds are places; else sectors of azimuth
+    probability : (n,) float64, of being simulated, by the classifier that has not seen the point's place; NaN if none
+    alone : by feature, the AUC of a classifier that has no other
+    loss : by feature, the loss of AUC if its values are permuted among the tested points
+    """
+
+    auc: float
+    low: float
+    high: float
+    n_folds: int
+    by_place: bool
+    probability: FloatArray
+    alone: dict[str, float]
+    loss: dict[str, float]
+
+
+def describe_points(
+    points: FloatArray,
+    height_m: FloatArray,
+    rows: IndexArray,
+    *,
+    own_points: FloatArray | None = None,
+    intensity: FloatArray | None = None,
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Local features of some points of a scan, (m, f) float64, and the group of each column.
+
+    None of them depends on where a point is, or on where the scan is relative to another. Per scale: planarity and
+    scattering of the neighbourhood (shape), its thickness (roughness, the root of the smallest eigenvalue of the
+    covariance), and its radius over the range (spacing); inclination of the normal, points within 0.5 m, height. Of
+    rays: azimuth and elevation to the nearest ray, range to the nearest ray and to the mean of the nearest four.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, the whole scan
+    height_m : (n,) float64, above the road
+    rows : (m,) intp, points to be described
+    own_points : (n, 3) float64, the points in their sensor's own frame; None for no features of rays
+    intensity : (n,) float64, or None for no features of intensity
+    """
+    tree = cKDTree(points)
+    chosen, range_m = points[rows], np.linalg.norm(points[rows], axis=1)
+    distance_m, near = tree.query(chosen, k=min(SCALES[-1] + 1, len(points)))
+    offsets = points[near] - chosen[:, None]
+    columns: list[FloatArray] = []
+    inclination = np.zeros(len(rows))
+    for k in SCALES:
+        own = offsets[:, : k + 1] - offsets[:, : k + 1].mean(axis=1, keepdims=True)
+        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", own, own) / own.shape[1])
+        l3, l2, l1 = np.maximum(values, 0.0).T
+        l1 = np.maximum(l1, 1e-12)
+        columns += [(l2 - l3) / l1, np.sqrt(l3), distance_m[:, min(k, distance_m.shape[1] - 1)] / range_m]
+        inclination = np.abs(vectors[:, 2, 0]) if k == SCALES[1] else inclination
+    n_near = tree.query_ball_point(chosen, _DENSITY_M, return_length=True)
+    columns += [inclination, np.log(n_near), height_m[rows]]
+    names = _SURFACE
+    if own_points is not None:
+        columns, names = columns + _rays(own_points, rows), names + _RAYS
+    if intensity is not None:
+        around = intensity[near[:, : SCALES[0] + 1]]
+        columns += [intensity[rows], around.mean(axis=1), around.std(axis=1)]
+        names += _INTENSITY
+    return np.column_stack(columns), names
+
+
+def separate(
+    features: FloatArray,
+    names: Sequence[str],
+    is_sim: BoolArray,
+    place: IntArray,
+    azimuth_deg: FloatArray,
+    *,
+    by_feature: bool = True,
+) -> Separation:
+    """Train a classifier to recognise simulated points, and test it on points of other places.
+
+    Parameters
+    ----------
+    features : (n, f) float64, points of both sides
+    names : (f,) group of each feature; those of one group are tried and permuted together
+    is_sim : (n,) bool
+    place : (n,) int32, place of the frame of each point; frames of one place have the same number
+    azimuth_deg : (n,) float64, of each point
+    by_feature : also compute `alone` and `loss`, else they are empty
+
+    Raises
+    ------
+    StageError
+        Fewer than two folds have points of both sides.
+    """
+    rng = np.random.default_rng(0)
+    splits = [rows for rows in folds(place, azimuth_deg) if all(_has_both(is_sim[own]) for own in rows)]
+    if len(splits) < 2:
+        raise StageError(f"points of both sides in {len(splits)} of the places or sectors; at least 2 are needed")
+    probability, aucs = np.full(len(is_sim), np.nan), []
+    columns = {name: np.flatnonzero([own == name for own in names]) for name in names if by_feature}
+    alone, loss = (np.zeros((len(columns), len(splits))) for _ in range(2))
+    for k, (train, test) in enumerate(splits):
+        model, truth = _fit(features[train], is_sim[train]), is_sim[test]
+        probability[test] = model.predict_proba(features[test])[:, 1]
+        aucs.append(_auc(truth, probability[test]))
+        for i, own in enumerate(columns.values()):
+            permuted = features[test]
+            permuted[:, own] = rng.permutation(permuted[:, own])
+            loss[i, k] = aucs[-1] - _auc(truth, model.predict_proba(permuted)[:, 1])
+            single = _fit(features[train][:, own], is_sim[train], 20)
+            alone[i, k] = _auc(truth, single.predict_proba(features[test][:, own])[:, 1])
+    _, low, high = mean_test(np.array(aucs))
+    return Separation(
+        auc=float(np.mean(aucs)),
+        low=max(0.0, float(low)),
+        high=min(1.0, float(high)),
+        n_folds=len(aucs),
+        by_place=len(np.unique(place)) >= LEAST_PLACES,
+        probability=probability,
+        alone=dict(zip(columns, alone.mean(axis=1).tolist(), strict=True)),
+        loss=dict(zip(columns, loss.mean(axis=1).tolist(), strict=True)),
+    )
+
+
+def auc_of(is_sim: BoolArray, probability: FloatArray) -> float | None:
+    """Area under the ROC curve of some points, None if a side has fewer than 20."""
+    return _auc(is_sim, probability) if _has_both(is_sim) else None
+
+
+def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[tuple[IndexArray, IndexArray]]:
+    """Rows to train on and to test on: places; if there are fewer than five, sectors of places, of equal size."""
+    own = np.unique(place, return_inverse=True)[1]
+    n_places = int(own.max()) + 1
+    if n_places >= LEAST_PLACES:
+        fold = own % MOST_FOLDS
+        for k in range(fold.max() + 1):
+            yield np.flatnonzero(fold != k), np.flatnonzero(fold == k)
+        return
+    n_sectors = -(-SECTORS // n_places)
+    for one in range(n_places):
+        is_place = own == one
+        edges = np.quantile(azimuth_deg[is_place], np.linspace(0, 1, n_sectors + 1))
+        edges[-1] += 1.0
+        for low, high in pairwise(edges):
+            off = np.abs((azimuth_deg - (low + high) / 2 + 180) % 360 - 180) - (high - low) / 2
+            is_tested = is_place & (azimuth_deg >= low) & (azimuth_deg < high)
+            yield np.flatnonzero(~is_place | ((off > GUARD_DEG) & ~is_tested)), np.flatnonzero(is_tested)
+
+
+def _has_both(is_sim: BoolArray) -> bool:
+    return bool(min(np.bincount(is_sim, minlength=2)) >= _LEAST_POINTS)
+
+
+def _fit(features: FloatArray, is_sim: BoolArray, n_trees: int = 60) -> Any:
+    from sklearn.ensemble import HistGradientBoostingClassifier
+
+    model = HistGradientBoostingClassifier(max_iter=n_trees, max_leaf_nodes=15, early_stopping=False, random_state=0)
+    return model.fit(features, is_sim)
+
+
+def _auc(is_sim: BoolArray, probability: FloatArray) -> float:
+    from sklearn.metrics import roc_auc_score
+
+    return float(roc_auc_score(is_sim, probability))
+
+
+def _rays(points: FloatArray, rows: IndexArray) -> list[FloatArray]:
+    range_m = np.linalg.norm(points, axis=1)
+    elevation = np.degrees(np.arcsin(points[:, 2] / range_m))
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) * np.cos(np.radians(elevation))
+    places = np.column_stack([azimuth, _ROW_WEIGHT * elevation])
+    near = cKDTree(places).query(places[rows], k=5)[1][:, 1:]
+    step = np.abs(places[near[:, 0]] - places[rows])
+    change = range_m[near] - range_m[rows, None]
+    return [step[:, 0], step[:, 1] / _ROW_WEIGHT, np.abs(change[:, 0]), np.abs(change.mean(axis=1))]
