@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from . import completion
-from .options import AsJson, Assignments, SettingsFile
-from .output import print_json, print_view
+from .options import AsCsv, AsJson, AsMarkdown, Assignments, Pairs, SettingsFile, format_of
+from .output import print_as, print_json, print_view
 
 
 def diagnose(
@@ -24,7 +25,16 @@ def diagnose(
     ],
     floor: Annotated[
         Path | None,
-        typer.Option("--floor", metavar="RUN", help="A run of fidpipe floor on the same real scans, for comparison."),
+        typer.Option(
+            "--floor",
+            metavar="RUN",
+            help="Run on the same real scans that is subtracted: of fidpipe floor, or of an earlier version.",
+            autocompletion=completion.run_folders,
+        ),
+    ] = None,
+    pairs: Pairs = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Threads.", show_default="one per core")
     ] = None,
     tell_apart: Annotated[
         bool, typer.Option("--tell-apart", help="Test if a classifier can distinguish real and simulated points.")
@@ -35,38 +45,65 @@ def diagnose(
     settings: SettingsFile = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
+    as_markdown: AsMarkdown = False,
+    as_csv: AsCsv = False,
 ) -> None:
-    """Explain the difference between real and simulated scans.
+    """Name the flaws that explain the difference between both sides, and what correcting each would gain.
 
-    With --tell-apart: a classifier learns to recognise simulated points by their neighbourhood (shape, roughness,
-    spacing, rays, intensity) and is tested on other places. AUC 0.5: it cannot; 1: it always can. Position has no
-    influence. --settings and --set are for two folders.
+    Each cause has an estimate with its 95 % interval over pairs, the setting that controls it, and its gain: the share
+    of the distance between the surfaces that disappears if the simulated points are corrected for it. What no
+    correction explains is printed as unexplained. With --floor its estimates are subtracted, and smaller causes are
+    named. The result is stored in RUN/diagnosis.json; show, report and compare then use it.
+
+    With --tell-apart instead: a classifier learns to recognise simulated points by their neighbourhood (shape,
+    roughness, spacing, rays, intensity) and is tested on other places. AUC 0.5: it cannot; 1: it always can. Position
+    has no influence. --settings and --set are for two folders.
 
     Examples
     --------
-    fidpipe diagnose runs/dataset --tell-apart --picture map.png
+    fidpipe diagnose runs/dataset --floor runs/dataset-floor
 
-    fidpipe diagnose runs/dataset --tell-apart --floor runs/dataset-floor --json
+    fidpipe diagnose runs/build42 --floor runs/build41       what changed between two versions
+
+    fidpipe diagnose runs/dataset --json | jq '.causes[0]'
+
+    fidpipe diagnose runs/dataset --tell-apart --picture map.png
 
     fidpipe diagnose real/ sim/ --tell-apart --set input.sim_frame=carla
     """
-    if len(sources) > 2:
-        raise typer.BadParameter(f"expected a run or two folders, got {len(sources)}")
-    if not tell_apart:
-        raise typer.BadParameter("nothing to do; give --tell-apart")
-    if len(sources) == 2 and floor:
-        raise typer.BadParameter("--floor belongs to a run; give a run instead of two folders")
+    output = format_of(as_json, as_markdown, as_csv)
+    if len(sources) > 1 and (floor or not tell_apart or len(sources) > 2):
+        raise typer.BadParameter("expected one run, or two folders of scans with --tell-apart and without --floor")
     if len(sources) == 1 and (settings or assignments):
         raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
+    if tell_apart:
+        return _tell_apart(sources, floor, picture, settings, assignments or [], output)
+    from ..diagnose.diagnose import diagnose_run
+    from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
+    from ..engine.progress import Reporter
+
+    found = diagnose_run(sources[0], floor, pairs, workers or os.cpu_count() or 1, Reporter())
+    print_as(output, lambda: diagnosis_view(found), lambda: diagnosis_records(found), found.as_dict)
+    return None
+
+
+def _tell_apart(
+    sources: list[Path],
+    floor: Path | None,
+    picture: Path | None,
+    settings: Path | None,
+    assignments: list[str],
+    output: str,
+) -> None:
     from ...schemas.settings import load
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
     from ..diagnose.tell_apart_view import draw_map, tell_apart_view
     from ..results.finished import FinishedRun
 
     if len(sources) == 2:
-        found = tell_apart_folders(sources[0], sources[1], load(settings, assignments or []))
+        found = tell_apart_folders(sources[0], sources[1], load(settings, assignments))
     else:
         found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(floor) if floor else None)
     if picture:
         draw_map(found, picture)
-    print_json({"tell_apart": found.as_dict()}) if as_json else print_view(tell_apart_view(found))
+    print_json({"tell_apart": found.as_dict()}) if output == "json" else print_view(tell_apart_view(found))

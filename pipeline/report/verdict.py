@@ -73,7 +73,7 @@ class Verdict:
 def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
     """The first screen of a run's page, over a floor if there is one."""
     record = results.run.record
-    overview = over_floor(results.run, excess.floor) if excess else record.overview
+    overview = over_floor(results.run, excess.floor) if excess else results.run.overview
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)

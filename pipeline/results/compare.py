@@ -33,6 +33,7 @@ from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..storage.table_files import table_name
 from .causes import CAUSE_KINDS
+from .diagnosis import read_diagnosis
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
@@ -224,7 +225,7 @@ def compare_two(
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
         families=judge_families(preset, rows, blocks, noise, floors, sectors) if names else (),
-        causes=_causes(list(rows.values()), blocks),
+        causes=_diagnosed_causes(base, other, names, blocks) or _causes(list(rows.values()), blocks),
         objects=tuple(changes),
         n_blocks=n_blocks,
         blocking=blocking,
@@ -293,6 +294,26 @@ def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseCha
         if size > max(reach, matters):
             found.append((size / (kind.tolerance or 1.0), CauseChange(kind.name, kind.unit, kind.setting, own)))
     return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
+
+
+def _diagnosed_causes(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray
+) -> tuple[CauseChange, ...]:
+    """Changes of the estimates of both runs' diagnoses beyond their accuracy; () unless both runs have one."""
+    found = [read_diagnosis(run.folder, run.record) for run in (base, other)]
+    if not (found[0] and found[1]):
+        return ()
+    before = {estimate.name: estimate for estimate in found[0].estimates}
+    changes = []
+    for after in found[1].estimates:
+        if after.name in before:
+            values = [[own.values.get(name, np.nan) for name in names] for own in (before[after.name], after)]
+            own = paired_difference(np.array(values[0]), np.array(values[1]), blocks)
+            size = abs(own.difference or 0.0)
+            reach = 0.0 if own.low is None or own.high is None else (own.high - own.low) / 2
+            if size > max(reach, after.resolution):
+                changes.append((size / after.resolution, CauseChange(after.name, after.unit, after.setting, own)))
+    return tuple(change for _, change in sorted(changes, key=lambda each: -each[0]))
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:

@@ -22,7 +22,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import metric_of
 from ...schemas.record import RunRecord
-from ...schemas.results import JsonObject
+from ...schemas.results import JsonObject, Overview
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ..jobs import EXTRAS, STAGES
@@ -30,6 +30,7 @@ from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.run_record import command_again, finished_record
 from ..storage.table_files import plain_strings
+from .diagnosis import diagnosed
 from .object_frame import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
 
 if TYPE_CHECKING:
@@ -143,6 +144,11 @@ class FinishedRun:
         if not parts:
             return plain_strings(TABLES[name].schema).empty_table()
         return pa.concat_tables(parts).replace_schema_metadata()  # that of the first file says which job wrote it
+
+    @property
+    def overview(self) -> Overview | None:
+        """The first answer of the run, with the causes of its diagnosis if it has one; None if no pair is scored."""
+        return diagnosed(self.folder, self.record, self.record.overview)
 
     @property
     def preset(self) -> str:

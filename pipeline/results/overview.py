@@ -26,6 +26,7 @@ from ...stages.statistics.findings import BAND_NAMES
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
+from .diagnosis import read_diagnosis
 from .finished import FinishedRun
 from .floor import FLOOR_RECIPE
 from .object_frame import PAIRS_AT_ONCE, plain_rows
@@ -150,6 +151,9 @@ def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
     overview = run.record.overview
     if overview is None:
         return None
+    found = read_diagnosis(run.folder, run.record)
+    if found and found.floor == str(floor):
+        return run.overview
     rows = {row["pair_id"]: row for row in FinishedRun(floor).scored}
     surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
     known = {

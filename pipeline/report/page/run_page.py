@@ -66,7 +66,7 @@ def write_report(
     excess = None if floor is None else excess_over(results.run, floor)
     folder = out or folder
     chosen = results.select(pattern)
-    overview = results.run.record.overview
+    overview = results.run.overview
     of_worst = {one.pair_id for one in overview.pieces} if overview else set()
     shown = chosen if one_page_a_pair else views_of(chosen, of_worst)
     files = {name: f"pair-{file_stem(name)}.html" for name in chosen} if one_page_a_pair else {}

@@ -25,6 +25,7 @@ from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
 from ...jobs.baselines_job import OF_OBJECTS, OF_SCAN
 from ...jobs.nvs_job import OF_DATASET
+from ...results.diagnosis import diagnosed
 from ...results.floor import RunExcess
 from ...run import RunOutcome
 from ...storage.run_record import unmatched_worst
@@ -43,12 +44,11 @@ _SEED_SCORES = HEADLINE_SCORES[:4]
 def outcome_view(outcome: RunOutcome) -> View:
     """The end of a run: failures, baselines and spread over seeds if computed, and the first answer."""
     record = outcome.record
+    overview = diagnosed(outcome.folder, record, record.overview)
     seconds = record.wall_s["total"]
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)
-    return summary_view(
-        outcome.folder, outcome.rows, record, record.overview, outcome.reported_failures, took=f"{took}{jobs}"
-    )
+    return summary_view(outcome.folder, outcome.rows, record, overview, outcome.reported_failures, took=f"{took}{jobs}")
 
 
 def summary_view(

@@ -34,7 +34,7 @@ def show_view(
     if pair is not None:
         notes = [Note(f"note: {note}", "yellow") for note in (run.record.notes or {}).get(pair, ())]
         return [*pair_view(pair_facts(run, pair)), *notes, *([pair_excess_table(excess, pair)] if excess else ())]
-    overview = over_floor(run, excess.floor) if excess else run.record.overview
+    overview = run.overview if excess is None else over_floor(run, excess.floor)
     return summary_view(run.folder, run.rows, run.record, overview, excess=excess, with_all=with_all)
 
 

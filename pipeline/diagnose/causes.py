@@ -1,0 +1,147 @@
+"""Catalogue of causes, and those that the estimates of a run name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.statistics.comparison import block_means
+from ..results.causes import mean_interval, size_words
+
+
+@dataclass(frozen=True)
+class CauseModel:
+    """A flaw of the catalogue.
+
+    tolerance : without a floor it is named beyond this: the difference of two measurements of a scene, and for
+        positions what a poor twin shows without being displaced
+    resolution : over a floor it is named beyond this
+    words : with {size}, above 0, and below 0 unless the flaw has one direction
+    setting : what controls it, attributes of CARLA's blueprint where they fit
+    limbs : identifiers of PerCollECT's LidarLimbs cause tree (`data.json`, MIT) that fit
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    resolution: float
+    words: tuple[str, ...]
+    setting: str
+    limbs: tuple[int, ...] = ()
+
+
+_WORDS = {
+    "forward": ("world {size} too far ahead", "world {size} too far back"),
+    "sideways": ("world {size} too far left", "world {size} too far right"),
+    "height": ("world {size} too high", "world {size} too low"),
+    "roll": ("rolled by {size}, left side up", "rolled by {size}, right side up"),
+    "pitch": ("pitched by {size}, front down", "pitched by {size}, front up"),
+    "yaw": ("turned by {size} to the left", "turned by {size} to the right"),
+    "range scale": ("ranges {size} too long", "ranges {size} too short"),
+    "range bias": ("ranges {size} too long", "ranges {size} too short"),
+    "motion forward": ("{size} of motion forward per sweep too much", "{size} of motion forward per sweep missing"),
+    "motion sideways": ("{size} of motion sideways per sweep too much", "{size} of motion sideways per sweep missing"),
+    "road height": ("road {size} too high", "road {size} too low"),
+    "range noise": ("{size} of range noise too much", "{size} of range noise missing"),
+    "range steps": ("range steps {size} too coarse", "range steps {size} too fine"),
+    "lost returns": ("{size} of the returns lost", "{size} too many returns"),
+    "lost far returns": ("{size} of the returns beyond 25 m lost", "{size} too many returns beyond 25 m"),
+    "azimuth step": ("azimuth step {size} too wide", "azimuth step {size} too narrow"),
+    "beams": ("{size} beams too many", "{size} beams missing"),
+    "maximum range": ("sees {size} too far", "sees {size} too short"),
+    "minimum range": ("nothing within {size} that the real sensor sees",),
+    "missing pieces": ("missing pieces, {size} of the real points",),
+    "invented pieces": ("invented pieces, {size} of the simulated points",),
+    "solid foliage": ("foliage too solid: {size} of its rays stop early", "foliage too open: {size} go too far"),
+    "clutter": ("clutter near the sensor, {size} of the simulated points",),
+    "mixed pixels": ("stray returns, {size} on smooth surface",),
+    "blind sector": ("no returns in {size} of azimuth",),
+    "intensity by range": ("range explains {size} more of the intensity: no material",),
+    "intensity ranks": ("intensities are distributed differently, rank distance {size}",),
+}
+CAUSES = tuple(
+    CauseModel(name, unit, tolerance, resolution, _WORDS[name], setting, limbs)
+    for name, unit, tolerance, resolution, setting, limbs in (
+        ("forward", "m", 0.1, 0.02, "position of the sensor, T_real_sim", (14,)),
+        ("sideways", "m", 0.1, 0.02, "position of the sensor, T_real_sim", (14,)),
+        ("height", "m", 0.05, 0.02, "mount height", (7,)),
+        ("roll", "deg", 0.2, 0.1, "position of the sensor, T_real_sim", (14,)),
+        ("pitch", "deg", 0.2, 0.1, "position of the sensor, T_real_sim", (14,)),
+        ("yaw", "deg", 0.2, 0.1, "position of the sensor, T_real_sim", (14,)),
+        ("range scale", "share", 0.01, 0.003, "scale of the ranges", (145,)),
+        ("range bias", "m", 0.05, 0.02, "offset of the ranges", (145,)),
+        ("motion forward", "m", 0.3, 0.15, "poses and time stamps; one pose per sweep", (102,)),
+        ("motion sideways", "m", 0.3, 0.15, "poses and time stamps; one pose per sweep", (102,)),
+        ("road height", "m", 0.04, 0.04, "road height of the map", ()),
+        ("range noise", "m", 0.02, 0.005, "noise_stddev", (61,)),
+        ("range steps", "m", 0.01, 0.004, "range format", (70, 71)),
+        ("lost returns", "share", 0.05, 0.025, "dropoff_general_rate", (0, 39)),
+        ("lost far returns", "share", 0.15, 0.06, "atmosphere_attenuation_rate, dropoff_intensity_limit", (39, 104)),
+        ("azimuth step", "deg", 0.05, 0.02, "points_per_second, rotation_frequency", (17,)),
+        ("beams", "", 5, 3, "channels, upper_fov, lower_fov", ()),
+        ("maximum range", "m", 5.0, 3.0, "range", (39, 104)),
+        ("minimum range", "m", 0.5, 0.5, "minimum range", (73,)),
+        ("missing pieces", "share", 0.003, 0.001, "assets", (0,)),
+        ("invented pieces", "share", 0.003, 0.001, "assets", (1,)),
+        ("solid foliage", "share", 0.1, 0.03, "material of foliage", (110, 117)),
+        ("clutter", "share", 0.002, 0.001, "rain, dust, ego vehicle", (89,)),
+        ("mixed pixels", "share", 0.01, 0.005, "beam divergence", (106, 118)),
+        ("blind sector", "deg", 5.0, 5.0, "field of view, occlusion by the vehicle", (56, 79)),
+        ("intensity by range", "share", 0.3, 0.1, "intensity model", (111, 112)),
+        ("intensity ranks", "share", 0.15, 0.05, "intensity model", (111, 112)),
+    )
+)
+
+
+@dataclass(frozen=True)
+class NamedCause:
+    """A cause that the pairs show, with its mean and 95 % interval over pairs or blocks of pairs.
+
+    values : of the pairs, over the floor
+    """
+
+    model: CauseModel
+    mean: float
+    low: float
+    high: float
+    values: FloatArray
+
+    @property
+    def sentence(self) -> str:
+        """The flaw as a sentence."""
+        return self.model.words[self.mean < 0].format(size=size_words(self.mean, self.model.unit))
+
+    @property
+    def strength(self) -> float:
+        """Amount in tolerances."""
+        return abs(self.mean) / self.model.resolution
+
+
+def name_causes(
+    estimates: Sequence[Mapping[str, float]], floor: Sequence[Mapping[str, float]] | None, blocks: IntArray
+) -> list[NamedCause]:
+    """The causes whose interval lies beyond the tolerance, strongest first.
+
+    Parameters
+    ----------
+    estimates, floor : by name of the cause, of each pair and of the same pair of a floor
+    blocks : (n,) block of each pair; those of a block count as one, with their mean
+    """
+    named = []
+    for model in CAUSES:
+        own, base = (
+            np.array([pair.get(model.name, np.nan) for pair in pairs]) if pairs else np.zeros(len(estimates))
+            for pairs in (estimates, floor)
+        )
+        values = own - base
+        is_known = ~np.isnan(values)
+        if 2 * is_known.sum() < len(values):
+            continue
+        mean, low, high = mean_interval(block_means(values[is_known], blocks[is_known]))
+        limit = model.resolution if floor else model.tolerance
+        if low > limit or (high < -limit and len(model.words) > 1):
+            named.append(NamedCause(model, mean, low, high, values[is_known]))
+    return sorted(named, key=lambda cause: -cause.strength)

@@ -1,0 +1,198 @@
+"""Diagnosis of a finished run: flaws that explain the difference of both sides, and the gain of correcting each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ...schemas.columns import SIDES
+from ...schemas.errors import RunError
+from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis
+from ...stages.arrays import IntArray
+from ...stages.diagnose.evidence import PairEstimates, PairScans, estimate
+from ...stages.diagnose.gain import RESTORED, corrections, shares, surface_distance
+from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, blocks_of
+from ..engine.progress import Reporter
+from ..results.compare import recorded_times_s
+from ..results.diagnosis import DIAGNOSIS, results_identity
+from ..results.finished import FinishedRun
+from ..storage.files import write_whole
+from ..storage.run_record import dumps
+from .causes import CAUSES, NamedCause, name_causes
+
+#: Below this distance over the floor, metres, gains are not shares.
+LEAST_EXCESS_M = 0.005
+_SEED = 20240917
+_SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
+#: Estimates from columns of `pairs`: simulated minus real.
+_OF_PAIRS = {
+    "intensity by range": ("intensity_sim_by_range", "intensity_real_by_range"),
+    "intensity ranks": ("intensity_rank_distance", None),
+}
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Distances of a pair, metres: before and after all corrections, that of the floor, and the part of each cause."""
+
+    before_m: float
+    after_m: float
+    floor_m: float
+    by_cause: dict[str, float]
+
+
+def diagnose_run(
+    folder: Path,
+    floor: Path | None = None,
+    pattern: str | None = None,
+    workers: int = 1,
+    reporter: Reporter | None = None,
+) -> Diagnosis:
+    """Diagnose a finished run and store the result in its folder (unless only some pairs are diagnosed).
+
+    Parameters
+    ----------
+    floor : run on the same real scans whose estimates and distances are subtracted, such as of `fidpipe floor`
+    pattern : only these pairs
+    workers : threads
+    reporter : shows the progress
+
+    Raises
+    ------
+    RunError
+        A folder is not a finished run, a table is damaged, or no pair can be diagnosed.
+    """
+    run, base = FinishedRun(folder), None if floor is None else FinishedRun(floor)
+    chosen = run.select(pattern)
+    if base:
+        known = {row["pair_id"] for row in base.scored}
+        if not known & set(chosen):
+            raise RunError(f"floor {floor}: expected the pairs of {folder}, got none of them; see fidpipe floor --help")
+        chosen = [name for name in chosen if name in known]
+    show = reporter or Reporter()
+    show.start(len(chosen), 2 * len(chosen))
+    with ThreadPoolExecutor(workers) as pool:
+        both = _each(pool, chosen, lambda name: _estimates(run, base, name), lambda: show.advance(1))
+        found = {name: own for name, own in zip(chosen, both, strict=True) if own}
+        if not found:
+            raise RunError(f"run {folder}: no pair has enough surface in common with its real scan; see fidpipe check")
+        names = [*found]
+        blocks, unit = _blocks(run, names)
+        amounts = [own.amounts for own, _ in found.values()]
+        named = name_causes(amounts, [over for _, over in found.values()] if base else None, blocks)
+        gains = _each(
+            pool, names, lambda name: _gains(run, base, name, found[name][0], named), lambda: show.advance(1, 1)
+        )
+    show.stop()
+    before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
+    excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
+    causes = [_cause(own, [pair.by_cause for pair in gains], excess_m) for own in named]
+    diagnosis = Diagnosis(
+        of=results_identity(run.record),
+        floor=None if floor is None else str(floor),
+        n_pairs=len(names),
+        n_blocks=len(np.unique(blocks)),
+        over=unit,
+        distance_m=before_m,
+        floor_m=floor_m,
+        unexplained=None if excess_m is None else min(max((after_m - floor_m) / excess_m, 0.0), 1.0),
+        causes=tuple(sorted(causes, key=lambda cause: -(cause.gain_m or 0.0))),  # stable: stronger first if equal
+        estimates=tuple(_estimate_rows(names, amounts)),
+        left_out=tuple(name for name in chosen if name not in found),
+    )
+    if pattern is None:
+        write_whole(folder / DIAGNOSIS, dumps(diagnosis.as_dict()))
+    return diagnosis
+
+
+def read_pair(run: FinishedRun, pair_id: str) -> PairScans:
+    """The clean points of a pair and what is known of its sensors."""
+    points, grounds, sensors = [], [], []
+    for side in SIDES:
+        table = run.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
+        points.append(np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64))
+        grounds.append(table["is_ground"].to_numpy())
+        sensors.append(run.read_table("sensor", pair_id, side, [*_SENSOR]).to_pylist()[0])
+    return PairScans(points[0], points[1], grounds[0], grounds[1], (sensors[0], sensors[1]))
+
+
+def _each(
+    pool: ThreadPoolExecutor, names: Sequence[str], work: Callable[[str], Item], advance: Callable[[], None]
+) -> list[Item]:
+    results = []
+    for result in pool.map(work, names):
+        results.append(result)
+        advance()
+    return results
+
+
+def _estimates(
+    run: FinishedRun, base: FinishedRun | None, pair_id: str
+) -> tuple[PairEstimates, dict[str, float]] | None:
+    """Estimates of a pair, and the amounts of the floor; None if the scans have too little surface in common."""
+    found = [_estimate(own, pair_id) for own in (run, base) if own]
+    if found[0] is None:
+        return None
+    return found[0], found[1].amounts if len(found) > 1 and found[1] else {}
+
+
+def _estimate(run: FinishedRun, pair_id: str) -> PairEstimates | None:
+    found, row = estimate(read_pair(run, pair_id)), run.row(pair_id)
+    if found:
+        for name, (sim, real) in _OF_PAIRS.items():
+            if row.get(sim) is not None and (real is None or row.get(real) is not None):
+                found.amounts[name] = row[sim] - (row[real] if real else 0.0)
+    return found
+
+
+def _gains(
+    run: FinishedRun, base: FinishedRun | None, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]
+) -> Gains:
+    scans, rng = read_pair(run, pair_id), np.random.default_rng(_SEED)
+    made = corrections(scans, found, {own.model.name: own.mean for own in named}, rng)
+    before_m, after_m, by_cause = shares(scans, made, rng)
+    floor = read_pair(base, pair_id) if base else None
+    return Gains(before_m, after_m, surface_distance(floor.real, floor.sim) if floor else 0.0, by_cause)
+
+
+def _blocks(run: FinishedRun, names: Sequence[str]) -> tuple[IntArray, str]:
+    """The block of each pair; with fewer than three blocks, each pair counts as one."""
+    times_s = recorded_times_s(run)
+    blocks = blocks_of([run.record.inputs[name]["real"] for name in names], [times_s.get(name) for name in names])
+    if len(np.unique(blocks)) < LEAST_FOR_INTERVAL:
+        return np.arange(len(names), dtype=np.int32), "pairs, although neighbours in time"
+    return blocks, "blocks of pairs" if len(np.unique(blocks)) < len(names) else "pairs"
+
+
+def _cause(own: NamedCause, gains: Sequence[dict[str, float]], excess_m: float | None) -> DiagnosedCause:
+    model = own.model
+    gain_m = float(np.mean([pair[model.name] for pair in gains])) if model.name in gains[0] else None
+    return DiagnosedCause(
+        name=model.name,
+        words=own.sentence,
+        estimate=own.mean,
+        low=own.low,
+        high=own.high,
+        unit=model.unit,
+        n_pairs=len(own.values),
+        gain_m=gain_m,
+        gain=None if excess_m is None or gain_m is None else gain_m / excess_m,
+        is_upper_bound=model.name in RESTORED,
+        setting=model.setting,
+        limbs=model.limbs,
+    )
+
+
+def _estimate_rows(names: Sequence[str], amounts: Sequence[dict[str, float]]) -> Iterator[CauseEstimate]:
+    for model in CAUSES:
+        values = {name: own[model.name] for name, own in zip(names, amounts, strict=True) if model.name in own}
+        if values:
+            yield CauseEstimate(
+                name=model.name, unit=model.unit, resolution=model.resolution, setting=model.setting, values=values
+            )

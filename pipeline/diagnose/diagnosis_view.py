@@ -1,0 +1,48 @@
+"""View of a diagnosis: causes with their estimates and gains, and what remains unexplained."""
+
+from __future__ import annotations
+
+from ...schemas.results import DiagnosedCause, Diagnosis
+from ..report.view import Note, Table, View, percent
+from ..results.causes import size_words
+from ..results.diagnosis import gain_words
+
+_COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
+
+
+def diagnosis_records(found: Diagnosis) -> Table:
+    """One row per cause, for programs."""
+    return Table("", _COLUMNS, [[getattr(own, name) for name in _COLUMNS] for own in found.causes])
+
+
+def diagnosis_view(found: Diagnosis) -> View:
+    """A row per cause, most important first, and notes on the base, the intervals and the pairs left out."""
+    rows = [
+        (i, own.words, _interval(own), gain_words(own).removeprefix("gain ") or "not in the distance", own.setting)
+        for i, own in enumerate(found.causes, 1)
+    ]
+    over = f" (floor {100 * found.floor_m:.1f} cm)" if found.floor else ""
+    title = (
+        f"{found.n_pairs} pairs; the surfaces are {100 * found.distance_m:.1f} cm apart on average{over}, distances "
+        "counted up to 1 m"
+    )
+    notes = [
+        f"unexplained: {percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} remains if "
+        "all causes are corrected"
+        if found.unexplained is not None
+        else "hardly any distance over the floor: gains are in cm, not shares",
+        f"intervals: 95 % over {found.over}" + ("" if found.floor else "; without --floor only clear causes are named"),
+    ]
+    if found.left_out:
+        notes.append(f"left out, too little surface in common: {', '.join(found.left_out)}")
+    if not rows:
+        return [Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
+    return [
+        Table(title, ("", "cause", "95 % interval", "gain if corrected", "setting"), rows, words=(1, 2, 3, 4)),
+        *map(Note, notes),
+    ]
+
+
+def _interval(own: DiagnosedCause) -> str:
+    low, high = (f"{'-' * (value < 0)}{size_words(value, own.unit)}" for value in (own.low, own.high))
+    return f"{low} to {high}"

@@ -1,0 +1,67 @@
+"""The stored diagnosis of a run: what `fidpipe diagnose` found, as long as it is of the same results."""
+
+from __future__ import annotations
+
+import json
+from hashlib import sha256
+from pathlib import Path
+
+from ...schemas.record import RunRecord
+from ...schemas.results import Cause, DiagnosedCause, Diagnosis, Overview
+from .causes import CLASS, FAR
+
+DIAGNOSIS = "diagnosis.json"
+
+
+def results_identity(record: RunRecord) -> str:
+    """Identity of the results of a run: of its inputs, settings and stages."""
+    parts = [record.inputs, record.settings, record.stages]
+    return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def read_diagnosis(folder: Path, record: RunRecord) -> Diagnosis | None:
+    """The diagnosis in a run's folder; None without one, or if it is of other results or of another version."""
+    try:
+        found = Diagnosis.from_dict(json.loads((folder / DIAGNOSIS).read_bytes()))
+    except (OSError, ValueError):
+        return None
+    return found if found.of == results_identity(record) else None
+
+
+def diagnosed(folder: Path, record: RunRecord, overview: Overview | None) -> Overview | None:
+    """An overview with the causes of the run's diagnosis, if it has one; then surface missing by range and class."""
+    found = read_diagnosis(folder, record)
+    if overview is None or found is None:
+        return overview
+    surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
+    return overview.model_copy(update={"causes": (*map(_cause, found.causes), *surface)})
+
+
+def gain_words(cause: DiagnosedCause) -> str:
+    """Gain of correcting a cause, as text.
+
+    Examples
+    --------
+    >>> base = dict(name="height", words="", estimate=0.1, low=0, high=0.2, unit="m", n_pairs=3, setting="", limbs=())
+    >>> gain_words(DiagnosedCause(**base, gain_m=0.02, gain=0.41, is_upper_bound=True))
+    'gain at most 41 %'
+    """
+    if cause.gain_m is None:
+        return ""
+    least = "at most " if cause.is_upper_bound else ""
+    if cause.gain_m <= 0:
+        return "no gain alone"
+    return f"gain {least}{100 * cause.gain_m:.1f} cm" if cause.gain is None else f"gain {least}{100 * cause.gain:.0f} %"
+
+
+def _cause(found: DiagnosedCause) -> Cause:
+    return Cause(
+        **{
+            name: getattr(found, name)
+            for name in ("name", "words", "setting", "estimate", "low", "high", "unit", "n_pairs")
+        },
+        detail=gain_words(found),
+        real=0.0,
+        sim=found.estimate,
+        severity=max(found.gain or 0.0, 0.0),
+    )

@@ -1,0 +1,226 @@
+"""Gain of a correction: the share of the distance between both sides that disappears if a cause is corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import permutations
+
+import numpy as np
+from numpy.random import Generator
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray
+from ..inspect.surfels import fit_planes
+from .evidence import (
+    FAR_M,
+    PairEstimates,
+    PairScans,
+    Side,
+    find_unmatched,
+    foliage_steps,
+    is_stray,
+    noise_without_steps,
+)
+from .motion import PARAMETERS, Displacement
+
+#: Distances to the other side count up to this.
+REACH_M = 1.0
+#: Causes that are corrected by adding real points, so that the gain is an upper bound.
+RESTORED: tuple[str, ...] = (
+    "lost returns",
+    "lost far returns",
+    "azimuth step",
+    "beams",
+    "maximum range",
+    "minimum range",
+)
+RESTORED += ("missing pieces", "blind sector", "solid foliage")
+_SAMPLE = 4000
+_NEIGHBOURS = 16
+_MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it
+_MOST_EXACT, _ORDERS = 4, 12
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Changes of the simulated points that correct causes.
+
+    displacement : (11,) of `motion.PARAMETERS`, to be undone
+    along_m : (m,) change of the ranges
+    keep : (m,) bool
+    add : (k, 3) real points
+    """
+
+    displacement: FloatArray = field(default_factory=lambda: np.zeros(len(PARAMETERS)))
+    along_m: FloatArray | float = 0.0
+    keep: BoolArray | bool = True
+    add: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+
+    def __or__(self, other: Correction) -> Correction:
+        """Both corrections."""
+        return Correction(
+            self.displacement + other.displacement,
+            self.along_m + other.along_m,
+            self.keep & other.keep,
+            np.concatenate([self.add, other.add]),
+        )
+
+    def of(self, scans: PairScans) -> FloatArray:
+        """The corrected simulated points."""
+        points = Displacement(self.displacement).undo(scans.sim, scans.sim_is_ground)
+        range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+        points = points * (1.0 + np.broadcast_to(self.along_m, range_m.shape) / range_m)[:, None]
+        return np.concatenate([points[np.broadcast_to(self.keep, range_m.shape)], self.add])
+
+
+def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | None = None) -> float:
+    """Mean distance to the other side, counted up to 1 m, averaged over both directions; metres.
+
+    It is also the mean uncovered share over all reaches from 0 to 1 m, since the integral of P(d > r) over r in
+    [0, 1 m] is the mean of min(d, 1 m). Of both sides, every k-th point is used, 4000 at most.
+    """
+    if not len(sim):
+        return REACH_M
+    trees = (cKDTree(sim), cKDTree(real) if real_tree is None else real_tree)
+    means = []
+    for points, tree in zip((real, sim), trees, strict=True):
+        apart, _ = tree.query(points[:: len(points) // _SAMPLE + 1], distance_upper_bound=REACH_M)
+        means.append(np.minimum(apart, REACH_M).mean())
+    return float(np.mean(means))
+
+
+def corrections(
+    scans: PairScans, found: PairEstimates, excess: Mapping[str, float], rng: Generator
+) -> dict[str, Correction]:
+    """The correction of each cause for one pair.
+
+    Parameters
+    ----------
+    found : estimates of the pair
+    excess : by cause to be corrected, its amount over the floor
+    """
+    a, b = Side.of(scans.real), Side.of(found.displacement.undo(scans.sim, scans.sim_is_ground))
+    missing, invented = find_unmatched(a, b, found.step_deg), find_unmatched(b, a, found.step_deg)
+    others = ~(missing.is_beyond | missing.is_piece | missing.is_clutter)
+    made: dict[str, Correction] = {}
+    for name, amount in excess.items():
+        part = amount / max(found.amounts.get(name, amount), amount) if amount > 0 else 1.0  # the rest is the floor's
+        if name in PARAMETERS:
+            made[name] = Correction(np.where([one == name for one in PARAMETERS], amount, 0.0))
+        elif name in ("range noise", "range steps"):
+            made[name] = _noise(a, b, name, amount, found, rng)
+        elif name in ("lost returns", "lost far returns", "azimuth step", "beams"):
+            made[name] = _density(name, amount, a, b, others, found, rng)
+        elif name == "solid foliage":
+            made[name] = _foliage(a, b, part, rng)
+        elif name == "mixed pixels":
+            made[name] = Correction(keep=~_some(is_stray(b)[0], part, rng))
+        elif name == "invented pieces":
+            made[name] = Correction(keep=~_some(invented.is_piece, part, rng))
+        elif name == "clutter":
+            made[name] = Correction(keep=~_some(invented.is_clutter, part, rng))
+        elif name == "missing pieces":
+            made[name] = Correction(add=scans.real[_some(missing.is_piece, part, rng)])
+        elif name == "maximum range":
+            made[name] = Correction(keep=b.range_m <= a.range_m.max(), add=scans.real[missing.is_beyond])
+        elif name == "minimum range":
+            made[name] = Correction(add=scans.real[a.range_m < b.range_m.min()])
+    return made
+
+
+def shares(scans: PairScans, made: Mapping[str, Correction], rng: Generator) -> tuple[float, float, dict[str, float]]:
+    """Distance of both sides before and after all corrections, and the metres that each correction contributes.
+
+    The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
+    orders up to four corrections, else over twelve at random.
+    """
+    names, tree = sorted(made), cKDTree(scans.real)
+    known: dict[frozenset[str], float] = {}
+
+    def distance(chosen: frozenset[str]) -> float:
+        if chosen not in known:
+            correction = Correction()
+            for name in sorted(chosen):
+                correction |= made[name]
+            known[chosen] = surface_distance(scans.real, correction.of(scans), tree)
+        return known[chosen]
+
+    orders: Sequence[Sequence[str]]
+    if len(names) <= _MOST_EXACT:
+        orders = [*permutations(names)]
+    else:
+        half = [rng.permutation(names).tolist() for _ in range(_ORDERS // 2)]
+        orders = [*half, *(order[::-1] for order in half)]
+    gains = dict.fromkeys(names, 0.0)
+    for order in orders:
+        for i, name in enumerate(order):
+            before, after = frozenset(order[:i]), frozenset(order[: i + 1])
+            gains[name] += (distance(before) - distance(after)) / len(orders)
+    return distance(frozenset()), distance(frozenset(names)), gains
+
+
+def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:
+    """A random part of the flagged points."""
+    return flags & (rng.random(len(flags)) < part)
+
+
+def _noise(a: Side, b: Side, name: str, amount: float, found: PairEstimates, rng: Generator) -> Correction:
+    """Missing noise, added along the rays; or less of the distance to the real surface along the rays."""
+    sim = max(found.sensors[1]["range_noise_m"] or 0.0, 1e-4)
+    if name == "range noise":
+        sim = max(noise_without_steps(found.sensors[1]) or 0.0, 1e-4)
+    if amount < 0:
+        return Correction(along_m=rng.normal(0.0, np.sqrt(amount**2 + 2 * sim * -amount), len(b.points)))
+    target = sim - amount if name == "range noise" else np.sqrt(max(sim**2 - amount**2 / 12, 0.0))
+    along_m = (1.0 - max(target, 0.0) / sim) * (_seen_m(b.points / b.range_m[:, None], a) - b.range_m)
+    return Correction(along_m=np.where(np.abs(along_m) < 4 * sim, along_m, 0.0))
+
+
+def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
+    """(k,) range at which rays meet the real surface: the plane through the return nearest in direction.
+
+    Where a ray grazes the plane, the range of the return itself.
+    """
+    _, near = cKDTree(real.points / real.range_m[:, None]).query(rays)
+    places, of_ray = np.unique(near, return_inverse=True)
+    normal = fit_planes(real.points, real.points[places], _NEIGHBOURS).normal[of_ray]
+    range_m = real.range_m[near]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        met_m = (normal * real.points[near]).sum(axis=1) / (normal * rays).sum(axis=1)
+        is_met = np.abs(met_m - range_m) < _MOST_MOVED * range_m
+    seen_m: FloatArray = np.where(is_met, met_m, range_m)
+    return seen_m
+
+
+def _as_simulated(real: Side, sim: Side, is_lost: BoolArray) -> FloatArray:
+    """Real points with the error of the simulated surface: moved along the real normal, as far as the nearest point."""
+    points = real.points[is_lost]
+    normal = fit_planes(real.points, points, _NEIGHBOURS).normal
+    _, near = cKDTree(sim.points).query(points)
+    moved: FloatArray = points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
+    return moved
+
+
+def _density(
+    name: str, amount: float, a: Side, b: Side, is_common: BoolArray, found: PairEstimates, rng: Generator
+) -> Correction:
+    """Real returns on common surface instead of the lost ones, or fewer of the simulated returns."""
+    share = amount
+    if name == "azimuth step":
+        share = amount / found.sensors[1]["azimuth_step_deg"]
+    elif name == "beams":
+        share = -amount / (found.sensors[1]["n_beams"] - min(amount, 0.0))
+    if share > 0:
+        where = is_common & (a.range_m > FAR_M) if name == "lost far returns" else is_common
+        return Correction(add=_as_simulated(a, b, where & (rng.random(len(where)) < share)))
+    where = b.range_m > FAR_M if name == "lost far returns" else np.ones(len(b.range_m), dtype=np.bool_)
+    return Correction(keep=~(where & (rng.random(len(where)) < 1.0 - 1.0 / (1.0 - share))))
+
+
+def _foliage(a: Side, b: Side, part: float, rng: Generator) -> Correction:
+    """Simulated returns in the direction of real foliage at the range of the real return."""
+    rows, step_m = foliage_steps(a, b)
+    along_m = np.zeros(len(b.range_m))
+    along_m[rows] = -step_m
+    return Correction(along_m=np.where(_some(along_m != 0, part, rng), along_m, 0.0))

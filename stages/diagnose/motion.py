@@ -1,0 +1,110 @@
+"""Position of the simulated side against the real one, in six degrees of freedom, with systematic errors of range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray
+from ..inspect.surfels import fit_planes, voxel_ids
+from ..reference import visiting_order
+
+#: Parameters of a displacement, in their order: metres, degrees, share, metres, and metres per sweep.
+PARAMETERS = (
+    *("forward", "sideways", "height", "roll", "pitch", "yaw", "range scale", "range bias"),
+    *("motion forward", "motion sideways", "road height"),
+)
+N_RIGID = 6
+_VOXEL_M = 0.5
+_MOST_PLACES = 6000
+_NEIGHBOURS = 16
+_FLAT = 0.02  # l3 / l1 of a plane, at most
+_BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
+_REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5, 0.5)
+_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])  # standard deviations; radians
+_NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that share an error
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """Displacement of the simulated side: x_sim = x + displacement(x).
+
+    values : (10,) float64, of `PARAMETERS`
+    """
+
+    values: FloatArray
+
+    def of(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
+        """(n, 3) metres, displacement of real points."""
+        moved: FloatArray = _columns(points, is_ground) @ _internal(self.values)
+        return moved
+
+    def undo(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
+        """(n, 3) simulated points without the displacement: two steps of a fixed point."""
+        place = points - self.of(points, is_ground)
+        return points - self.of(place, is_ground)
+
+
+def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) -> Displacement | None:
+    """Fit the displacement of the simulated surface, or None without enough planes in common.
+
+    Least squares of distances along normals, point to plane (Chen and Medioni, Image Vision Comput. 1992), linear in
+    all parameters: a rigid motion, a scale and a constant error of range, and a motion of the sensor during the sweep,
+    of which the pose is right ahead (azimuth 0) and the seam behind. A weak prior keeps at 0 what no surface shows.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, clean points, ground included
+    """
+    order = visiting_order(real, 0)
+    _, first = np.unique(voxel_ids(real[order], _VOXEL_M), return_index=True)
+    rows = order[np.sort(first)[:_MOST_PLACES]]
+    places = real[rows]
+    planes = fit_planes(real, places, _NEIGHBOURS)
+    l3, l2, l1 = planes.variance.T
+    is_plane = (l3 <= _FLAT * l1) & (l2 >= _BROAD * l1)
+    places, normal = planes.mean[is_plane], planes.normal[is_plane]
+    tree = cKDTree(sim)
+    columns = _columns(places, is_ground[rows[is_plane]])
+    slopes = np.einsum("nkp,nk->np", columns, normal)
+    values = np.zeros(len(PARAMETERS))
+    for reach_m in _REACHES_M:
+        distance, near = tree.query(places + columns @ values, distance_upper_bound=reach_m)
+        met = np.flatnonzero(np.isfinite(distance))
+        if len(met) < 10 * len(PARAMETERS):
+            return None
+        gap = ((sim[near[met]] - places[met]) * normal[met]).sum(axis=1)
+        weight = 1.0 / (_NOISE_M**2 * _CORRELATED)
+        matrix = weight * slopes[met].T @ slopes[met] + np.diag(_PRIOR**-2.0)
+        values = np.linalg.solve(matrix, weight * slopes[met].T @ gap)
+    return Displacement(_external(values))
+
+
+def _columns(points: FloatArray, is_ground: BoolArray) -> FloatArray:
+    """(n, 3, 11) derivative of each point's position by the parameters, angles in radians."""
+    columns = np.zeros((len(points), 3, len(PARAMETERS)))
+    x, y, z = points.T
+    columns[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    columns[:, 1, 3], columns[:, 2, 3] = -z, y
+    columns[:, 0, 4], columns[:, 2, 4] = z, -x
+    columns[:, 0, 5], columns[:, 1, 5] = -y, x
+    columns[:, :, 6] = points
+    columns[:, :, 7] = points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
+    turn = np.arctan2(y, x) / (2 * np.pi)
+    columns[:, 0, 8] = columns[:, 1, 9] = turn
+    columns[:, 2, 10] = is_ground
+    return columns
+
+
+def _internal(values: FloatArray) -> FloatArray:
+    internal = values.copy()
+    internal[3:6] = np.radians(values[3:6])
+    return internal
+
+
+def _external(values: FloatArray) -> FloatArray:
+    external = values.copy()
+    external[3:6] = np.degrees(values[3:6])
+    return external
