@@ -10,7 +10,7 @@ import typer
 
 from . import completion
 from .options import AsCsv, AsJson, AsMarkdown, Assignments, Pairs, SettingsFile, format_of
-from .output import print_as, print_json, print_view
+from .output import print_as
 
 
 def diagnose(
@@ -76,6 +76,8 @@ def diagnose(
         raise typer.BadParameter("expected one run, or two folders of scans with --tell-apart and without --floor")
     if len(sources) == 1 and (settings or assignments):
         raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
+    if tell_apart and as_csv:
+        raise typer.BadParameter("--csv is for causes; with --tell-apart give --json or --markdown")
     if tell_apart:
         return _tell_apart(sources, floor, picture, settings, assignments or [], output)
     from ..diagnose.diagnose import diagnose_run
@@ -98,6 +100,7 @@ def _tell_apart(
     from ...schemas.settings import load
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
     from ..diagnose.tell_apart_view import draw_map, tell_apart_view
+    from ..report.view import Table
     from ..results.finished import FinishedRun
 
     if len(sources) == 2:
@@ -106,4 +109,5 @@ def _tell_apart(
         found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(floor) if floor else None)
     if picture:
         draw_map(found, picture)
-    print_json({"tell_apart": found.as_dict()}) if output == "json" else print_view(tell_apart_view(found))
+    view = tell_apart_view(found)
+    print_as(output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.as_dict()})

@@ -107,7 +107,10 @@ def diagnose_run(
         left_out=tuple(name for name in chosen if name not in found),
     )
     if pattern is None:
-        write_whole(folder / DIAGNOSIS, dumps(diagnosis.as_dict()))
+        try:
+            write_whole(folder / DIAGNOSIS, dumps(diagnosis.as_dict()))
+        except RunError as error:
+            show.warn(f"not stored: {error}")
     return diagnosis
 
 

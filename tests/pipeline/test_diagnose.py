@@ -53,7 +53,7 @@ def test_two_sweeps_of_a_parked_sensor_are_indistinguishable(real_data):
 @pytest.mark.parametrize(
     ("words", "code", "text"),
     [
-        ((), 2, "--tell-apart"),
+        (("elsewhere",), 2, "--tell-apart"),
         (("--tell-apart", "--set", "input.min_range_m=1"), 2, "two folders"),
     ],
 )

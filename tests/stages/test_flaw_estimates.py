@@ -1,0 +1,141 @@
+"""Diagnosis of known flaws: each is named with its amount, healthy scans have none, and corrections share the gain."""
+
+import numpy as np
+import pytest
+
+from fidpipe.pipeline.diagnose.causes import CAUSES, name_causes
+from fidpipe.stages.diagnose.evidence import PairScans, estimate
+from fidpipe.stages.diagnose.gain import corrections, shares, surface_distance
+from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement, fit_displacement
+from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
+
+HEALTHY_NOISE_M, HEALTHY_LOSS = 0.01, 0.02
+
+
+def ranges(points):
+    return np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def noise(std_m):
+    return lambda points, rng: points * (1 + rng.normal(0, std_m, (len(points), 1)) / ranges(points))
+
+
+def lost(share, beyond_m=0.0):
+    def lose(points, rng):
+        return points[(ranges(points)[:, 0] < beyond_m) | (rng.random(len(points)) >= share)]
+
+    return lose
+
+
+def steps(quantum_m):
+    return lambda points, rng: points * np.round(ranges(points) / quantum_m) * quantum_m / ranges(points)
+
+
+def drops(n):
+    def rain(points, rng):
+        rows = rng.choice(np.flatnonzero(ranges(points)[:, 0] > 6), n, replace=False)
+        wet = points.copy()
+        wet[rows] *= rng.uniform(2.5, 5, (n, 1)) / ranges(points[rows])
+        return wet
+
+    return rain
+
+
+def box_cut(points, rng):
+    return points[(np.abs(points - [8.0, 0.0, 0.0]) > [4, 3, 5]).any(axis=1)]
+
+
+def during_sweep(points, rng):
+    turn = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)
+    return points - turn[:, None] * [0.8, 0, 0]
+
+
+#: Flaw, the cause that is right, and its amount.
+FLAWS = {
+    "forward": (lambda points, rng: points + [0.3, 0, 0], 0.3),
+    "height": (lambda points, rng: points - [0, 0, 0.12], -0.12),
+    "range scale": (lambda points, rng: points * 1.02, 0.02),
+    "range bias": (lambda points, rng: points * (1 + 0.15 / ranges(points)), 0.15),
+    "motion forward": (during_sweep, -0.8),
+    "range noise": (noise(0.08), 0.07),
+    "range steps": (steps(0.1), 0.1),
+    "lost returns": (lost(0.25), 0.27),
+    "lost far returns": (lost(0.5, 25.0), 0.5),
+    "maximum range": (lambda points, rng: points[ranges(points)[:, 0] < 40], None),
+    "missing pieces": (box_cut, None),
+    "clutter": (drops(150), 0.01),
+    "azimuth step": (lambda points, rng: points[::2], None),
+}
+
+
+@pytest.fixture(scope="module")
+def places(real_data):
+    """Two real scans with every fourth return, their road, and their sensors."""
+    found = []
+    for name in ("000000", "000008"):
+        points = (
+            np.fromfile(real_data / f"kitti_twin/real/{name}.bin", np.float32).reshape(-1, 4)[::4, :3].astype(float)
+        )
+        found.append((points, points[:, 2] < -1.4, sensor_row(describe_sensor(points))))
+    return found
+
+
+def simulated(places, flaw=None):
+    pairs = []
+    for i, (real, is_ground, sensor) in enumerate(places):
+        rng = np.random.default_rng(i)
+        sim = lost(HEALTHY_LOSS)(noise(HEALTHY_NOISE_M)(real, rng), rng)
+        sim = flaw(sim, rng) if flaw else sim
+        own = sensor_row(describe_sensor(sim))
+        pairs.append(PairScans(real, sim, is_ground, sim[:, 2] < -1.4, (sensor, own)))
+    return pairs
+
+
+@pytest.fixture(scope="module")
+def healthy(places):
+    return [estimate(pair) for pair in simulated(places)]
+
+
+def test_no_cause_of_a_second_measurement(healthy):
+    assert name_causes([pair.amounts for pair in healthy], None, np.arange(2)) == []
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, healthy, name):
+    flaw, amount = FLAWS[name]
+    pairs = simulated(places, flaw)
+    found = [estimate(pair) for pair in pairs]
+    named = name_causes([own.amounts for own in found], [own.amounts for own in healthy], np.arange(2))
+    by_name = {own.model.name: own for own in named}
+    assert name in by_name
+    if amount is not None:
+        assert by_name[name].mean == pytest.approx(amount, rel=0.2)
+    made = corrections(pairs[0], found[0], {own.model.name: own.mean for own in named}, np.random.default_rng(0))
+    before_m, after_m, gains = shares(pairs[0], made, np.random.default_rng(0))
+    assert sum(gains.values()) == pytest.approx(before_m - after_m)
+    assert max(gains, key=gains.get) == name
+    assert before_m == surface_distance(pairs[0].real, pairs[0].sim)
+
+
+def test_a_displacement_is_undone(places):
+    points, is_ground, _ = places[0]
+    values = np.array([0.1, -0.2, 0.05, 0.3, -0.4, 0.5, 0.01, 0.02, -0.3, 0.1, 0.05])
+    displacement = Displacement(values)
+    moved = points + displacement.of(points, is_ground)
+    off_m = np.abs(displacement.undo(moved, is_ground) - points).max(axis=1)
+    assert np.quantile(off_m, 0.99) < 0.001  # except across the seam of the sweep
+    assert len(values) == len(PARAMETERS)
+
+
+def test_scans_without_common_surface_have_no_estimates(places):
+    points, is_ground, sensor = places[0]
+    far = points + [0, 0, 500.0]
+    assert fit_displacement(points, far, is_ground) is None
+    assert estimate(PairScans(points, far, is_ground, is_ground, (sensor, sensor))) is None
+
+
+def test_every_cause_has_words_and_a_tolerance():
+    assert len({model.name for model in CAUSES}) == len(CAUSES)
+    for model in CAUSES:
+        assert 0 < model.resolution <= model.tolerance
+        assert all("{size}" in words for words in model.words)
