@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -183,5 +184,5 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
 def _experiment_folder(source: Path, experiment: str) -> Path:
     from ..datasets.readers import is_scan_path, stem_of
 
-    path = source.resolve()
+    path = Path(os.path.realpath(source))
     return Path("runs") / f"{stem_of(path) if is_scan_path(source) else path.name}-{experiment}"

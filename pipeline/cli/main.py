@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import signal
 import sys
+from itertools import pairwise
 from pathlib import Path
 from time import monotonic
 from typing import Annotated
@@ -32,6 +34,7 @@ _REFUSALS = (
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO, errno.ESTALE),
 )
 _FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
+_URL = re.compile(r"(--[a-z-]+=)?[a-z][a-z0-9+.-]+://")
 
 app = typer.Typer(
     name="fidpipe",
@@ -54,6 +57,7 @@ def main() -> None:
     for number in _STOPPING:
         signal.signal(number, _Stop())
     try:
+        _refuse_urls(sys.argv[1:])
         code = app(standalone_mode=False)
         _ignore_interrupts()
     except FidpipeError as error:
@@ -63,6 +67,13 @@ def main() -> None:
         if not (refusal := _refusal(error)):
             raise
         _complain(f"error: {refusal}")
+        code = EXIT_WRONG_INPUT
+    except UnicodeEncodeError as error:  # Python reads bytes that are not UTF-8 as lone surrogates
+        name = error.object[: error.end].split()[-1].strip("'\"")
+        _complain(f"error: the name {name!a} is not UTF-8; rename the file or folder")
+        code = EXIT_WRONG_INPUT
+    except MemoryError as error:
+        _complain(f"error: not enough memory ({error or 'none left'}); free some, or raise ulimit -v")
         code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
@@ -76,6 +87,15 @@ def main() -> None:
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
         _complain("interrupted; run the same command again to resume")
     sys.exit(_flushed(code))
+
+
+def _refuse_urls(words: list[str]) -> None:
+    """Raise `FidpipeError` for a URL, except of a scheduler; as a path, s3://bucket is the local folder s3:/bucket."""
+    from ...schemas.errors import FidpipeError
+
+    for option, word in pairwise(["", *words]):
+        if _URL.match(word) and "--scheduler" not in (option, word.partition("=")[0]):
+            raise FidpipeError(f"{word}: expected a local path, got a URL; mount or copy the data, and name its path")
 
 
 def _open_streams() -> None:

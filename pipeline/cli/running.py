@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -151,7 +152,7 @@ def run(
     check_machines(workers, scheduler)
     repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
     in_force = load(settings, [*(assignments or []), *repeats], preset=preset)
-    out = out or Path("runs") / (dataset.resolve().name or "dataset")
+    out = out or Path("runs") / (Path(os.path.realpath(dataset)).name or "dataset")
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
         prefork.start(["fidpipe.pipeline.jobs"])  # a new run needs workers as soon as all else is imported
 
@@ -252,7 +253,7 @@ def floor(
 
     outcome = run_floor(
         dataset,
-        out or Path("runs") / f"{dataset.resolve().name or 'dataset'}-floor",
+        out or Path("runs") / f"{Path(os.path.realpath(dataset)).name or 'dataset'}-floor",
         in_force,
         Reporter(),
         noise_m=noise_m,

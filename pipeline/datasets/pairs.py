@@ -235,6 +235,8 @@ def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | 
     path = folder / name.strip()
     if not name.strip():
         return None, f"{where}: no {side} scan is named"
+    if "://" in name:
+        return None, f"{where}: {name.strip()}: expected a local path, got a URL; mount or copy the scan"
     try:
         is_there = is_scan_path(path)
     except (OSError, ScanError) as error:  # a name that no file can have, or that names no frame

@@ -10,6 +10,7 @@ import asyncio
 import atexit
 import hashlib
 import logging
+import os
 import queue
 import socket
 from collections.abc import Callable, Iterable, Mapping
@@ -17,7 +18,6 @@ from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -39,6 +39,7 @@ from .pool import (
 )
 
 _CONNECT_TIMEOUT_S = 10
+_DASHBOARD_TIMEOUT_S = 2
 _FIRST_WORKER_TIMEOUT_S = 60
 _STARTS = 3
 _STOP_S = 2.0
@@ -47,6 +48,7 @@ _SECONDS_BETWEEN_LOOKS = 1.0
 _GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
+_BEGINNING_BYTES = 64
 
 #: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides what is tried again. A
 #: silent worker is busy in a library, a busy event loop is not reported, logs of messages would grow with the pairs.
@@ -58,22 +60,37 @@ _DASK_SETTINGS = {
 }
 
 
+@dataclass(frozen=True)
+class Requirements:
+    """Everything that the workers of a scheduler must share with the command.
+
+    libraries : versions
+    beginnings : by absolute path, the first bytes of files
+    code : hash of fidpipe's code
+    """
+
+    libraries: dict[str, str]
+    beginnings: dict[str, bytes]
+    code: str
+
+
 @dataclass
 class _Worker:
     """State of a worker process between tasks."""
 
     limits: Any = field(default=None)
-    libraries: dict[str, str] = field(default_factory=dict)
+    requirements: Requirements | None = None
 
 
 _WORKER = _Worker()
 
 
-def _in_worker(libraries: dict[str, str], function: Callable[..., Any], *args: Any) -> Any:
-    if libraries != _WORKER.libraries:  # it may have joined after the others were checked
-        if fault := other_versions(library_versions_there(libraries), libraries):
+def _in_worker(requirements: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
+    if requirements is not None and requirements != _WORKER.requirements:  # it may have joined after the first check
+        versions = requirements.libraries
+        if fault := other_versions(library_versions(versions), versions) or worker_fault(requirements):
             raise RunError(f"a worker on {socket.gethostname()}: {fault}")
-        _WORKER.libraries = libraries
+        _WORKER.requirements = requirements
     if _WORKER.limits is None:
         _WORKER.limits = one_blas_thread()
         _WORKER.limits.__enter__()
@@ -87,7 +104,7 @@ class DaskPool:
     ----------
     n_workers : processes of a cluster on this machine
     address : of a scheduler whose workers see the same files; no cluster is started then
-    shared_file : a file that every worker must see with the same content
+    shared_files : files that every worker must see with the same content
     libraries : versions that every worker must have
     memory : bytes that the worker processes may occupy together; None for the default
     modules : names of the modules of the jobs, to be imported once for all workers of this machine
@@ -103,7 +120,7 @@ class DaskPool:
         self,
         n_workers: int,
         address: str | None,
-        shared_file: Path,
+        shared_files: Iterable[Path],
         libraries: dict[str, str],
         memory: int | None = None,
         modules: Iterable[str] = (),
@@ -129,15 +146,18 @@ class DaskPool:
         self._client: Any = None
         self._address, self._given_memory = address, memory
         self._memory_there = Memory(0, 0)
-        self._libraries = {} if address is None else libraries
+        self._may_end_workers = may_end_workers
+        self._requirements: Requirements | None = None
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked, self._had_workers = -_SECONDS_BETWEEN_LOOKS, monotonic()
         self._looked_after, self._dead_since = monotonic(), dict[Any, float]()
         try:
             self._start(n_workers, address)
             if address is not None:
-                self._check_versions()
-                self._check_workers(shared_file, may_end_workers)
+                beginnings = {str(path.resolve()): _beginning(path) for path in shared_files}
+                self._requirements = Requirements(libraries, beginnings, code_hash())
+                self._check_versions(self._requirements)
+                self._check_workers(self._requirements)
         except BaseException:
             self.close(now=True)
             raise
@@ -161,12 +181,21 @@ class DaskPool:
     @property
     def dashboard(self) -> str:
         """See `Pool`; a cluster on this machine has none."""
-        return "" if self._address is None else str(self._client.dashboard_link)
+        if self._address is None:
+            return ""
+        from urllib.request import urlopen
+
+        link = str(self._client.dashboard_link)
+        try:
+            with urlopen(link, timeout=_DASHBOARD_TIMEOUT_S):
+                return link
+        except (OSError, ValueError):  # a scheduler without one has the same link
+            return ""
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """See `Pool`."""
         passed = [[handle.future for handle in arg] if is_handles(arg) else arg for arg in args]
-        future = self._client.submit(_in_worker, self._libraries, function, *passed, pure=False, priority=priority)
+        future = self._client.submit(_in_worker, self._requirements, function, *passed, pure=False, priority=priority)
         handle = Handle(future)
         self._handles[future.key] = handle, keep
         future.add_done_callback(self._done.put)
@@ -186,7 +215,8 @@ class DaskPool:
         except FidpipeError:
             raise
         except Exception:
-            self._check_versions()  # a worker of another version cannot unpickle the task
+            if self._requirements is not None:
+                self._check_versions(self._requirements)  # a worker of another version cannot unpickle the task
             raise
         if not keep:
             future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
@@ -215,6 +245,7 @@ class DaskPool:
             self._client = distributed.Client(
                 self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
             )
+            _task = self._client.submit(os.getpid)  # adaptive clusters start workers for tasks
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
         except (OSError, TimeoutError) as error:
             raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
@@ -310,32 +341,36 @@ class DaskPool:
             except (OSError, TimeoutError) as error:
                 raise RunError(self._lost("the connection is lost")) from error
             self._looked = monotonic()
+            for name, worker in self._workers.items():
+                if self._address is not None and (fault := self._limit_fault(worker)):
+                    raise RunError(f"scheduler {self._address}, worker {name}: {fault}")
         return self._workers
+
+    def _limit_fault(self, worker: Mapping[str, Any]) -> str:
+        """Missing limit or nanny of a worker, which may have joined late; "" if it has all."""
+        if self._given_memory is None and not worker["memory_limit"]:
+            return (
+                "has no memory limit; start it with --memory-limit, or set the limit of all workers together: "
+                "--set machine.memory_gib=NUMBER"
+            )
+        if self._may_end_workers and not worker["nanny"]:
+            return "has no nanny, and a pair that exceeds its time ends its worker process; start it with --nanny"
+        return ""
 
     def _lost(self, fault: str) -> str:
         return f"scheduler {self._address or 'here'}: {fault}; run the same command again: it resumes where it stopped"
 
-    def _check_versions(self) -> None:
+    def _check_versions(self, required: Requirements) -> None:
         """Raise `RunError` if the scheduler or a worker has other versions; runs no code of ours there."""
-        versions = self._client.get_versions(packages=list(self._libraries))
+        versions = self._client.get_versions(packages=list(required.libraries))
         for name, there in [("", versions["scheduler"]), *versions["workers"].items()]:
-            if isinstance(there, dict) and (fault := other_versions(there["packages"], self._libraries)):
+            if isinstance(there, dict) and (fault := other_versions(there["packages"], required.libraries)):
                 raise RunError(f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}")
 
-    def _check_workers(self, shared_file: Path, may_end_workers: bool) -> None:
+    def _check_workers(self, required: Requirements) -> None:
         """Raise `RunError` if a run could not be completed on a worker."""
-        faults = self._client.run(worker_fault, str(shared_file.resolve()), shared_file.read_bytes(), code_hash())
-        for worker, known in self._workers_now().items():
-            if self._given_memory is None and not known["memory_limit"]:
-                faults[worker] = (
-                    "has no memory limit; start it with --memory-limit, or set the limit of all workers together: "
-                    "--set machine.memory_gib=NUMBER"
-                )
-            if may_end_workers and not known["nanny"]:
-                faults[worker] = (
-                    "has no nanny, and a pair that exceeds its time ends its worker process; start it with --nanny"
-                )
-        for worker, fault in faults.items():
+        self._workers_now()
+        for worker, fault in self._client.run(worker_fault, required, on_error="ignore").items():
             if fault:
                 raise RunError(f"scheduler {self._address}, worker {worker}: {fault}")
 
@@ -344,7 +379,7 @@ def start_pool(
     n_workers: int | None,
     address: str | None,
     memory_gib: float | None,
-    shared_file: Path,
+    shared_files: Iterable[Path],
     libraries: dict[str, str],
     modules: Iterable[str] = (),
     *,
@@ -364,13 +399,19 @@ def start_pool(
         return InProcess(memory)
     if address is None:
         _check_address_space()
-    return DaskPool(n_workers, address, shared_file, libraries, memory, modules, may_end_workers=may_end_workers)
+    return DaskPool(n_workers, address, shared_files, libraries, memory, modules, may_end_workers=may_end_workers)
 
 
 def _check_address(address: str) -> None:
     """Raise `RunError` if an address is invalid: dask would end with two tracebacks, 20 s apart."""
     from distributed.comm.addressing import get_address_host_port
+    from distributed.security import Security
 
+    if address.startswith("tls://") and Security().get_connection_args("client")["ssl_context"] is None:
+        raise RunError(
+            f"scheduler {address!r}: expected dask's settings distributed.comm.tls to name the certificates "
+            "(DASK_DISTRIBUTED__COMM__TLS__CA_FILE)"
+        )
     try:
         is_known = 0 < get_address_host_port(address)[1] < 2**16
     except ValueError:
@@ -397,17 +438,24 @@ def _check_address_space() -> None:
         )
 
 
-def worker_fault(path: str, content: bytes, code: str) -> str:
+def worker_fault(required: Requirements) -> str:
     """Reason why a worker cannot serve a run: it does not see the run's files, or runs other code; "" if it can."""
-    if code_hash() != code:
-        return f"fidpipe of the same version with other code ({code_hash()}, here {code}); install the same one there"
-    try:
-        own = Path(path).read_bytes()
-    except OSError as error:
-        return f"{path} cannot be read there ({error.strerror}); workers must see the same files under the same paths"
-    return (
-        "" if own == content else f"{path} is another file there; workers must see the same files under the same paths"
-    )
+    code, same = code_hash(), "workers must see the same files under the same paths"
+    if code != required.code:
+        return f"fidpipe of the same version with other code ({code}, here {required.code}); install the same one there"
+    for path, beginning in required.beginnings.items():
+        try:
+            if _beginning(path) != beginning:
+                return f"{path} is another file there; {same}"
+        except OSError as error:
+            return f"{path} cannot be read there ({error.strerror}); {same}"
+    return ""
+
+
+def _beginning(path: Path | str) -> bytes:
+    """The first bytes of a file."""
+    with Path(path).open("rb") as file:
+        return file.read(_BEGINNING_BYTES)
 
 
 def other_versions(there: Mapping[str, str | None], here: Mapping[str, str]) -> str:
@@ -418,17 +466,6 @@ def other_versions(there: Mapping[str, str | None], here: Mapping[str, str]) -> 
         if there.get(name) != version
     ]
     return f"other versions: {', '.join(other)}; install the same ones there" if other else ""
-
-
-def library_versions_there(names: Iterable[str]) -> dict[str, str | None]:
-    """Versions by distribution name in this process; None if not installed."""
-    versions: dict[str, str | None] = {}
-    for name in names:
-        try:
-            versions |= library_versions([name])
-        except PackageNotFoundError:
-            versions[name] = None
-    return versions
 
 
 @cache

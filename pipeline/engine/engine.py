@@ -18,7 +18,7 @@ from ...schemas.errors import DiskFullError, ScanError
 from ...schemas.settings import Settings
 from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
-from ..datasets.readers import may_crash
+from ..datasets.readers import files_of, may_crash
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder
@@ -129,12 +129,13 @@ class RunEngine:
         if self._pool is None:
             is_local = self._machines.scheduler is None
             reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
+            some_scan = [file for pair in pairs for path in pair.paths[:1] for file in files_of(path)][:1]
             libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries(self.settings))
             self._pool = start_pool(
                 self._machines.workers,
                 self._machines.scheduler,
                 self.settings.machine.memory_gib,
-                self.folder.token_path,
+                (self.folder.token_path, *some_scan),
                 library_versions(("fidpipe", *LIBRARIES, *libraries)),
                 dict.fromkeys(stage.make.__module__ for stage in self._stages),
                 may_end_workers=self._machines.pair_timeout_s is not None or reader_may_crash,

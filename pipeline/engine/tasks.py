@@ -5,7 +5,6 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TypeVar, cast
 
 from ...schemas.errors import DiskFullError, FidpipeError
@@ -49,7 +48,7 @@ def map_tasks(
     failures: dict[str, str] = {}
     if not tasks:
         return results, failures
-    pool = start_pool(n_workers, None, None, Path(), {}, [function.__module__], may_end_workers=may_end_workers)
+    pool = start_pool(n_workers, None, None, (), {}, [function.__module__], may_end_workers=may_end_workers)
     reporter.start(len(tasks), len(tasks))
     lost, alone = list[str](), ""
     try:

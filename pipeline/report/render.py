@@ -24,6 +24,8 @@ _COLOURS = {
     **dict.fromkeys(("better", "appeared", "pass", "yes", "holds"), "green"),
     **dict.fromkeys(("undecided", "not decided"), "yellow"),
 }
+#: Beginnings of formulas; the full-width ones in East Asian locales.
+_FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 _INDENT, _NARROWEST = 14, 40
 _WRAPPER = partial(TextWrapper, break_long_words=False, break_on_hyphens=False)
@@ -160,19 +162,24 @@ def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:
 
 def _in_markdown(part: Part) -> str:
     if isinstance(part, Note):
-        text = shown(part.text.strip().removeprefix("note: "))
+        text = _escaped(part.text.strip().removeprefix("note: "))
         return f"**{text}**" if "bold" in part.style else f"- {text}" if part.style and text else text
     if isinstance(part, Answers):
         return "\n\n".join(
             f"{heading.strip()}: {lines[0]}" if len(lines) == 1 else "\n".join([f"{heading.strip()}:\n", *lines])
             for heading, items in part.sections
-            for lines in [["- " * (len(items) > 1) + shown("; ".join(filter(None, item))) for item in items]]
+            for lines in [["- " * (len(items) > 1) + _escaped("; ".join(filter(None, item))) for item in items]]
         )
     rule = [":---" if i in part.words else "---:" for i in range(len(part.headings))]
-    headings = [" ".join(heading.split()) for heading in part.headings]
-    rows = [[shown(cell).replace("|", "\\|") for cell in row] for row in part.cells]
+    headings = [_escaped(" ".join(heading.split())) for heading in part.headings]
+    rows = [[_escaped(cell) for cell in row] for row in part.cells]
     lines = [f"| {' | '.join(row)} |" for row in (headings, rule, *rows)]
-    return "\n".join([f"**{shown(part.title)}**\n"] * bool(part.title) + lines)
+    return "\n".join([f"**{_escaped(part.title)}**\n"] * bool(part.title) + lines)
+
+
+def _escaped(text: str) -> str:
+    """Text for Markdown: no name ends a cell, or becomes HTML, a link or a picture."""
+    return re.sub(r"[\\|<\[]", r"\\\g<0>", shown(text))
 
 
 def _in_spreadsheet(value: object) -> object:
@@ -180,4 +187,4 @@ def _in_spreadsheet(value: object) -> object:
     if not isinstance(value, str):
         return value
     text = shown(value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
+    return f"'{text}" if text.startswith(_FORMULA) and not _NUMBER.fullmatch(text) else text

@@ -18,6 +18,7 @@ from ...schemas.columns import Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES, SHIFT_COLUMNS, metric_of, reach_words
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
+    ALIKE,
     CONFIDENCE,
     Difference,
     adjusted_p_values,
@@ -219,7 +220,7 @@ def _changes(
     for i, score in enumerate(compared):
         own = paired_difference(values[i, :, 0], values[i, :, 1], blocks)
         if own.n_pairs:
-            towards = ("worse" if np.nanmean(worse_by[i]) > 0 else "better") if own.difference else ""
+            towards = ("worse" if np.nanmean(worse_by[i]) > 0 else "better") if abs(own.difference or 0) > ALIKE else ""
             is_same = own.low == own.high == 0 or (own.n_blocks > 1 and bool(np.isnan(p_values[i])))
             scores.append(
                 ScoreChange(

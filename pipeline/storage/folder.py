@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +21,7 @@ from .run_record import command_again, read_run
 from .table_files import JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
+_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)  # such as NFS without lockd
 
 
 class RunFolder(TableFolder):
@@ -64,7 +67,8 @@ class RunFolder(TableFolder):
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.refuse_links()
-            lock.acquire(timeout=0)
+            with warnings.catch_warnings(action="ignore"):  # without flock, a file that exists is the lock
+                lock.acquire(timeout=0)
             self.token_path.write_text(self.token)
         except Timeout:
             raise RunError(
@@ -72,7 +76,8 @@ class RunFolder(TableFolder):
             ) from None
         except OSError as error:
             lock.release()
-            raise RunError(f"run {self.folder}: cannot be written ({error.strerror}); give another --out") from error
+            fault = "its file system has no locks" if error.errno in _NO_LOCKS else "cannot be written"
+            raise RunError(f"run {self.folder}: {fault} ({error.strerror}); give another --out") from error
         try:
             if self._ledger is not None:
                 self._ledger.close()

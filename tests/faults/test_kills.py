@@ -122,7 +122,7 @@ def note_or_die(path, n_good):
 
 def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
-    pool = DaskPool(1, None, tmp_path, {})
+    pool = DaskPool(1, None, (), {})
     try:
         handle = pool.submit(note, tmp_path / "calls")
         assert pool.next_done() == (handle, "called\n")
@@ -139,7 +139,7 @@ def test_a_finished_task_is_not_run_again_when_its_worker_dies(tmp_path, monkeyp
 @pytest.mark.parametrize("n_good", [1, 2])
 def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(tmp_path, monkeypatch, n_good):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
-    pool = DaskPool(1, None, tmp_path, {})
+    pool = DaskPool(1, None, (), {})
     try:
         pool.submit(os.getpid)
         _, pid = pool.next_done()
@@ -157,7 +157,7 @@ def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(t
 @pytest.mark.exhaustive
 def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_KILL_S", 0.0)
-    pool = DaskPool(1, None, tmp_path, {})
+    pool = DaskPool(1, None, (), {})
     pool.submit(time.sleep, 1)
     pool.close(now=True)
     assert pool._cluster.status.name == "closed"

@@ -80,6 +80,9 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
     ("words", "fault"),
     [
         (["nowhere"], "error: dataset nowhere: no such folder"),
+        (["loop"], "error: dataset loop: no such folder"),
+        (["s3://bucket/data"], "error: s3://bucket/data: expected a local path, got a URL; mount or copy"),
+        (["{data}", "--out=gs://runs/x"], "error: --out=gs://runs/x: expected a local path, got a URL; mount or copy"),
         (
             ["{data}", "--set", "graph.k=0"],
             "error: setting graph.k: expected a number of at least 1, got 0; fidpipe settings lists the allowed values",
@@ -89,6 +92,7 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
     ],
 )
 def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, fault):
+    (tmp_path / "loop").symlink_to("loop")
     result = command("run", *[word.format(data=dataset) for word in words], cwd=tmp_path)
     assert result.returncode == 1
     assert one_line(result.stderr).startswith(fault)

@@ -14,12 +14,13 @@ from pathlib import Path
 
 import psutil
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster
 from rich.console import Console
 
 import broken_jobs
+from fidpipe import __version__
 from fidpipe.pipeline.engine import cluster as engine_cluster
-from fidpipe.pipeline.engine.cluster import DaskPool, code_hash, worker_fault
+from fidpipe.pipeline.engine.cluster import DaskPool, Requirements, code_hash, worker_fault
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
@@ -233,7 +234,7 @@ def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, clus
     (there / "METADATA").write_text("Metadata-Version: 2.1\nName: scipy\nVersion: 0.0.9\n")
     cluster.add_workers(1)
     versions = library_versions(["fidpipe", "scipy"])
-    pool = DaskPool(1, cluster.address, tmp_path / "file", versions)
+    pool = DaskPool(1, cluster.address, [tmp_path / "file"], versions)
     try:
         first = cluster.workers.pop()
         first.terminate()
@@ -244,6 +245,23 @@ def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, clus
             pool.next_done()
     finally:
         pool.close()
+
+
+def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
+    (tmp_path / "file").write_text("shared")
+    with LocalCluster(
+        n_workers=0, threads_per_worker=1, host="127.0.0.1", scheduler_kwargs={"dashboard": False}
+    ) as adaptive:
+        adaptive.adapt(minimum=0, maximum=1, interval="100ms")
+        pool = DaskPool(1, adaptive.scheduler_address, [tmp_path / "file"], {"fidpipe": __version__})
+        (tmp_path / "file").write_text("moved")  # a worker that joins from now on sees other files
+        try:
+            assert pool.dashboard == ""
+            pool.submit(pow, 2, 5)
+            with pytest.raises(RunError, match=r"a worker on .*file is another file there; workers must see the same"):
+                pool.next_done()
+        finally:
+            pool.close()
 
 
 @pytest.mark.exhaustive
@@ -285,10 +303,17 @@ def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_a_worker_with_other_code_of_the_same_version_is_refused(tmp_path):
-    fault = worker_fault(str(tmp_path), b"", "01234567")
-    assert fault == (
+def test_a_worker_with_other_code_or_other_files_is_refused(tmp_path):
+    assert worker_fault(Requirements({}, {}, "01234567")) == (
         f"fidpipe of the same version with other code ({code_hash()}, here 01234567); install the same one there"
+    )
+    gone, own = str(tmp_path / "gone"), str(tmp_path / "own")
+    Path(own).write_text("another")
+    same = "workers must see the same files under the same paths"
+    assert worker_fault(Requirements({}, {own: b"another"}, code_hash())) == ""
+    assert worker_fault(Requirements({}, {own: b"own"}, code_hash())) == f"{own} is another file there; {same}"
+    assert worker_fault(Requirements({}, {gone: b""}, code_hash())) == (
+        f"{gone} cannot be read there (No such file or directory); {same}"
     )
 
 

@@ -178,11 +178,15 @@ def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     assert one_error(command(words[0], finished / "run.json", *words[1:])).endswith(f"expected {finished}, got a file")
 
 
-@pytest.mark.parametrize("address", ["foo", "tcp://host", "foo://host:1", "tcp://host:99999", ""])
+@pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host", "foo://host:1", "tcp://host:99999", ""])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
-    assert one_error(command("run", dataset, "--out", tmp_path / "run", "--scheduler", address, timeout=60)) == (
-        f"error: scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786"
-    )
+    expected = "an address tcp://HOST:PORT, such as tcp://host:8786"
+    if address.startswith("tls"):
+        expected = (
+            "dask's settings distributed.comm.tls to name the certificates (DASK_DISTRIBUTED__COMM__TLS__CA_FILE)"
+        )
+    ended = command("run", dataset, "--out", tmp_path / "run", "--scheduler", address, timeout=60)
+    assert one_error(ended) == f"error: scheduler {address!r}: expected {expected}"
 
 
 @pytest.mark.parametrize("words", [("show",), ("show", "--json"), ("status",), ("settings",), ("--help",)])
@@ -225,6 +229,15 @@ def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(
     assert one_error(ended) == (
         "error: ulimit -v allows 0.9 GiB of address space per process; at least 2 are needed for worker processes; "
         "raise it, or use --workers 1"
+    )
+
+
+def test_a_name_that_is_not_utf8_is_said_in_one_line(finished, tmp_path):
+    odd = tmp_path / "odd\udcff"
+    odd.symlink_to(finished)
+    assert (
+        one_error(command("show", odd, "--markdown"))
+        == f"error: the name {str(odd)!a} is not UTF-8; rename the file or folder"
     )
 
 

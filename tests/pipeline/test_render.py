@@ -44,7 +44,7 @@ def test_markdown_has_every_column_a_bold_heading_and_warnings_as_a_list():
         "",
         "| pair | CDC | verdict | p value |",
         "| :--- | ---: | :--- | ---: |",
-        "| [bold]a\\|b | 0.51 | worse | - |",
+        "| \\[bold]a\\|b | 0.51 | worse | - |",
         f"| {'x' * 60} | 0.25 | same | 0.500 |",
         "",
         "plain",
@@ -76,9 +76,16 @@ def test_answers_stand_by_their_headings_and_lists_become_lists():
 
 
 def test_markdown_and_csv_hold_what_a_name_may_hold():
-    table = Table("", ["pair", "n", "CDC"], [["a|b\nc", None, 0.5], ['=1,"', 2, None]])
-    assert markdown([table]).splitlines()[2:] == ["| a\\|b\\u000ac | - | 0.500 |", '| =1," | 2 | - |']
-    assert csv_table(table) == 'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n'
+    table = Table(
+        "",
+        ["pair", "n", "CDC"],
+        [["a|b\nc", None, 0.5], ['=1,"', 2, None], ["<b>![i](//x)", 1, 0.0], ["\uff1d1", 1, 0.0]],
+    )
+    assert markdown([table]).splitlines()[2:] == ["| a\\|b\\\\u000ac | - | 0.500 |", '| =1," | 2 | - |'] + [
+        "| \\<b>!\\[i](//x) | 1 | 0.000 |",
+        "| \uff1d1 | 1 | 0.000 |",
+    ]
+    assert csv_table(table) == ('pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n<b>![i](//x),1,0.0\n\'\uff1d1,1,0.0\n')
 
 
 def test_short_names_stay_as_they_are_and_shortened_ones_differ():
