@@ -103,7 +103,7 @@ class TellApart:
         return {
             **_summary(self.test),
             "folds": "places" if self.test.by_place else "sectors",
-            "n_folds": self.test.n_folds,
+            "n_folds": len(self.test.by_fold),
             "n_points": self.n_points,
             "real_against_real": {**_summary(self.base), "of": self.base_of},
             "families": cast(JsonValue, families),
@@ -173,12 +173,12 @@ def _compare(
 ) -> TellApart:
     first = [side[0]().intensity for side in (real, sim)]
     has_intensity = all(one is not None and np.ptp(one) > 0 for one in first)
-    draw = partial(_draw, has_rays=has_rays, has_intensity=has_intensity)
+    draw = partial(draw_sample, has_rays=has_rays, has_intensity=has_intensity)
     (a, place_a), (b, place_b) = draw(real), draw(sim)
     place_b = place_a if is_paired else place_b
-    test = _test(a, b, place_a, place_b)
+    test = compare_samples(a, b, place_a, place_b)
     families = {
-        name: _test(a, b, place_a, place_b, family=name)
+        name: compare_samples(a, b, place_a, place_b, family=name)
         for name, own in FAMILIES.items()
         if not set(own).isdisjoint(a.names)
     }
@@ -194,23 +194,23 @@ def _compare(
         first_rows, other_rows = 2 * first_rows, 2 * first_rows + 1
     if second:
         base_of = "second measurements of the floor"
-        base = _test(a, draw(second)[0], place_a, place_a)
+        base = compare_samples(a, draw(second)[0], place_a, place_a)
     elif half and (not is_paired or (place_a[first_rows] == place_a[other_rows]).all()):
         base_of = "even and odd frames" if is_paired else "first and second half of the frames"
         c, d = (_of_frames(a, rows) for rows in (first_rows, other_rows))
-        base = _test(c, d, place_a[first_rows], place_a[other_rows])
+        base = compare_samples(c, d, place_a[first_rows], place_a[other_rows])
     else:
         base_of = "two random halves of the points of each frame"
         notes.append("no second real frame of the same place: random halves of one frame differ less than two frames")
         c, d = (draw([partial(_half, source, i, k) for i, source in enumerate(real)])[0] for k in (0, 1))
-        base = _test(c, d, place_a, place_a)
+        base = compare_samples(c, d, place_a, place_a)
     is_sim = np.repeat([False, True], [len(a.frame), len(b.frame)])
     where = dict(_where(np.vstack([a.points, b.points]), np.concatenate([a.height_m, b.height_m]), is_sim, by_surface))
     maps = (a.points, by_surface.probability[~is_sim]), (b.points, by_surface.probability[is_sim])
     return TellApart(title, min(len(a.frame), len(b.frame)), test, base, base_of, families, where, maps, tuple(notes))
 
 
-def _draw(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> tuple[Sample, IntArray]:
+def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> tuple[Sample, IntArray]:
     """Points of a side, and the place of each frame."""
     drawn, objects = [], []
     for i, source in enumerate(sources):
@@ -241,7 +241,7 @@ def _ranks(intensity: FloatArray | None, seed: int) -> FloatArray | None:
     return ranks
 
 
-def _test(a: Sample, b: Sample, place_a: IntArray, place_b: IntArray, family: str = "") -> Separation:
+def compare_samples(a: Sample, b: Sample, place_a: IntArray, place_b: IntArray, family: str = "") -> Separation:
     """Places of the two sides are brought together by their order; all features, or those of a family."""
     ranks = [np.unique(place, return_inverse=True)[1] for place in (place_a, place_b)]
     n = min(rank.max() + 1 for rank in ranks)

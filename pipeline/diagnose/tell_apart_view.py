@@ -21,7 +21,7 @@ def tell_apart_view(found: TellApart) -> View:
     tests += [(f"  by {name} alone", one) for name, one in found.families.items()]
     tests += [(f"real against real ({found.base_of})", found.base)]
     rows = [(name, one.auc, f"{number(one.low)} to {number(one.high)}") for name, one in tests]
-    folds = f"{found.test.n_folds} {'places' if found.test.by_place else 'sectors'}"
+    folds = f"{len(found.test.by_fold)} {'places' if found.test.by_place else 'sectors'}"
     features = [
         (name, feature, auc, one.loss[feature])
         for name, one in found.families.items()

@@ -41,7 +41,7 @@ class Separation:
 
     auc : area under the ROC curve on points of places that were not trained on, mean over the folds
     low, high : its 95 % interval, Student's t over the folds
-    n_folds : number of folds that have points of both sides
+    by_fold : (k,) float64, AUC of each fold that has points of both sides
     by_place : folds are places; else sectors of azimuth
     probability : (n,) float64, of being simulated, by the classifier that has not seen the point's place; NaN if none
     alone : by feature, the AUC of a classifier that has no other
@@ -51,7 +51,7 @@ class Separation:
     auc: float
     low: float
     high: float
-    n_folds: int
+    by_fold: FloatArray
     by_place: bool
     probability: FloatArray
     alone: dict[str, float]
@@ -153,7 +153,7 @@ def separate(
         auc=float(np.mean(aucs)),
         low=max(0.0, float(low)),
         high=min(1.0, float(high)),
-        n_folds=len(aucs),
+        by_fold=np.array(aucs),
         by_place=len(np.unique(place)) >= LEAST_PLACES,
         probability=probability,
         alone=dict(zip(columns, alone.mean(axis=1).tolist(), strict=True)),

@@ -1,0 +1,156 @@
+"""Does the tell-apart test see the flaws of a simulator, and is it blind to two measurements by one sensor?
+
+    fidpipe twin ../shared/data/kitti_sequence .cache/twins --pairs '*[02468]'
+    python benchmarks/tell_apart.py ../shared/data/kitti_twin .cache/twins
+
+First real against real of one sensor, then each flaw of `decisions.py` on its two bases, in memory: AUC, its change
+against the base with t over the folds, and the other score that sees the flaw best, by t over the pairs.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from decisions import EVERY, NONE, random, read
+from flawed_scans import ALL, Scan, find_car, find_poles, ray_noise
+
+from fidpipe.pipeline.datasets.readers import frames_of, read_scan
+from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sample
+from fidpipe.schemas.settings import load
+from fidpipe.stages.inspect.sensor_description import PAIR_COLUMNS, describe_sensor
+from fidpipe.stages.method import measure_coverage, remove_road
+from fidpipe.stages.pieces import CutScan, find_pieces
+from fidpipe.stages.rays import find_rays, score_rays
+from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
+
+SETTINGS = load(preset="reference")
+MILD = {
+    "0.5 cm noise, 1 % loss": (0.005, 0.01),
+    "1 cm noise": (0.01, 0.0),
+    "3 cm noise": (0.03, 0.0),
+    "8 cm noise": (0.08, 0.0),
+    "20 % loss": (0.0, 0.2),
+}
+
+
+def cleaned(points):
+    clean, cut = remove_road(points, SETTINGS, "real")
+    return clean.points, cut
+
+
+def sources(clouds):
+    return [lambda own=own: Frame(own[0], own[0], own[1].height_m, own[1].is_ground, None) for own in clouds]
+
+
+def sample(clouds):
+    return draw_sample(sources(clouds), has_rays=True, has_intensity=False)
+
+
+def show(name, found):
+    print(f"| {name} | {found.auc:.3f} | {found.low:.3f} to {found.high:.3f} | {len(found.by_fold)} |", flush=True)
+
+
+def real_against_real(name, scans):
+    """Even against odd frames, and the first half against the second."""
+    clouds, half = [cleaned(scan) for scan in scans], len(scans) // 2
+    for which, a, b in (
+        ("even and odd frames", clouds[: 2 * half : 2], clouds[1::2]),
+        ("first and second half", clouds[:half], clouds[half : 2 * half]),
+    ):
+        (first, place), (second, _) = sample(a), sample(b)
+        show(f"{name}, {which}", compare_samples(first, second, place * 0, place * 0))
+
+
+def scores(real, sim):
+    """Scores of a pair that need no objects."""
+    both = (real, sim)
+    points = [own[~cut.is_ground] for own, cut in both]
+    ids = [np.zeros(len(own), dtype=np.int32) for own in points]
+    covered = measure_coverage(points, ids, (1, 1), [(cut.axis, cut.threshold_m) for _, cut in both])
+    values = {f"covered {side}": own.whole.covered[0, 1] for side, own in zip(("real", "sim"), covered, strict=True)}
+    surfaces = [describe_surface(own) for own in points]
+    values |= compare_roughness(*surfaces) | {"shift": measure_offsets(*surfaces).distance_m[0]}
+    pieces = find_pieces(*(CutScan(own, cut.is_ground, cut.height_m) for own, cut in both), SETTINGS.pieces)
+    values |= {"missing pieces": pieces[0].share, "invented pieces": pieces[1].share}
+    sensors = [asdict(describe_sensor(own)) for own, _ in both]
+    values |= {name: sensors[1][name] for name in PAIR_COLUMNS if name != "lost_share"}
+    values |= {"beams": len(sensors[1]["elevation_deg"]), "lost": sensors[1]["lost_in_all"]}
+    rays = find_rays(real[0], sim[0], sensors)
+    return values | ({} if isinstance(rays, str) else score_rays(rays))
+
+
+def t_of(change):
+    """Mean over its standard error."""
+    change = np.asarray(change, dtype=float)
+    change = change[~np.isnan(change)]
+    error = change.std(ddof=1) / np.sqrt(len(change)) if len(change) > 2 else 0.0
+    return float(change.mean() / error) if error > 1e-12 else 0.0
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
+    parser.add_argument("--flaws", nargs="*", default=list(ALL))
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    args = parser.parse_args()
+    print("| real against real | AUC | 95 % interval | folds |\n|---|---|---|---|")
+    for name, paths in (
+        ("HDL-64E, ten frames of a drive", sorted((args.data / "kitti_sequence").glob("*.bin"))),
+        ("HDL-64E, five frames of a drive", sorted((args.data / "kitti_twin/real").glob("*.bin"))),
+        ("VLP-32C, parked, four sweeps", frames_of(args.data / "velodyne_vlp32c/sweeps.pcap")[:4]),
+    ):
+        real_against_real(name, [read_scan(path).points for path in paths])
+    names, scans, full = [], {"real": [], "poor": [], "good": []}, []
+    for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
+        name, cloud = f"{path.parent.parent.name}-{path.stem}", read(path)
+        car, poles, real = find_car(cloud), find_poles(cloud), cloud[::EVERY]
+        kept = real[random(name, "loss").random(len(real)) >= 0.03]
+        names.append(name)
+        full.append(cloud)
+        scans["real"].append(Scan(real, car, poles))
+        scans["poor"].append(Scan(read(path.parent.with_name("sim") / path.name)[::EVERY], car, poles))
+        scans["good"].append(Scan(ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), car, poles))
+    print("\n| real against itself re-measured | AUC | 95 % interval | folds |\n|---|---|---|---|")
+    whole, place = sample([cleaned(cloud) for cloud in full])
+    for name, (noise_m, lost) in MILD.items():
+        again = [
+            ray_noise(noise_m)(Scan(own[rng.random(len(own)) >= lost], None, None), rng)
+            for own, rng in zip(full, (random(one, name) for one in names), strict=True)
+        ]
+        show(name, compare_samples(whole, sample([cleaned(own) for own in again])[0], place, place))
+    reals = [cleaned(own.points) for own in scans["real"]]
+    real_sample, place = sample(reals)
+    for base in ("good", "poor"):
+        print(f"\n| flaw, {base} base | AUC | surface alone | change | t | best other score | t |\n" + "|---" * 7 + "|")
+        before = None
+        for flaw in (NONE, *args.flaws):
+            sims = [
+                cleaned(own.points if flaw == NONE else ALL[flaw](own, random(name, flaw)))
+                for name, own in zip(names, scans[base], strict=True)
+            ]
+            drawn = sample(sims)[0]
+            found, surface = (compare_samples(real_sample, drawn, place, place, family) for family in ("", "surface"))
+            table = pd.DataFrame([scores(*pair) for pair in zip(reals, sims, strict=True)]).astype(float)
+            row = f"| {flaw} | {found.auc:.3f} | {surface.auc:.3f} |"
+            if before is None:
+                before = found, table
+                print(row, "- | - | - | - |", flush=True)
+                continue
+            t = {
+                column: t_of(table[column] - before[1][column])
+                for column in table.columns.intersection(before[1].columns)
+            }
+            best = max(t, key=lambda column: abs(t[column]))
+            change = found.by_fold - before[0].by_fold
+            print(row, f"{change.mean():+.3f} | {t_of(change):+.0f} | {best} | {t[best]:+.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
