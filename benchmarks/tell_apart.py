@@ -24,13 +24,14 @@ from flawed_scans import ALL, Scan, find_car, find_poles, ray_noise
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sample
 from fidpipe.schemas.settings import load
-from fidpipe.stages.inspect.sensor_description import PAIR_COLUMNS, describe_sensor
+from fidpipe.stages.inspect.sensor_description import describe_sensor
 from fidpipe.stages.method import measure_coverage, remove_road
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.rays import find_rays, score_rays
 from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
 
 SETTINGS = load(preset="reference")
+SENSOR = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_in_all")
 MILD = {
     "0.5 cm noise, 1 % loss": (0.005, 0.01),
     "1 cm noise": (0.01, 0.0),
@@ -64,8 +65,7 @@ def real_against_real(name, scans):
         ("even and odd frames", clouds[: 2 * half : 2], clouds[1::2]),
         ("first and second half", clouds[:half], clouds[half : 2 * half]),
     ):
-        (first, place), (second, _) = sample(a), sample(b)
-        show(f"{name}, {which}", compare_samples(first, second, place * 0, place * 0))
+        show(f"{name}, {which}", compare_samples(sample(a), sample(b)))
 
 
 def scores(real, sim):
@@ -80,8 +80,8 @@ def scores(real, sim):
     pieces = find_pieces(*(CutScan(own, cut.is_ground, cut.height_m) for own, cut in both), SETTINGS.pieces)
     values |= {"missing pieces": pieces[0].share, "invented pieces": pieces[1].share}
     sensors = [asdict(describe_sensor(own)) for own, _ in both]
-    values |= {name: sensors[1][name] for name in PAIR_COLUMNS if name != "lost_share"}
-    values |= {"beams": len(sensors[1]["elevation_deg"]), "lost": sensors[1]["lost_in_all"]}
+    values |= {name: sensors[1][name] for name in SENSOR}
+    values |= {"beams": len(sensors[1]["elevation_deg"])}
     rays = find_rays(real[0], sim[0], sensors)
     return values | ({} if isinstance(rays, str) else score_rays(rays))
 
@@ -118,15 +118,15 @@ def main():
         scans["poor"].append(Scan(read(path.parent.with_name("sim") / path.name)[::EVERY], car, poles))
         scans["good"].append(Scan(ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), car, poles))
     print("\n| real against itself re-measured | AUC | 95 % interval | folds |\n|---|---|---|---|")
-    whole, place = sample([cleaned(cloud) for cloud in full])
+    whole = sample([cleaned(cloud) for cloud in full])
     for name, (noise_m, lost) in MILD.items():
         again = [
             ray_noise(noise_m)(Scan(own[rng.random(len(own)) >= lost], None, None), rng)
             for own, rng in zip(full, (random(one, name) for one in names), strict=True)
         ]
-        show(name, compare_samples(whole, sample([cleaned(own) for own in again])[0], place, place))
+        show(name, compare_samples(whole, sample([cleaned(own) for own in again])))
     reals = [cleaned(own.points) for own in scans["real"]]
-    real_sample, place = sample(reals)
+    real_sample = sample(reals)
     for base in ("good", "poor"):
         print(f"\n| flaw, {base} base | AUC | surface alone | change | t | best other score | t |\n" + "|---" * 7 + "|")
         before = None
@@ -135,8 +135,8 @@ def main():
                 cleaned(own.points if flaw == NONE else ALL[flaw](own, random(name, flaw)))
                 for name, own in zip(names, scans[base], strict=True)
             ]
-            drawn = sample(sims)[0]
-            found, surface = (compare_samples(real_sample, drawn, place, place, family) for family in ("", "surface"))
+            drawn = sample(sims)
+            found, surface = (compare_samples(real_sample, drawn, family) for family in ("", "surface"))
             table = pd.DataFrame([scores(*pair) for pair in zip(reals, sims, strict=True)]).astype(float)
             row = f"| {flaw} | {found.auc:.3f} | {surface.auc:.3f} |"
             if before is None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import numpy as np
 from pydantic import JsonValue
@@ -21,9 +21,8 @@ from ...stages.clean import as_ros
 from ...stages.diagnose.tell_apart import FAMILIES, LEAST_PLACES, Separation, auc_of, describe_points, separate
 from ...stages.inspect.sensor_description import describe_sensor
 from ...stages.method import remove_road
-from ...stages.statistics.comparison import blocks_of
 from ...stages.statistics.findings import BAND_EDGES_M
-from ...stages.statistics.neighbours import neighbours
+from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap
 from ..datasets.readers import frames_of, holds_frames, read_scan
 from ..datasets.readers.scan import Scan
 from ..datasets.sequences import scans_in
@@ -64,12 +63,14 @@ class Sample:
     points : (n, 3) float64, metres
     height_m : (n,) float64, above the road
     frame : (n,) int32, number of the frame
+    place : (n,) int32, number of the place that the frame shows, in the order of the frames
     features, names : as `describe_points` returns them
     """
 
     points: FloatArray
     height_m: FloatArray
     frame: IntArray
+    place: IntArray
     features: FloatArray
     names: tuple[str, ...]
 
@@ -99,25 +100,27 @@ class TellApart:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        families = [{"name": name, **_summary(one), "features": _rows(one)} for name, one in self.families.items()]
-        return {
-            **_summary(self.test),
+        families: list[JsonValue] = [
+            _summary(one) | {"name": name, "features": [_row(one, feature) for feature in one.alone]}
+            for name, one in self.families.items()
+        ]
+        return _summary(self.test) | {
             "folds": "places" if self.test.by_place else "sectors",
             "n_folds": len(self.test.by_fold),
             "n_points": self.n_points,
-            "real_against_real": {**_summary(self.base), "of": self.base_of},
-            "families": cast(JsonValue, families),
+            "real_against_real": _summary(self.base) | {"of": self.base_of},
+            "families": families,
             "where": [{"name": name, "auc": auc} for name, auc in self.where.items()],
             "notes": [*self.notes],
         }
 
 
-def _summary(test: Separation) -> dict[str, float]:
+def _summary(test: Separation) -> JsonObject:
     return {"auc": test.auc, "low": test.low, "high": test.high}
 
 
-def _rows(test: Separation) -> list[dict[str, str | float]]:
-    return [{"name": name, "auc_alone": auc, "loss": test.loss[name]} for name, auc in test.alone.items()]
+def _row(test: Separation, feature: str) -> JsonObject:
+    return {"name": feature, "auc_alone": test.alone[feature], "loss": test.loss[feature]}
 
 
 def tell_apart_run(run: FinishedRun, floor: FinishedRun | None = None) -> TellApart:
@@ -171,110 +174,107 @@ def _compare(
     has_rays: bool,
     is_paired: bool,
 ) -> TellApart:
-    first = [side[0]().intensity for side in (real, sim)]
-    has_intensity = all(one is not None and np.ptp(one) > 0 for one in first)
+    intensities = [side[0]().intensity for side in (real, sim)]
+    has_intensity = all(own is not None and np.ptp(own) > 0 for own in intensities)
     draw = partial(draw_sample, has_rays=has_rays, has_intensity=has_intensity)
-    (a, place_a), (b, place_b) = draw(real), draw(sim)
-    place_b = place_a if is_paired else place_b
-    test = compare_samples(a, b, place_a, place_b)
-    families = {
-        name: compare_samples(a, b, place_a, place_b, family=name)
-        for name, own in FAMILIES.items()
-        if not set(own).isdisjoint(a.names)
-    }
-    by_surface = families["surface"]
+    a, b = draw(real), draw(sim)
+    test = compare_samples(a, b, is_paired=is_paired)
+    known = [name for name, own in FAMILIES.items() if not set(own).isdisjoint(a.names)]
+    families = {name: compare_samples(a, b, name, is_paired=is_paired) for name in known}
     notes = []
     if not is_paired:
         notes.append("the two folders may show different places; so do the two halves of the real frames")
     if not test.by_place:
         notes.append(f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are not tested")
-    half = len(real) // 2
-    first_rows, other_rows = np.arange(half), np.arange(half, 2 * half)
-    if is_paired:
-        first_rows, other_rows = 2 * first_rows, 2 * first_rows + 1
+    n, half = np.arange(len(real)), len(real) // 2
+    parts = (n[: 2 * half : 2], n[1::2]) if is_paired else (n[:half], n[half : 2 * half])
+    c, d = (_of_frames(a, part) for part in parts)
     if second:
-        base_of = "second measurements of the floor"
-        base = compare_samples(a, draw(second)[0], place_a, place_a)
-    elif half and (not is_paired or (place_a[first_rows] == place_a[other_rows]).all()):
+        base_of, (c, d) = "second measurements of the floor", (a, draw(second))
+    elif half and (not is_paired or len(np.unique(a.place)) <= half):
         base_of = "even and odd frames" if is_paired else "first and second half of the frames"
-        c, d = (_of_frames(a, rows) for rows in (first_rows, other_rows))
-        base = compare_samples(c, d, place_a[first_rows], place_a[other_rows])
     else:
         base_of = "two random halves of the points of each frame"
         notes.append("no second real frame of the same place: random halves of one frame differ less than two frames")
-        c, d = (draw([partial(_half, source, i, k) for i, source in enumerate(real)])[0] for k in (0, 1))
-        base = compare_samples(c, d, place_a, place_a)
+        c, d = (draw([partial(_half, source, i, k) for i, source in enumerate(real)]) for k in (0, 1))
+    base = compare_samples(c, d, is_paired=is_paired)
+    n_points, by_surface = min(len(a.frame), len(b.frame)), families["surface"]
     is_sim = np.repeat([False, True], [len(a.frame), len(b.frame)])
-    where = dict(_where(np.vstack([a.points, b.points]), np.concatenate([a.height_m, b.height_m]), is_sim, by_surface))
     maps = (a.points, by_surface.probability[~is_sim]), (b.points, by_surface.probability[is_sim])
-    return TellApart(title, min(len(a.frame), len(b.frame)), test, base, base_of, families, where, maps, tuple(notes))
+    where = dict(_where(a, b, is_sim, by_surface.probability))
+    return TellApart(title, n_points, test, base, base_of, families, where, maps, tuple(notes))
 
 
-def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> tuple[Sample, IntArray]:
-    """Points of a side, and the place of each frame."""
-    drawn, objects = [], []
+def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> Sample:
+    """Points of a side. A place begins with the first frame that does not show that of the frames before."""
+    drawn, place = [], -1
+    first: PlaceMap | None = None
+    names: tuple[str, ...] = ()
     for i, source in enumerate(sources):
         own = source()
         n = min(POINTS // len(sources), len(own.points))
         rows = np.sort(np.random.default_rng(i).choice(len(own.points), n, replace=False))
-        features, names = describe_points(
-            own.points,
-            own.height_m,
-            rows,
-            own_points=own.own_points if has_rays else None,
-            intensity=_ranks(own.intensity, i) if has_intensity else None,
-        )
-        drawn.append((own.points[rows], own.height_m[rows], np.full(n, i, dtype=np.int32), features))
-        objects.append(own.points[~own.is_ground])
-    place = blocks_of([str(i) for i in range(len(sources))], [None] * len(sources), neighbours(objects))
-    points, height_m, frame, features = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
-    return Sample(points, height_m, frame, features, names), place
+        rays = own.own_points if has_rays else None
+        ranks = _ranks(own.intensity, i) if has_intensity and own.intensity is not None else None
+        features, names = describe_points(own.points, own.height_m, rows, own_points=rays, intensity=ranks)
+        seen = map_place(own.points[~own.is_ground])
+        if first is None or overlap(first, seen) < SAME_PLACE:
+            first, place = seen, place + 1
+        drawn.append((own.points[rows], own.height_m[rows], np.full(n, i), np.full(n, place), features))
+    points, height_m, frame, places, features = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
+    return Sample(points, height_m, frame.astype(np.int32), places.astype(np.int32), features, names)
 
 
-def _ranks(intensity: FloatArray | None, seed: int) -> FloatArray | None:
+def _ranks(intensity: FloatArray, seed: int) -> FloatArray:
     """Ranks from 0 to 1: scales differ. Equal values in random order, as their common rank would mark the frame."""
-    if intensity is None:
-        return None
     order = np.lexsort((np.random.default_rng(seed).random(len(intensity)), intensity))
     ranks = np.empty(len(order))
     ranks[order] = np.linspace(0, 1, len(order))
     return ranks
 
 
-def compare_samples(a: Sample, b: Sample, place_a: IntArray, place_b: IntArray, family: str = "") -> Separation:
-    """Places of the two sides are brought together by their order; all features, or those of a family."""
-    ranks = [np.unique(place, return_inverse=True)[1] for place in (place_a, place_b)]
-    n = min(rank.max() + 1 for rank in ranks)
-    place = [(rank * n // (rank.max() + 1))[own.frame] for rank, own in zip(ranks, (a, b), strict=True)]
-    points = np.vstack([a.points, b.points])
+def compare_samples(a: Sample, b: Sample, family: str = "", *, is_paired: bool = True) -> Separation:
+    """Test two samples by all features, or by those of a family.
+
+    Parameters
+    ----------
+    is_paired : frames of one number show the same place; else places are brought together by their order
+    """
+    place = [a.place, b.place]
+    if is_paired:
+        first = np.unique(a.frame, return_index=True)[1]
+        place[1] = a.place[first][b.frame]
+    n = min(int(own.max()) + 1 for own in place)
+    place = [own * n // (own.max() + 1) for own in place]
     columns = np.flatnonzero([not family or name in FAMILIES[family] for name in a.names])
+    x, y, _ = np.vstack([a.points, b.points]).T
     return separate(
         np.vstack([a.features, b.features])[:, columns],
         [a.names[i] for i in columns],
         np.repeat([False, True], [len(a.frame), len(b.frame)]),
         np.concatenate(place),
-        np.degrees(np.arctan2(points[:, 1], points[:, 0])),
+        np.degrees(np.arctan2(y, x)),
         by_feature=family != "",
     )
 
 
 def _of_frames(sample: Sample, frames: IndexArray) -> Sample:
-    """The points of some frames, which are numbered from 0 on."""
-    is_in = np.isin(sample.frame, frames)
-    number = np.searchsorted(frames, sample.frame[is_in]).astype(np.int32)
-    return Sample(sample.points[is_in], sample.height_m[is_in], number, sample.features[is_in], sample.names)
+    """The points of some frames, which are numbered from 0 on, as are their places."""
+    own = np.isin(sample.frame, frames)
+    number = np.searchsorted(frames, sample.frame[own]).astype(np.int32)
+    place = np.unique(sample.place[own], return_inverse=True)[1].astype(np.int32)
+    return Sample(sample.points[own], sample.height_m[own], number, place, sample.features[own], sample.names)
 
 
-def _where(
-    points: FloatArray, height_m: FloatArray, is_sim: BoolArray, test: Separation
-) -> Iterator[tuple[str, float | None]]:
-    range_m = np.linalg.norm(points, axis=1)
+def _where(a: Sample, b: Sample, is_sim: BoolArray, probability: FloatArray) -> Iterator[tuple[str, float | None]]:
+    range_m = np.linalg.norm(np.vstack([a.points, b.points]), axis=1)
+    height_m = np.concatenate([a.height_m, b.height_m])
     groups = {"road": np.abs(height_m) < _ROAD_M, "above the road": height_m >= _ROAD_M}
     for low, high in pairwise((*BAND_EDGES_M, np.inf)):
         groups[f"{low:g} to {high:g} m" if high < np.inf else f"over {low:g} m"] = (range_m >= low) & (range_m < high)
     for name, is_in in groups.items():
-        rows = is_in & ~np.isnan(test.probability)
-        yield name, auc_of(is_sim[rows], test.probability[rows])
+        rows = is_in & ~np.isnan(probability)
+        yield name, auc_of(is_sim[rows], probability[rows])
 
 
 def _read_stored(run: FinishedRun, name: str, side: str) -> Frame:
@@ -314,7 +314,9 @@ def _half(source: Source, seed: int, which: int) -> Frame:
     return Frame(own.points[is_in], own.own_points[is_in], own.height_m[is_in], own.is_ground[is_in], intensity)
 
 
-def _evenly(items: Sequence[_Item]) -> list[_Item]:
-    """At most `MOST_FRAMES`, evenly over all."""
-    n = min(len(items), MOST_FRAMES)
-    return [items[i * len(items) // n] for i in range(n)]
+def _evenly(items: Sequence[_Item]) -> Sequence[_Item]:
+    """At most `MOST_FRAMES`: neighbours in twos, evenly over all."""
+    if len(items) <= MOST_FRAMES:
+        return items
+    n = MOST_FRAMES // 2
+    return [item for i in range(n) for item in items[i * len(items) // n :][:2]]

@@ -20,9 +20,11 @@ from ..statistics.comparison import mean_test
 
 #: Numbers of neighbours over which the shape of the surface is described.
 SCALES = (8, 24, 64)
-#: With fewer independent places, places are cut into sectors of azimuth.
+#: With fewer places, folds are sectors of azimuth.
 LEAST_PLACES = 5
 SECTORS, MOST_FOLDS = 8, 10
+#: Trees of a classifier with all features, and with one.
+TREES, TREES_ALONE = 60, 20
 #: Points next to a tested sector are not trained on.
 GUARD_DEG = 10.0
 _LEAST_POINTS = 20  # of each side in a fold
@@ -122,7 +124,7 @@ def separate(
     features : (n, f) float64, points of both sides
     names : (f,) group of each feature; those of one group are tried and permuted together
     is_sim : (n,) bool
-    place : (n,) int32, place of the frame of each point; frames of one place have the same number
+    place : (n,) int32, place of the frame of each point, from 0 on, in the order of recording
     azimuth_deg : (n,) float64, of each point
     by_feature : also compute `alone` and `loss`, else they are empty
 
@@ -139,14 +141,14 @@ def separate(
     columns = {name: np.flatnonzero([own == name for own in names]) for name in names if by_feature}
     alone, loss = (np.zeros((len(columns), len(splits))) for _ in range(2))
     for k, (train, test) in enumerate(splits):
-        model, truth = _fit(features[train], is_sim[train]), is_sim[test]
+        model, truth = _fit(features[train], is_sim[train], TREES), is_sim[test]
         probability[test] = model.predict_proba(features[test])[:, 1]
         aucs.append(_auc(truth, probability[test]))
         for i, own in enumerate(columns.values()):
             permuted = features[test]
             permuted[:, own] = rng.permutation(permuted[:, own])
             loss[i, k] = aucs[-1] - _auc(truth, model.predict_proba(permuted)[:, 1])
-            single = _fit(features[train][:, own], is_sim[train], 20)
+            single = _fit(features[train][:, own], is_sim[train], TREES_ALONE)
             alone[i, k] = _auc(truth, single.predict_proba(features[test][:, own])[:, 1])
     _, low, high = mean_test(np.array(aucs))
     return Separation(
@@ -154,7 +156,7 @@ def separate(
         low=max(0.0, float(low)),
         high=min(1.0, float(high)),
         by_fold=np.array(aucs),
-        by_place=len(np.unique(place)) >= LEAST_PLACES,
+        by_place=int(place.max()) + 1 >= LEAST_PLACES,
         probability=probability,
         alone=dict(zip(columns, alone.mean(axis=1).tolist(), strict=True)),
         loss=dict(zip(columns, loss.mean(axis=1).tolist(), strict=True)),
@@ -167,30 +169,33 @@ def auc_of(is_sim: BoolArray, probability: FloatArray) -> float | None:
 
 
 def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[tuple[IndexArray, IndexArray]]:
-    """Rows to train on and to test on: places; if there are fewer than five, sectors of places, of equal size."""
-    own = np.unique(place, return_inverse=True)[1]
-    n_places = int(own.max()) + 1
-    if n_places >= LEAST_PLACES:
-        fold = own % MOST_FOLDS
-        for k in range(fold.max() + 1):
-            yield np.flatnonzero(fold != k), np.flatnonzero(fold == k)
-        return
-    n_sectors = -(-SECTORS // n_places)
-    for one in range(n_places):
-        is_place = own == one
-        edges = np.quantile(azimuth_deg[is_place], np.linspace(0, 1, n_sectors + 1))
-        edges[-1] += 1.0
-        for low, high in pairwise(edges):
-            off = np.abs((azimuth_deg - (low + high) / 2 + 180) % 360 - 180) - (high - low) / 2
-            is_tested = is_place & (azimuth_deg >= low) & (azimuth_deg < high)
-            yield np.flatnonzero(~is_place | ((off > GUARD_DEG) & ~is_tested)), np.flatnonzero(is_tested)
+    """Rows to train on and to test on: places; with fewer than five of them, sectors of equal size.
+
+    Neither the places before and after a tested place nor the 10 degrees next to a tested sector are trained on.
+    """
+    n_places = int(place.max()) + 1
+    is_by_place = n_places >= LEAST_PLACES
+    n_folds = min(n_places, MOST_FOLDS) if is_by_place else SECTORS
+    limits = np.linspace(0, n_places, n_folds + 1).round() - 0.5
+    values: FloatArray = place.astype(np.float64)
+    if not is_by_place:
+        limits, values = np.quantile(azimuth_deg, np.linspace(0, 1, n_folds + 1)), azimuth_deg
+        limits[-1] += 1.0
+    for low, high in pairwise(limits):
+        is_tested = (values >= low) & (values < high)
+        if is_by_place:
+            is_apart = (values < low - 1) | (values >= high + 1)
+        else:
+            off = np.abs((values - (low + high) / 2 + 180) % 360 - 180)
+            is_apart = ~is_tested & (off > (high - low) / 2 + GUARD_DEG)
+        yield np.flatnonzero(is_apart), np.flatnonzero(is_tested)
 
 
 def _has_both(is_sim: BoolArray) -> bool:
     return bool(min(np.bincount(is_sim, minlength=2)) >= _LEAST_POINTS)
 
 
-def _fit(features: FloatArray, is_sim: BoolArray, n_trees: int = 60) -> Any:
+def _fit(features: FloatArray, is_sim: BoolArray, n_trees: int) -> Any:
     from sklearn.ensemble import HistGradientBoostingClassifier
 
     model = HistGradientBoostingClassifier(max_iter=n_trees, max_leaf_nodes=15, early_stopping=False, random_state=0)

@@ -1,0 +1,169 @@
+"""A contest entry scored by the contest's metrics and by fidpipe, next to real frames against each other.
+
+    python benchmarks/urbantwin.py ../shared/data/lumpi
+
+Every figure of `docs/urbantwin.md`. Needs `pip install 'fidpipe[icp]'`.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import itertools
+from pathlib import Path
+
+import numpy as np
+import ot
+import small_gicp
+from scipy.linalg import sqrtm
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from fidpipe.pipeline.diagnose.tell_apart import tell_apart_folders
+from fidpipe.schemas.settings import load
+from fidpipe.stages.ground import remove_ground
+from fidpipe.stages.pieces import CutScan, find_pieces
+
+#: The contest's region, sample and range of each metric, from which its score is made (config.json of the track).
+BOX = np.array([[-40.0, -40.0, -5.0], [40.0, 40.0, 5.0]])
+SAMPLE, SEED = 10_000, 1234
+LIMITS = {"CD": (2.0, 30.0), "MMD": (0.0, 0.5), "EMD": (0.0, 5.0), "FPD": (0.0, 50.0)}
+WORDS = ['input.columns=["x","y","z"]', "input.min_range_m=0", "input.include_box=[-40,-40,-5,40,40,5]"]
+ROAD_M, REACHES_M = 1.0, (0.1, 0.3, 1.0)
+
+
+def read(folder):
+    for path in sorted(folder.glob("*.bin")):
+        points = np.fromfile(path, np.float32).reshape(-1, 3).astype(float)
+        yield points[((points >= BOX[0]) & (points <= BOX[1])).all(axis=1)]
+
+
+def contest(real, sim):
+    """The four distances between two clouds, and the realism score."""
+    a, b = (
+        cloud[np.random.default_rng(SEED + i).choice(len(cloud), SAMPLE, replace=False)]
+        for i, cloud in enumerate((real, sim))
+    )
+    to_b, to_a = cKDTree(b).query(a)[0], cKDTree(a).query(b)[0]
+    few = a[:4000], b[:4000]
+    width = np.median(cdist(*few))
+    kernel = {
+        (i, j): np.exp(-cdist(few[i], few[j], "sqeuclidean") / (2 * width**2)).mean()
+        for i, j in ((0, 0), (0, 1), (1, 1))
+    }
+    A, B = np.cov(a.T), np.cov(b.T)
+    found = {
+        "CD": (to_b**2).mean() + (to_a**2).mean(),
+        "MMD": kernel[0, 0] + kernel[1, 1] - 2 * kernel[0, 1],
+        "EMD": float(ot.emd2([], [], cdist(a, b), numItermax=10**8)),
+        "FPD": float(((a.mean(axis=0) - b.mean(axis=0)) ** 2).sum() + np.trace(A + B - 2 * sqrtm(A @ B).real)),
+    }
+    kept = [1 - np.clip((found[name] - low) / (high - low), 0, 1) for name, (low, high) in LIMITS.items()]
+    return found | {"realism": float(np.mean(kept))}
+
+
+def align(real, sim, fixed):
+    """Motions of the simulated onto the real cloud by GICP from 63 starts, and the share of `fixed` that each covers.
+
+    Best first.
+    """
+    found = []
+    for yaw_deg, x, y in itertools.product(range(-6, 7, 2), (-2.0, 0.0, 2.0), (-2.0, 0.0, 2.0)):
+        start, c, s = np.eye(4), np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+        start[:2, :2], start[:2, 3] = [[c, -s], [s, c]], (x, y)
+        options = {"downsampling_resolution": 0.25, "max_correspondence_distance": 4.0}
+        T = small_gicp.align(real, sim, init_T_target_source=start, registration_type="GICP", **options).T_target_source
+        found.append((covered(fixed, moved(T, [sim]))[1], T))
+    return sorted(found, key=lambda each: -each[0])
+
+
+def affine(sim, real, alpha=0.9):
+    """The entrant's last step: mean and deviation along each axis moved to those of real frames, by `alpha`."""
+    (mean, std), (mean_real, std_real) = (
+        (np.vstack(side).mean(axis=0), np.vstack(side).std(axis=0)) for side in (sim, real)
+    )
+    return [(own - mean) * (1 + alpha * (std_real / std - 1)) + mean + alpha * (mean_real - mean) for own in sim]
+
+
+def static(frames, i):
+    """Points of a frame that all other frames of its side have within 0.3 m, at least 1 m above the road."""
+    is_in = frames[i][:, 2] > road(frames[i]) + ROAD_M
+    for other in frames[:i] + frames[i + 1 :]:
+        is_in &= cKDTree(other).query(frames[i])[0] < 0.3
+    return frames[i][is_in]
+
+
+def road(points):
+    return remove_ground(points, load().ground).peak_m
+
+
+def covered(points, others):
+    distance_m = cKDTree(np.vstack(others)).query(points)[0]
+    return [float((distance_m <= reach).mean()) for reach in REACHES_M]
+
+
+def pieces(real, sim):
+    """Share of the object points of each side in missing and invented pieces."""
+    cuts = [remove_ground(cloud, load().ground) for cloud in (real, sim)]
+    scans = [CutScan(cloud, cut.is_ground, cut.height_m) for cloud, cut in zip((real, sim), cuts, strict=True)]
+    return [own.share for own in find_pieces(*scans, load().pieces)]
+
+
+def show(name, rows):
+    rows = np.array(rows, dtype=float).reshape(-1, np.shape(rows)[-1])
+    cells = [
+        f"{np.mean(own):.3g} ({min(own):.3g} to {max(own):.3g})" if len(rows) > 1 else f"{own[0]:.3g}" for own in rows.T
+    ]
+    print(f"| {name} | {' | '.join(cells)} |", flush=True)
+
+
+def moved(T, clouds):
+    return [cloud @ T[:3, :3].T + T[:3, 3] for cloud in clouds]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    args = parser.parse_args()
+    real, sim = (list(read(args.folder / side)) for side in ("real", "sim"))
+    n = range(len(real))
+    print("| contest | CD | MMD | EMD | FPD | realism |\n|---|---|---|---|---|---|")
+    pairs = list(itertools.combinations(n, 2))
+    fixed = [static(real, i) for i in n]
+    starts = align(np.vstack(real), np.vstack(sim), fixed[0])
+    T = starts[0][1]
+    aligned = moved(T, sim)
+    twins = {"twin": sim, "twin, entrant's affine step": affine(sim, real), "twin, aligned": aligned}
+    floor = [list(contest(real[i], real[j]).values()) for i, j in pairs]
+    show("real against real", floor)
+    for name, twin in twins.items():
+        show(name, [list(contest(real[i], twin[i]).values()) for i in n])
+    cloud = np.vstack(real)
+    means, stds = cloud.mean(axis=0), cloud.std(axis=0)
+    blob = [np.random.default_rng(i).normal(means, stds, (len(own), 3)) for i, own in enumerate(sim)]
+    show("Gaussian cloud of the real moments", [list(contest(real[i], blob[i]).values()) for i in n])
+
+    print("\nbest of 63 starts: covered 0.3 m, x y z (m), yaw (deg)")
+    for share, one in starts[:4]:
+        print(f"{share:.3f}", np.round(one[:3, 3], 2), round(float(np.degrees(np.arctan2(one[1, 0], one[0, 0]))), 2))
+    print("\n| static surface over 1 m | covered 0.1 m | 0.3 m | 1 m |\n|---|---|---|---|")
+    show("real, by the other real frames", [covered(fixed[i], real[:i] + real[i + 1 :]) for i in n])
+    for name, twin in twins.items():
+        show(f"real, by the {name}", [covered(fixed[i], twin) for i in n])
+        show(f"{name}, by the real frames", [covered(static(twin, i), real) for i in n])
+    print("\n| share of object points | missing pieces | invented pieces |\n|---|---|---|")
+    show("real against real", [pieces(real[i], real[j]) for i, j in pairs])
+    for name, twin in twins.items():
+        show(name, [pieces(real[i], twin[i]) for i in n])
+
+    found = tell_apart_folders(args.folder / "real", args.folder / "sim", load(None, WORDS))
+    print("\n| tell apart | AUC | 95 % interval |\n|---|---|---|")
+    for name, one in (("twin", found.test), (f"real against real, {found.base_of}", found.base)):
+        print(f"| {name} | {one.auc:.3f} | {one.low:.3f} to {one.high:.3f} |")
+    print({name: round(auc, 3) for name, auc in found.families["surface"].alone.items()}, found.where)
+
+
+if __name__ == "__main__":
+    main()
