@@ -28,7 +28,7 @@ from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .engine.engine import Machines, RunEngine, Survey, current_records
-from .engine.plan import OUT_OF_DATE, PairPlan, Planner, with_results
+from .engine.plan import PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .jobs import stages_under
@@ -37,13 +37,11 @@ from .results.overview import Tally, overview_of
 from .results.run_findings import describe_objects
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
-from .storage.folder import RunFolder, check_folder, refuse_overwrite
+from .storage.folder import RunFolder, check_folder
 from .storage.run_record import (
     SETTINGS_TOML,
     SUMMARISED,
     StageSeconds,
-    changed_settings,
-    has_ended,
     last_results,
     library_versions,
     read_run,
@@ -138,14 +136,15 @@ def run_dataset(
         dataset, out = dataset.absolute(), out.absolute()
     content = read_dataset(dataset)
     selected = select_pairs(content, pattern)
-    check_folder(out, dataset)
+    check_folder(out, dataset, replace=replace)
     folder = RunFolder(out)
     stages = stages_under(settings) if stages is None else stages
     with folder.locked(), RunEngine(folder, settings, machines, reporter, stages) as engine:
-        run = _Run(content, stages, engine, from_stage, may_replace=replace)
+        run = _Run(content, stages, engine, from_stage)
         run.hash_files(selected)
         survey = run.survey(selected)
-        run.refuse_other_settings(survey)
+        if not (replace or from_stage):
+            engine.refuse_replacing(survey, f"run {out}", run.before)
         if survey.todo:
             engine.start(survey.todo)
         run.replace(survey)
@@ -196,21 +195,18 @@ class _Run:
         stages: tuple[Stage, ...],
         engine: RunEngine,
         from_stage: str | None,
-        *,
-        may_replace: bool,
     ) -> None:
         self._dataset, self._stages, self._engine = dataset, stages, engine
-        self._from_stage, self._may_replace = from_stage, may_replace
+        self._from_stage = from_stage
         self._folder, self._reporter, self._settings = engine.folder, engine.reporter, engine.settings
         self._out = engine.folder.folder
         self._planner = Planner(stages, self._settings, dataset.label_names)
         self._versions = {stage.name: stage.version for stage in stages}
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
-        before = read_run(self._out)
-        self._changes = what_changed(before, self._settings, self._versions)
-        self._other_settings = changed_settings(before, self._settings) if has_ended(before) else {}
-        self._before, self._last = before, last_results(before)
+        self.before = read_run(self._out)
+        self._changes = what_changed(self.before, self._settings, self._versions)
+        self._last = last_results(self.before)
 
     def hash_files(self, selected: Iterable[ScanPair]) -> None:
         """Hash the files of the selected pairs and of those with results."""
@@ -233,27 +229,6 @@ class _Run:
         redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
         chosen = {pair.pair_id for pair in selected}
         return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo)
-
-    def refuse_other_settings(self, survey: Survey) -> None:
-        """Raise an error if results of a finished run would be replaced because settings differ, without `--replace`.
-
-        Raises
-        ------
-        RunError
-            They would be replaced; names them and the settings.
-        """
-        if self._may_replace or self._from_stage:
-            return
-        touched = {stage.name for stage in self._stages if self._other_settings.keys() & set(stage.settings)}
-        outdated = [name for name, reason in survey.stale.items() if reason == OUT_OF_DATE]
-        if not any(stage in touched for stage, _, _ in outdated):
-            return
-        names = {stage for stage, _, _ in outdated}
-        listed = ", ".join(stage for stage in dict.fromkeys((*self._versions, *sorted(names))) if stage in names)
-        n_pairs = len({pair_id for _, pair_id, _ in outdated})
-        why = [text for texts in self._other_settings.values() for text in texts]
-        lost = f"{listed} of {n_pairs} pair{'s' * (n_pairs > 1)}"
-        refuse_overwrite(f"run {self._out}", lost, why)
 
     def replace(self, survey: Survey) -> None:
         """Remove stale results; a finished record is replaced by its header only if there is something to do."""
@@ -357,7 +332,7 @@ class _Run:
 
     def _header(self, *, is_same: bool = False) -> RunHeader:
         """Content of `run.json` from the start; identical results do not count as a replacement."""
-        previous = replaced_results(self._before, self._last, is_same=is_same)
+        previous = replaced_results(self.before, self._last, is_same=is_same)
         return run_header(self._dataset.folder, self._settings, self._versions, previous)
 
     def _records(self, pair_ids: Iterable[str], stages: Iterable[str] | None = None) -> Iterator[JobRecord]:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from shutil import rmtree
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError, ScanError
@@ -21,11 +21,11 @@ from ..datasets.pairs import ScanPair
 from ..datasets.readers import files_of, may_crash
 from ..stage import Stage
 from ..storage.files import megabytes
-from ..storage.folder import RunFolder
-from ..storage.run_record import LIBRARIES, library_versions
+from ..storage.folder import RunFolder, refuse_overwrite
+from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
 from ..storage.table_files import JobName, JobRecord
 from .cluster import start_pool
-from .plan import OUT_OF_DATE, PairPlan, with_results
+from .plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
 from .schedule import Policy, Schedule
@@ -232,6 +232,34 @@ class RunEngine:
                 for record in self.folder.ledger.jobs(pair_id).values():
                     survey.stale[record.name] = reason
         return survey
+
+    def refuse_replacing(
+        self, survey: Survey, name: str, before: Mapping[str, Any], unrequested: Iterable[str] = ()
+    ) -> None:
+        """Raise `RunError` if finished results would be replaced because of settings, version or request.
+
+        Those recomputed because of other input files or libraries are replaced too.
+
+        Parameters
+        ----------
+        name : of the results, for the error
+        before : last record of the folder
+        unrequested : description of what the last request had and this one lacks
+        """
+        lost = [job for job, reason in survey.stale.items() if reason in (OUT_OF_DATE, NOT_REQUESTED)]
+        names, n_pairs = {stage for stage, _, _ in lost}, len({pair_id for _, pair_id, _ in lost})
+        stages = [stage for stage in self._stages if stage.name in names]
+        groups = {group for stage in stages for group in stage.settings}
+        changed = changed_settings(before, self.settings)
+        why = [text for group, texts in changed.items() if group in groups for text in texts]
+        versions = before.get("stages", {})
+        if old := [stage.name for stage in stages if versions.get(stage.name, stage.version) != stage.version]:
+            written = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"
+            why.append(f"{written} had other code of {', '.join(old)}")
+        why += unrequested
+        if lost and why and has_ended(before):
+            listed = ", ".join(dict.fromkeys((*(stage.name for stage in stages), *sorted(names))))
+            refuse_overwrite(name, f"{listed} of {n_pairs} pair{'s' * (n_pairs > 1)}", why)
 
     def replace(self, survey: Survey, changes: Sequence[str] = (), stages: Sequence[str] = ()) -> None:
         """Report which results are replaced or removed and why, and remove them.

@@ -96,12 +96,12 @@ def run_floor(
         dataset, out = dataset.absolute(), out.absolute()
     noise, lost = (AS_MEASURED if value is None else value for value in (noise_m, lost_share))
     amounts = ("neighbours", 0.0, 0.0, 0) if neighbours else ("again", noise, lost, seed)
-    recipe = FloorRecipe(RECIPE_VERSION, *amounts, str(dataset.resolve()))
     source = read_dataset(dataset)
+    recipe = FloorRecipe(RECIPE_VERSION, *amounts, str(dataset.resolve()))
     selected = {pair.pair_id for pair in select_pairs(source, pattern)}
     partners = _neighbours(source) if neighbours else {pair.pair_id: pair for pair in source.pairs}
     _refuse_other_recipe(out, recipe, replace=replace)
-    check_folder(out, out / FLOOR_DATASET)
+    check_folder(out, out / FLOOR_DATASET, replace=replace)
     folder = RunFolder(out)
     with folder.locked():
         _write_dataset(folder, recipe, source, partners, selected, settings.input, reporter)

@@ -27,18 +27,17 @@ from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers import is_scan_path, stem_of, suffix_of
 from ..datasets.readers.frame_address import address_of
-from ..engine.engine import Machines, RunEngine, Survey
-from ..engine.plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, Part, Planner, with_results
+from ..engine.engine import Machines, RunEngine
+from ..engine.plan import NOT_REQUESTED, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
 from ..inspect.frame_checks import inspection_of, pair_warnings
 from ..jobs import STAGES
 from ..run import select_pairs
 from ..stage import Stage
 from ..storage.files import key_of, write_whole
-from ..storage.folder import RunFolder, check_folder, refuse_overwrite
+from ..storage.folder import RunFolder, check_folder
 from ..storage.run_record import (
     SETTINGS_TOML,
-    changed_settings,
     has_ended,
     read_run,
     run_header,
@@ -124,7 +123,7 @@ class Experiment:
         self._base = _needed(stages)
         self._planner = Planner(self._base, engine.settings, source.label_names, sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
-        self._request: Mapping[str, Any] = {}
+        self._request: dict[str, Any] = {}
 
     def prepare(self) -> list[PairPlan]:
         """Compute the pipeline stages that the experiment needs; returns the pairs for which all of them are done.
@@ -158,7 +157,7 @@ class Experiment:
         ValueError
             Two parts have the same name, and so the same file. Nothing is removed or computed.
         """
-        self._parts, self._request = parts, request
+        self._parts, self._request = parts, dict(request)
         self._make(self._own)
 
     def rows(self, table: str) -> pa.Table:
@@ -222,7 +221,11 @@ class Experiment:
             exhaustive=frozenset(stage.name for stage in stages),
             why_absent=NOT_REQUESTED,
         )
-        self._refuse_replacing(survey)
+        if self._finished:
+            existing = sorted({pair_id for _, pair_id, _ in survey.stale})
+            requested = self._request | {"pairs": [pair.pair_id for pair in self._source.pairs]}
+            unrequested = _reductions(self._finished | {"pairs": existing}, requested)
+            self.engine.refuse_replacing(survey, f"{self._name} {self.folder.folder}", self._finished, unrequested)
         if survey.todo:
             self.engine.start(survey.todo)
         # If results are only added, the record of the finished experiment stays valid.
@@ -233,27 +236,6 @@ class Experiment:
         if survey.todo:
             with self.engine.scheduling_missing(survey, self._plan) as schedule:
                 schedule.run()
-
-    def _refuse_replacing(self, survey: Survey) -> None:
-        """Raise `RunError` if another request would replace or remove results of a finished experiment.
-
-        Further values, repeats or pairs only add results. Results that are recomputed because of other input files,
-        libraries or a newer fidpipe are replaced too.
-        """
-        if not self._finished:
-            return
-        changed = changed_settings(self._finished, self.engine.settings)
-        groups = {group for stage in (*self._base, *self._own) for group in stage.settings}
-        why = [text for group, texts in changed.items() if group in groups for text in texts]
-        existing = sorted({pair_id for _, pair_id, _ in survey.stale})
-        requested = [pair.pair_id for pair in self._source.pairs]
-        why += _reductions(self._finished | {"pairs": existing}, {**self._request, "pairs": requested})
-        lost = [name for name, reason in survey.stale.items() if reason in (OUT_OF_DATE, NOT_REQUESTED)]
-        if not lost or not why:
-            return
-        stages, pairs = dict.fromkeys(stage for stage, _, _ in lost), {pair_id for _, pair_id, _ in lost}
-        what = f"{', '.join(stages)} of {len(pairs)} scan{'s' * (len(pairs) > 1)}"
-        refuse_overwrite(f"{self._name} {self.folder.folder}", what, why)
 
 
 @contextmanager

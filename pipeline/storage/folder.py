@@ -17,7 +17,7 @@ from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from .ledger import LEDGER, Ledger
-from .run_record import command_again, read_run
+from .run_record import command_again, other_version, read_run
 from .table_files import JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
@@ -202,8 +202,13 @@ class RunFolder(TableFolder):
                         yield name
 
 
-def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
-    """Raise `RunError` unless a folder is new, empty, or holds the run of this dataset by this command."""
+def check_folder(out: Path, dataset: Path, experiment: str = "run", *, replace: bool = False) -> None:
+    """Raise `RunError` unless a folder is new, empty, or holds the run of this dataset by this command.
+
+    Parameters
+    ----------
+    replace : allow results of a version whose record this one cannot read
+    """
     record = read_run(out) if out.is_dir() else {}
     is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
     refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
@@ -212,6 +217,8 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
         raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
     if before and Path(before) != dataset.resolve() and os.path.lexists(before):
         raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
+    if not replace and (version := other_version(record)):
+        refuse_overwrite(f"run {out}", "all its results", [f"{version} wrote it"])
 
 
 def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out") -> None:

@@ -118,7 +118,7 @@ def finished_record(folder: Path) -> dict[str, Any]:
     Raises
     ------
     RunError
-        It is not, or is damaged.
+        It is not, is damaged, or was written by a version whose records this one cannot read.
     """
     if folder.is_file():
         wanted = str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
@@ -131,7 +131,19 @@ def finished_record(folder: Path) -> dict[str, Any]:
         )
     if not record:
         raise RunError(f"run {folder}: expected a folder written by fidpipe run, found no run.json of one")
+    if version := other_version(record):
+        raise RunError(
+            f"run {folder}: {version} wrote it, which fidpipe {_version('fidpipe')} cannot read; use that version, or "
+            "evaluate the dataset again, with another --out or --replace"
+        )
     return record
+
+
+def other_version(record: Mapping[str, Any]) -> str:
+    """The version and date of a finished run whose record this version cannot read; "" if it can."""
+    if not has_ended(record) or "experiment" in record or last_results(record) is not None:
+        return ""
+    return f"fidpipe {record.get('fidpipe', 'of an unknown version')} on {record.get('written', '')[:10]}"
 
 
 def write_record(folder: Path, record: Mapping[str, Any], before_rename: Callable[[], None] | None = None) -> None:

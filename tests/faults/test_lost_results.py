@@ -4,10 +4,13 @@ import json
 import re
 import shlex
 import signal
+from dataclasses import replace
 
 import pytest
 
 from fidpipe.pipeline.engine import prefork
+from fidpipe.pipeline.jobs import STAGES
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
@@ -46,6 +49,28 @@ def test_a_finished_run_is_not_replaced_by_another_setting_unasked(again, datase
         run(dataset, again, load(None, [word]), replace=False)
     assert contents(again) == before
     assert run(dataset, again, load(None, [word]), replace=True).n_made > 0
+
+
+def test_results_of_an_older_version_are_not_replaced_unasked(again, dataset):
+    record = json.loads((again / "run.json").read_text()) | {"fidpipe": "0.0.9", "written": "2025-01-02T03:04:05"}
+    del record["sha256"]
+    (again / "run.json").write_text(json.dumps(record))
+    before = contents(again)
+    stages = tuple(replace(stage, version=stage.version + (stage.name == "metrics")) for stage in STAGES)
+    why = r"fidpipe 0\.0\.9 on 2025-01-02 had other code of metrics"
+    with pytest.raises(RunError, match=rf"metrics of 2 pairs would be replaced \({why}\); add --replace"):
+        run(dataset, again, stages=stages, replace=False)
+    assert contents(again) == before
+    del record["pairs"]  # a record that cannot be read
+    (again / "run.json").write_text(json.dumps(record))
+    before = contents(again)
+    with pytest.raises(RunError, match=r"all its results would be replaced \(fidpipe 0\.0\.9 on 2025-01-02 wrote it\)"):
+        run(dataset, again, replace=False)
+    with pytest.raises(RunError, match=r"fidpipe 0\.0\.9 on 2025-01-02 wrote it, which fidpipe .* cannot read"):
+        FinishedRun(again)
+    assert contents(again) == before
+    run(dataset, again, replace=True)
+    assert FinishedRun(again).scored
 
 
 def test_a_setting_that_replaces_nothing_needs_no_leave(again, dataset):

@@ -162,7 +162,7 @@ REPLACEMENTS = [
 def test_a_finished_experiment_is_not_replaced_unasked(done, scan, tmp_path, options, why):
     out = shutil.copytree(done.folder, tmp_path / "run")
     before = contents(out)
-    with pytest.raises(RunError, match=rf"is finished, and .* of 1 scan would be replaced \({why}.*\); add --replace"):
+    with pytest.raises(RunError, match=rf"is finished, and .* of 1 pair would be replaced \({why}.*\); add --replace"):
         perturbed(scan, out, **options)
     assert contents(out) == before
     perturbed(scan, out, replace=True, **options)
