@@ -8,6 +8,9 @@ from pydantic import BeforeValidator, ConfigDict, PlainSerializer
 
 from .results import Findings, JsonObject, Overview, PreviousRun, Result, ScoreSummary
 
+#: Levels of a baseline.
+OF_OBJECTS, OF_SCAN, OF_DATASET = "objects", "scans", "dataset"
+
 
 class BaselineSummary(Result):
     """A baseline over the pairs.

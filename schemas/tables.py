@@ -344,13 +344,17 @@ TIMINGS = table(
     column("reused", BOOL, "the result was reused: the seconds are those of the run that computed it"),
 )
 
+_OF_PAIRS = (
+    *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, RAYS, RAY_SCORES),
+    *(SELECTION, METRICS, BASELINES, SEEDS, NVS),
+)
+#: Names of the tables with a file per pair, or per side of a pair.
+PAIR_TABLES = tuple(own.name for own in _OF_PAIRS)
 #: All tables by name; the name is also the folder or file in a run.
 TABLES = {
     own.name: own
     for own in (
-        *(GROUND, SENSOR, GRAPH, COMMUNITIES, OBJECTS, MATCHING, COVERAGE, SURFACE, PIECES, RAYS, RAY_SCORES),
-        *(SELECTION, METRICS),
-        *(BASELINES, SEEDS, NVS, PAIRS, TIMINGS),
+        *(*_OF_PAIRS, PAIRS, TIMINGS),
         *EXPERIMENT_TABLES,
     )
 }

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..schemas.record import SURFACE_STATES
 from .arrays import BoolArray, FloatArray, IntArray
@@ -56,6 +55,8 @@ def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, Fl
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, at least one point each
     """
+    from scipy.spatial import cKDTree  # not needed to show a run
+
     to_sim, _ = cKDTree(sim).query(real)
     to_real, _ = cKDTree(real).query(sim)
     return to_sim, to_real

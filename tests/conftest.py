@@ -95,11 +95,5 @@ def again(finished, tmp_path) -> Path:
 
 
 @pytest.fixture
-def without_figures(monkeypatch) -> None:
-    """Reports are their pages alone."""
-    monkeypatch.setattr("fidpipe.pipeline.report.page.run_page.draw_figures", lambda *_: [])
-
-
-@pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20)

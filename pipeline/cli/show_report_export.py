@@ -90,11 +90,14 @@ def report(
         typer.Option("--pairs", metavar="PATTERN", help="Show pairs whose name matches in 3D, such as '0000*'."),
     ] = None,
     folder: Annotated[bool, typer.Option("--folder", help="One page per pair and an index, in RUN/report.")] = False,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Also draw the figures for print, in RUN/figures.")
+    ] = False,
     floor: Floor = None,
     out: Annotated[Path | None, out_option("Folder for page and figures.", "the run's own")] = None,
     opens: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
-    """Make a self-contained web page of a finished run, and the paper's figures.
+    """Make a self-contained web page of a finished run, and with --figures the paper's figures.
 
     RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs in 3D (the worst,
     the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG, SVG and PDF.
@@ -109,6 +112,8 @@ def report(
 
     fidpipe report runs/dataset --folder
 
+    fidpipe report runs/dataset --figures
+
     fidpipe report runs/dataset --floor runs/dataset-floor
     """
     import webbrowser
@@ -116,11 +121,14 @@ def report(
     from ..engine.progress import Reporter
     from ..report.page.run_page import write_report
 
-    made = write_report(run, pairs, one_page_a_pair=folder, out=out, floor=floor)
+    made = write_report(
+        run, pairs, one_page_a_pair=folder, out=out, floor=floor, with_figures=figures, reporter=Reporter()
+    )
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print_line(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
     names = ", ".join(dict.fromkeys(path.stem for path in made.figures))
-    print_line(f"figures: {made.figures[0].parent} ({names}; PNG, SVG and PDF)")
+    if names:
+        print_line(f"figures: {made.figures[0].parent} ({names}; PNG, SVG and PDF)")
     if opens and not webbrowser.open(made.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {made.page} in one")
 

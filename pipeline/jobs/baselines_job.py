@@ -10,6 +10,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import BASELINE_NAMES
+from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...schemas.tables import BASELINES
 from ...stages.baselines import Baseline, compare_objects, compare_points
@@ -18,8 +19,6 @@ from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_rows, matched_subgraphs, object_points
-
-OF_OBJECTS, OF_SCAN = "objects", "scans"
 
 
 def make_baselines(own: Inputs) -> JobResult:

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, METRIC, NVS_SCORES
+from ...schemas.record import OF_DATASET, OF_SCAN
 from ...schemas.settings import Settings
 from ...schemas.tables import NVS
 from ...stages import nvs
@@ -19,10 +20,8 @@ from ...stages.arrays import FloatArray
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .baselines_job import OF_SCAN
 from .points_job import column
 
-OF_DATASET = "dataset"
 #: More scans than this are represented by that many, evenly spaced, in the discrepancy of all.
 MOST_SCANS = 500
 

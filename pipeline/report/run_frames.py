@@ -33,7 +33,7 @@ OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 #: How much of an object is road to the other side (below its ground cut): of the real one, and of the simulated one.
 OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
-MOST_SPECTRUM_NODES = 1500
+MOST_SPECTRUM_NODES, MOST_SPECTRA = 1500, 10
 _AGREES = 1e-6
 
 
@@ -226,8 +226,13 @@ class PairFrames:
         graphs = {side: self._graphs(side) for side in SIDES}
         nodes = dict(iter(self.selection.groupby("real_id")))
         with one_blas_thread():
-            for row in self.matched.to_dict("records"):
-                if row["status"] == "too_small":
+            for i, row in enumerate(self.matched.to_dict("records")):
+                if i >= MOST_SPECTRA:
+                    yield (
+                        row["real_id"],
+                        Spectra(reason=f"spectra are drawn of the {MOST_SPECTRA} worst objects of a pair"),
+                    )
+                elif row["status"] == "too_small":
                     yield row["real_id"], Spectra(reason="too few nodes for a spectrum")
                 else:
                     pair = graphs["real"][row["real_id"]], graphs["sim"][row["sim_id"]]

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.results import Cause
@@ -165,6 +164,8 @@ def surface_causes(bands: GroupCoverage, classes: GroupCoverage) -> list[Cause]:
 
 def mean_interval(values: FloatArray) -> tuple[float, float, float]:
     """Mean over pairs with its 95 % interval (Student's t); the range of the values below 3 pairs."""
+    from scipy.special import stdtrit  # takes longer to load than the rest of `show`
+
     n, mean = len(values), float(values.mean())
     if n < LEAST_FOR_INTERVAL:
         return mean, float(values.min()), float(values.max())

@@ -18,15 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import SIDE, SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import metric_of
 from ...schemas.record import RunRecord
 from ...schemas.results import JsonObject, Overview
-from ...schemas.tables import TABLES
+from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import FloatArray
-from ..jobs import EXTRAS, STAGES
-from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.run_record import command_again, finished_record
 from ..storage.table_files import plain_strings
@@ -36,8 +34,6 @@ from .object_frame import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The stage that gives a table, by the table's name.
-_STAGE_OF = {table: stage for stage in (*STAGES, *EXTRAS) for table in stage.gives}
 #: Tables of the whole run, in one file each.
 _OF_RUN = ("pairs", "timings")
 #: Scores that are shown with their spread over partitions.
@@ -135,11 +131,10 @@ class FinishedRun:
         """
         if name in _OF_RUN:
             return self.read_table(name)
-        stage = _STAGE_OF.get(name)
-        if stage is None:
-            raise RunError(f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *_STAGE_OF))}")
+        if name not in PAIR_TABLES:
+            raise RunError(f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *PAIR_TABLES))}")
         names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
-        sides = SIDES if stage.grain is Grain.SIDE else ("",)
+        sides = SIDES if SIDE in TABLES[name].schema else ("",)
         parts = [self.read_table(name, self._scored(own), side) for own in names for side in sides]
         if not parts:
             return plain_strings(TABLES[name].schema).empty_table()
@@ -243,6 +238,8 @@ def _frame(table: pa.Table) -> pd.DataFrame:
 
 def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] = ()) -> list[str]:
     """Settings of the stages that every run has and that differ, as text; `but` names some that may."""
+    from ..jobs import STAGES  # with all libraries of the stages
+
     groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
     return [
         f"{group}.{name} is {a} and {b}"

@@ -9,12 +9,13 @@ import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, METRIC, NVS_SCORES
+from ...schemas.record import OF_DATASET
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray
 from ...stages.literal import literal_nvs as literal
 from ...stages.literal.literal_method import mean_and_std
 from ...stages.nvs import NOT_INSTALLED
-from ..jobs.nvs_job import MOST_SCANS, OF_DATASET
+from ..jobs.nvs_job import MOST_SCANS
 from ..results.finished import FinishedRun
 from .stored import Part, Skipped, StoredPair
 

@@ -315,7 +315,7 @@ def test_markdown_and_csv_hold_the_scores_and_the_notes_name_what_is_left_out(ve
 
 
 @pytest.mark.exhaustive
-def test_the_worst_changes_have_pictures_linked_into_both_reports(versions, tmp_path, without_figures):
+def test_the_worst_changes_have_pictures_linked_into_both_reports(versions, tmp_path):
     runs = [shutil.copytree(folder, tmp_path / folder.name) for folder in versions]
     for folder in runs:
         write_report(folder)

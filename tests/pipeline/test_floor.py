@@ -213,7 +213,7 @@ def test_pairs_without_a_floor_are_left_out_and_named(folder, tmp_path):
     assert "1 pairs are not in the floor" in shown("show", folder / "run", "--floor", tmp_path / "part")
 
 
-def test_people_and_programs_see_the_same_excess(folder, tmp_path, without_figures):
+def test_people_and_programs_see_the_same_excess(folder, tmp_path):
     own = excess_over(FinishedRun(folder / "run"), folder / "floor").scores["cdc_mean"]
     words = ("show", folder / "run", "--floor", folder / "floor")
     assert f"{own.excess:+.3f}" in shown(*words)

@@ -129,7 +129,7 @@ def test_a_run_on_a_read_only_medium_is_judged_compared_and_reported_elsewhere(d
         result = command(*words, preexec_fn=forbid)
         assert result.returncode == 0, (words, result.stderr)
         assert result.stderr == "", words
-    assert {"gate.xml", "gate.json", "report.html", "figures", "compare.html"} == {path.name for path in out.iterdir()}
+    assert {"gate.xml", "gate.json", "report.html", "compare.html"} == {path.name for path in out.iterdir()}
     assert {path: path.stat().st_mtime_ns for path in medium.rglob("*")} == before
 
 

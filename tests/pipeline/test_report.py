@@ -204,12 +204,12 @@ def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are
 
 @pytest.mark.exhaustive
 def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own(copied_run, monkeypatch):
-    write_report(copied_run, one_page_a_pair=True)
+    write_report(copied_run, one_page_a_pair=True, with_figures=True)
     notes = copied_run / "report" / "notes.txt"
     notes.write_text("mine")
     (copied_run / "figures" / "mine.png").write_bytes(b"")
     monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.draw_objects", lambda results, folder: [])
-    write_report(copied_run)
+    write_report(copied_run, with_figures=True)
     assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
     assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}
     notes.unlink()
@@ -294,7 +294,7 @@ def test_object_scores_say_of_how_many_pairs_they_are_and_what_they_are_with_unm
     assert f"<td>{worst.mean():.3f}</td>" in page_of(written).read_text("utf-8")
 
 
-def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_reference, tmp_path, without_figures):
+def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_reference, tmp_path):
     pieces = FinishedRun(by_reference).record.overview.pieces
     made = write_report(by_reference, out=tmp_path)
     page = made.page.read_text("utf-8")
@@ -347,7 +347,7 @@ def test_the_worst_stand_first_and_unmatched_objects_last(report_run):
     assert ranks.is_monotonic_decreasing
 
 
-def test_identical_sides_are_faithful(tmp_path, without_figures):
+def test_identical_sides_are_faithful(tmp_path):
     for side in ("real", "sim"):
         write_bin(tmp_path / "dataset" / side / "a.bin", street())
     run(tmp_path / "dataset", tmp_path / "run")
@@ -411,7 +411,7 @@ def test_charts_have_every_object_once_and_no_name_as_markup(report_run):
 def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objects(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
-    made = write_report(tmp_path / "run")
+    made = write_report(tmp_path / "run", with_figures=True)
     assert "preset paper" in words(made.page).lower()
     assert {path.stem for path in made.figures} == FIGURES - {"objects"}
 

@@ -278,7 +278,7 @@ def buttons(browser):
 
 
 @pytest.mark.exhaustive
-def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, tmp_path, without_figures):
+def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, tmp_path):
     single = write_report(report_run, one_page_a_pair=True, out=tmp_path / "single").page
     (tmp_path / "compare.html").write_text(compare_page(compare_runs([report_run, report_run])), encoding="utf-8")
     (tmp_path / "history.html").write_text(history_page(read_history([report_run] * 3)), encoding="utf-8")
@@ -296,7 +296,7 @@ def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, 
 
 
 @pytest.mark.exhaustive
-def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, report_run, tmp_path, without_figures):
+def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, report_run, tmp_path):
     index = write_report(report_run, one_page_a_pair=True, out=tmp_path).page
     resize(browser, WIDTHS[0])
     requests(browser), complaints(browser)

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from plotly.offline import get_plotlyjs
 
+from ...engine.progress import Reporter
 from ...results.floor import excess_over
 from ...storage.files import remove_stale, write_whole
 from ...storage.table_files import file_stem
-from ..figures.run_figures import draw_figures
 from ..run_frames import read_results
 from .page_templates import render
 from .pair_data import MOST_POINTS, pair_data
@@ -45,8 +46,10 @@ def write_report(
     one_page_a_pair: bool = False,
     out: Path | None = None,
     floor: Path | None = None,
+    with_figures: bool = False,
+    reporter: Reporter | None = None,
 ) -> ReportFiles:
-    """Writes the page and the figures of a finished run, in place of those of an earlier report.
+    """Write the page of a finished run, in place of that of an earlier report.
 
     Parameters
     ----------
@@ -54,7 +57,9 @@ def write_report(
     pattern : only pairs whose name matches are shown in 3D (shell style); the rest of the page is of all pairs
     out : folder that they are written into; by default the run's own
     floor : the run of fidpipe floor that scores are also shown over
-    one_page_a_pair : whether to write a folder of pages, one for each of those pairs, in place of the single page
+    one_page_a_pair : write a folder of pages, one for each of those pairs, instead of the single page
+    with_figures : write the figures for print, too
+    reporter : shows the progress over pairs
 
     Raises
     ------
@@ -62,6 +67,8 @@ def write_report(
         The folder is not a finished run, has no scored pair or a damaged table, no pair matches, or a file cannot be
         written; or the floor is another's.
     """
+    if with_figures:
+        from ..figures.run_figures import draw_figures  # matplotlib takes a second to load
     results = read_results(folder)
     excess = None if floor is None else excess_over(results.run, floor)
     folder = out or folder
@@ -83,12 +90,18 @@ def write_report(
         pages[folder / PAGES / _INDEX] = ([], note)
         plotly_source = _PLOTLY
         write_whole(folder / PAGES / _PLOTLY, get_plotlyjs().encode())
+    show = reporter or Reporter()
+    show.start(len(shown), len(shown))
     for page, (names, note) in pages.items():
-        views = {name: pair_data(results, name, MOST_POINTS // len(names)) for name in names}
+        views: dict[str, dict[str, Any]] = {}
+        for name in names:
+            views[name] = pair_data(results, name, MOST_POINTS // len(names))
+            show.advance(1, 1)
         content = render("report.html", {**data, "views": views}, plotly_source, view_note=note, **words)
         write_whole(page, content.encode())
+    show.stop()
     _remove_others(folder, {*pages, folder / PAGES / plotly_source})
-    figures = draw_figures(results, chosen, folder / FIGURES)
+    figures = draw_figures(results, chosen, folder / FIGURES) if with_figures else []
     return ReportFiles(page, len(pages), figures, len(shown), len(results.pairs))
 
 

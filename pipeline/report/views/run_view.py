@@ -6,6 +6,7 @@ from collections.abc import Container, Sequence
 from operator import attrgetter
 from pathlib import Path
 from shlex import quote
+from typing import TYPE_CHECKING
 
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import (
@@ -19,19 +20,28 @@ from ....schemas.metric_catalogue import (
     reach_words,
     unit_words,
 )
-from ....schemas.record import SURFACE_STATES, BaselineSummary, RunRecord, SeedSummary, SurfaceStates
+from ....schemas.record import (
+    OF_DATASET,
+    OF_OBJECTS,
+    OF_SCAN,
+    SURFACE_STATES,
+    BaselineSummary,
+    RunRecord,
+    SeedSummary,
+    SurfaceStates,
+)
 from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
-from ...jobs.baselines_job import OF_OBJECTS, OF_SCAN
-from ...jobs.nvs_job import OF_DATASET
 from ...results.diagnosis import diagnosed
 from ...results.floor import RunExcess
-from ...run import RunOutcome
 from ...storage.run_record import unmatched_worst
 from ..view import Note, Table, View, mean_and_spread, number, percent
 from .answer_view import answer_view
 from .floor_view import HEADLINES, excess_view
+
+if TYPE_CHECKING:
+    from ...run import RunOutcome
 
 _MOST_PAIRS = 20
 _MOST_CLASSES = 8
