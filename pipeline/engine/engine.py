@@ -32,6 +32,7 @@ from .schedule import Policy, Schedule
 from .time_limit import TimeLimit
 from .worker import BatchResult, JobFailure, failure_text, is_required
 
+_LARGE_PAIR = 500_000  # points of both files
 _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 
 PlanPair = Callable[[ScanPair], PairPlan]
@@ -289,14 +290,13 @@ class RunEngine:
     def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
         """The schedule of the jobs to do."""
         pool = self.start(survey.todo)
+        self._warn_of_large_pairs(survey.todo)
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
             self.reporter.start(len(survey.todo), survey.n_jobs)
             yield Schedule(pool, self._limited(plans), len(survey.todo), self, self._machines.policy)
         except DiskFullError as error:
-            n_raw = sum(
-                scan.approximate_points for pair in survey.todo for scan in self.contents[pair.pair_id].values()
-            )
+            n_raw = sum(map(self._n_points, survey.todo))
             need, n_pairs = megabytes(self._machines.policy.costs.disk_bytes(n_raw)), len(survey.todo)
             pairs = (
                 f"{n_pairs} pairs that were not finished need" if n_pairs > 1 else "pair that was not finished needs"
@@ -308,6 +308,22 @@ class RunEngine:
             rmtree(self.folder.folder / _TIME_NOTES, ignore_errors=True)
         if survey.todo:
             self.folder.remove_strays()  # of workers that died: complete and incomplete files
+
+    def _n_points(self, pair: ScanPair) -> int:
+        """Points of both files of a pair, from their size."""
+        return sum(scan.approximate_points for scan in self.contents[pair.pair_id].values())
+
+    def _warn_of_large_pairs(self, pairs: Sequence[ScanPair]) -> None:
+        """Report memory and time of pairs beyond the points of usual sensors, and how to reduce them."""
+        large = [pair for pair in pairs if self._n_points(pair) >= _LARGE_PAIR]
+        if large:
+            n_raw, costs = max(map(self._n_points, large)), self._machines.policy.costs
+            self.reporter.warn(
+                f"{len(large)} of {len(pairs)} pairs have {_LARGE_PAIR:,} points or more; the largest has about "
+                f"{n_raw:,}; with all of them it takes some {costs.pair_bytes(n_raw) / 2**30:.0f} GiB of memory and "
+                f"{costs.pair_seconds(n_raw) / 60:.0f} minutes or more; thin both sides in the same way, or leave out "
+                "points with input.max_range_m or input.include_box"
+            )
 
     def batch_done(self, result: BatchResult) -> None:
         """See `Watcher`: add the finished jobs to the ledger."""

@@ -1,9 +1,12 @@
 """Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
 
+from io import StringIO
+
 from rich.console import Console
 
-from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.engine.engine import Machines, RunEngine
+from fidpipe.pipeline.datasets.content import ScanContent
+from fidpipe.pipeline.datasets.pairs import ScanPair, read_dataset
+from fidpipe.pipeline.engine.engine import Machines, RunEngine, Survey
 from fidpipe.pipeline.engine.plan import Part, Planner
 from fidpipe.pipeline.engine.pool import InProcess
 from fidpipe.pipeline.engine.progress import Reporter
@@ -54,6 +57,19 @@ def make_parts(dataset, out, parts, pool):
         with engine.scheduling_missing(survey, plan) as schedule:
             schedule.run()
         return engine, {pair.pair_id: folder.ledger.jobs(pair.pair_id) for pair in pairs}
+
+
+def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes(tmp_path):
+    folder, text = RunFolder(tmp_path / "run"), StringIO()
+    reporter = Reporter(Console(file=text, width=1000))
+    with folder.locked(), RunEngine(folder, Settings(), Machines(pool=InProcess()), reporter) as engine:
+        for n in (200_000, 1_000_000):
+            engine.contents[str(n)] = dict.fromkeys(("real", "sim"), ScanContent("", "", n))
+        survey = Survey(todo=[ScanPair(name, None, None) for name in engine.contents])
+        with engine.scheduling_missing(survey, lambda pair: None):
+            pass
+    assert "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all" in text.getvalue()
+    assert "it takes some 11 GiB of memory and 17 minutes or more; thin both sides" in text.getvalue()
 
 
 def test_a_part_sees_what_was_made_after_another_part_had_begun(dataset, tmp_path):
