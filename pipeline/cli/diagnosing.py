@@ -72,14 +72,16 @@ def diagnose(
     fidpipe diagnose real/ sim/ --tell-apart --set input.sim_frame=carla
     """
     output = format_of(as_json, as_markdown, as_csv)
-    if len(sources) > 1 and (floor or not tell_apart or len(sources) > 2):
-        raise typer.BadParameter("expected one run, or two folders of scans with --tell-apart and without --floor")
+    if len(sources) > 1 and (floor or pairs or not tell_apart or len(sources) > 2):
+        raise typer.BadParameter(
+            "expected one run, or two folders of scans with --tell-apart, without --floor and --pairs"
+        )
     if len(sources) == 1 and (settings or assignments):
         raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
     if tell_apart and as_csv:
         raise typer.BadParameter("--csv is for causes; with --tell-apart give --json or --markdown")
     if tell_apart:
-        return _tell_apart(sources, floor, picture, settings, assignments or [], output)
+        return _tell_apart(sources, floor, pairs, picture, settings, assignments or [], output)
     from ..diagnose.diagnose import diagnose_run
     from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
     from ..engine.progress import Reporter
@@ -92,6 +94,7 @@ def diagnose(
 def _tell_apart(
     sources: list[Path],
     floor: Path | None,
+    pairs: str | None,
     picture: Path | None,
     settings: Path | None,
     assignments: list[str],
@@ -106,7 +109,7 @@ def _tell_apart(
     if len(sources) == 2:
         found = tell_apart_folders(sources[0], sources[1], load(settings, assignments))
     else:
-        found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(floor) if floor else None)
+        found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(floor) if floor else None, pairs)
     if picture:
         draw_map(found, picture)
     view = tell_apart_view(found)

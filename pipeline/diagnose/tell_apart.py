@@ -123,21 +123,22 @@ def _row(test: Separation, feature: str) -> JsonObject:
     return {"name": feature, "auc_alone": test.alone[feature], "loss": test.loss[feature]}
 
 
-def tell_apart_run(run: FinishedRun, floor: FinishedRun | None = None) -> TellApart:
+def tell_apart_run(run: FinishedRun, floor: FinishedRun | None = None, pattern: str | None = None) -> TellApart:
     """Test the pairs of a run.
 
     Parameters
     ----------
     floor : a run of `fidpipe floor` on the same real scans; its second measurements stand for the real sensor
+    pattern : only pairs whose name matches (shell style)
 
     Raises
     ------
     FidpipeError
         No pair is scored, a table is damaged, or the floor lacks a pair.
     """
-    chosen = _evenly(run.select())
+    chosen = _evenly(run.select(pattern))
     sides = [[partial(_read_stored, run, name, side) for name in chosen] for side in SIDES]
-    second = [partial(_read_stored, floor, name, "sim") for name in chosen] if floor else []
+    second = [partial(_read_stored, floor, floor.row(name)["pair_id"], "sim") for name in chosen] if floor else []
     steps = [run.read_table("sensor", chosen[0], side).column("azimuth_step_deg").null_count for side in SIDES]
     return _compare(str(run.folder), sides[0], sides[1], second, has_rays=not any(steps), is_paired=True)
 
