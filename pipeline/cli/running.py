@@ -66,6 +66,12 @@ def check(
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
+    expect: Annotated[
+        Path | None,
+        typer.Option(
+            "--expect", metavar="FILE", help="Settings of the simulated sensor (TOML, JSON), to compare with its scans."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what a run would read from a dataset, and what is wrong with it.
@@ -79,13 +85,17 @@ def check(
 
     fidpipe check dataset/ --set input.real_frame=nuscenes --set input.sim_frame=carla
 
+    fidpipe check dataset/ --expect sensor.toml    attributes of CARLA's LiDAR blueprint, such as noise_stddev
+
     fidpipe check dataset/ --json | jq -r '.faults[]'
     """
     from ...schemas.settings import load
     from ..inspect.scan_checks import check_dataset
+    from ..inspect.sensor_settings import read_sensor_settings
     from ..report.views.check_view import check_json, check_view
 
-    found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
+    loaded, sensor_settings = load(settings, assignments or [], preset=preset), expect and read_sensor_settings(expect)
+    found = check_dataset(dataset, loaded, sensor_settings or None)
     print_json(check_json(found)) if as_json else print_view(check_view(found))
     raise typer.Exit(EXIT_WRONG_INPUT if found.faults else 0)
 

@@ -18,6 +18,8 @@ from .plausibility import widest_azimuth_gap_deg
 
 #: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
+#: Largest number of pulses that a gap within a surface may lack.
+HOLE = 5
 #: Columns of table `sensor` that `pairs` has for both sides.
 PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 _MIN_POINTS = 500
@@ -25,7 +27,6 @@ _QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.00
 _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
-_HOLE = 5  # pulses
 
 
 @dataclass(frozen=True)
@@ -434,7 +435,7 @@ def _surface_firings(sweep: _Sweep, step_deg: float | None) -> IndexArray:
         return np.zeros(max(len(sweep.row) - 1, 0), dtype=np.intp)
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
     low_m, high_m = np.sort([sweep.range_m[:-1], sweep.range_m[1:]], axis=0)
-    is_surface = (n_firings <= _HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
+    is_surface = (n_firings <= HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
     firings: IndexArray = np.where(is_surface, n_firings, 0).astype(np.intp)
     return firings
 

@@ -12,6 +12,7 @@ from ....schemas.results import JsonObject
 from ....stages.inspect.sensor_description import sensor_lines
 from ...engine.costs import CostModel
 from ...inspect.scan_checks import DatasetCheck, ScanCheck
+from ...inspect.sensor_settings import DIFFERS
 from ...inspect.side_checks import SensorCheck
 from ...storage.files import free_bytes, megabytes
 from ..view import Note, Table, View
@@ -32,6 +33,7 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
         "warnings": [*dataset.warnings],
         "faults": [*dataset.faults],
         "sensors": asdict(dataset.sensors),
+        "settings": [asdict(setting) for setting in dataset.settings],
         "disk_bytes": _disk_bytes(dataset),
     }
 
@@ -54,6 +56,7 @@ def check_view(dataset: DatasetCheck) -> View:
     return [
         Table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *_sensor_lines(dataset.sensors),
+        *(Note(f"{one.verdict}: {one.text}") for one in dataset.settings if one.verdict != DIFFERS),
         *map(Note, dataset.notes),
         *(Note(f"warning: {text}", "yellow") for text in dataset.warnings),
         *(Note(f"error: {text}", "red") for text in dataset.faults),
