@@ -69,7 +69,7 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="RUN_A RUN_B [RUN_C]...",
-            help="Folders of runs, up to eight; the first is the base.",
+            help="Folders of runs, up to eight; the first is the base. A dataset is evaluated first, preset reference.",
             show_default=False,
             autocompletion=completion.run_folders,
         ),
@@ -126,6 +126,8 @@ def compare(
     --------
     fidpipe compare runs/build41 runs/build42
 
+    fidpipe compare build41/ build42/    two datasets: evaluates both, then compares runs/build41 and runs/build42
+
     fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
 
     fidpipe compare runs/build41 runs/build42 --floor runs/build41-floor    says which differences are smaller than it
@@ -156,6 +158,7 @@ def compare(
     if by_date and not history:
         raise typer.BadParameter("--by-date orders the runs of --history; give it as well")
     page = html or (out and out / "compare.html")
+    runs = [_evaluated(folder) for folder in runs]
     if history:
         options = {"by_date": by_date, "allow_different_settings": allow_different_settings, "independent": independent}
         _history(runs, page, output, **options)
@@ -231,6 +234,23 @@ def _history(runs: list[Path], page: Path | None, output: str, **options: bool) 
     if page:
         write_whole(page, history_page(history).encode())
     print_as(output, lambda: history_view(history), lambda: history_records(history), history.as_dict)
+
+
+def _evaluated(folder: Path) -> Path:
+    """The folder of a run; a dataset is evaluated first, as far as it is not yet, under the preset `reference`."""
+    from ...schemas.settings import load
+    from ..engine.engine import Machines
+    from ..engine.progress import Reporter
+    from ..run import run_dataset
+    from ..storage.files import path_exists
+
+    is_dataset = any(path_exists(folder / name) for name in ("real", "pairs.csv"))
+    if path_exists(folder / "run.json") or not is_dataset:
+        return folder
+    out, reporter = Path("runs") / folder.resolve().name, Reporter()
+    reporter.say(f"{folder}: a dataset; its run is {out}")
+    run_dataset(folder, out, load(None, [], preset="reference"), reporter, machines=Machines())
+    return out
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:

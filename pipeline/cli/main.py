@@ -41,6 +41,7 @@ app = typer.Typer(
     help="How faithful is this simulated LiDAR, and where does it fail?\n\n"
     "fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the "
     "geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.\n\n"
+    "Begin with check, run, show and compare.\n\n"
     "Example: fidpipe run dataset/, where dataset/real and dataset/sim hold files of the same names",
     rich_markup_mode="markdown",
     no_args_is_help=True,
@@ -180,8 +181,13 @@ def _root(
     pass
 
 
-for _command in (
-    *(check, run, synth, report, status, perturb, ablate, show, gate, compare),
-    *(diagnose, export, floor, twin, pair, convert, verify, settings),
-):
-    app.command()(_command)
+_GROUPS = {
+    "Evaluate": (check, run, show, report),
+    "Compare": (compare, gate, floor),
+    "Data": (pair, convert, synth, twin),
+    "Research": (diagnose, perturb, ablate, verify),
+    "Other": (status, export, settings),
+}
+for _group, _commands in _GROUPS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_group)(_command)

@@ -127,7 +127,9 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
         if not (folder / side).is_dir():
             folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
             near = next((name for name in folders if name.lower().startswith(side)), None) or nearest(side, folders)
+            inner = next((path for path in sorted(folder.iterdir()) if (path / "real").is_dir()), None)
             hint = f"; did you mean {near}/? rename it {side}/" if near else "; expected one of the two"
+            hint = f"; it is one level below: {inner}" if inner else hint
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
         by_side[side] = _scans_by_stem(folder / side, warnings)
     unread = {side: {path.stem: path for path in _files(folder / side) if suffix_of(path) is None} for side in SIDES}

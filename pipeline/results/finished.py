@@ -169,7 +169,7 @@ class FinishedRun:
     def row(self, pair_id: str) -> Row:
         """The row of a pair; `RunError` if the run does not have it."""
         if pair_id not in self._row_of:
-            near = get_close_matches(pair_id, self._row_of, 3) or list(self._row_of)[:3]
+            near = sorted(get_close_matches(pair_id, self._row_of, 3)) or [*self._row_of][:3]
             raise RunError(
                 f"run {self.folder}: no pair {pair_id!r} among its {len(self.rows)}; "
                 f"it has {', '.join(repr(name) for name in near)} ..."

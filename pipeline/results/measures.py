@@ -68,9 +68,9 @@ class Measures:
                     return Measured(float(measure(self, **match.groupdict())))
                 except _AbsentError as why:
                     return Measured(None, str(why))
-        near = nearest(name, PLAIN_NAMES)
-        hint = f"did you mean {near}? " if near else ""
-        raise SettingsError(f"criterion {name!r}: no such measure; {hint}known are {'; '.join(KNOWN)}")
+        near = f"{name}.mean" if f"{name}.mean" in PLAIN_NAMES else nearest(name, PLAIN_NAMES)
+        hint = f"did you mean {near}? (fidpipe gate --help lists more)" if near else f"known are {'; '.join(KNOWN)}"
+        raise SettingsError(f"criterion {name!r}: no such measure; {hint}")
 
     @cached_property
     def dataset_is_gone(self) -> bool:

@@ -434,3 +434,14 @@ def test_options_that_do_not_go_together_are_wrong_usage(versions, words, fault)
     result = gate(*versions, *words)
     assert result.exit_code == 2
     assert fault in " ".join(result.output.replace("│", " ").split())
+
+
+def test_datasets_are_evaluated_and_compared(tmp_path):
+    for i, name in enumerate(("a", "b")):
+        write_bin(tmp_path / name / "real" / "0.bin", scan := street(seed=0, n=80))
+        write_bin(tmp_path / name / "sim" / "0.bin", drifted(scan, seed=i))
+    ended = command("compare", "a", "b", "--json", cwd=tmp_path, env=None)
+    assert ended.returncode == 0, ended.stderr
+    assert "its run is runs/a" in ended.stderr
+    assert json.loads(ended.stdout)[0]["other"] == "runs/b"
+    assert FinishedRun(tmp_path / "runs" / "a").preset == "reference"

@@ -57,7 +57,7 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     "name", ["r_lambda", "r_lambda.", "missing.within_20", "objects.match_rate.mean", "x", "", "class.car.x", "pairs.x"]
 )
 def test_an_unknown_measure_is_named_with_those_that_are_known(finished, name):
-    with pytest.raises(SettingsError, match=r"no such measure; .*known are SCORE\.mean.*pairs\.scored"):
+    with pytest.raises(SettingsError, match=r"no such measure; .*known are SCORE\.mean.*pairs\.scored|did you mean"):
         Measures(FinishedRun(finished)).named(name)
 
 

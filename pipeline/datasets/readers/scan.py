@@ -162,7 +162,8 @@ def refused_unless(path: Path, wanted: str) -> Iterator[None]:
         is_panic = type(error).__name__ == "PanicException"  # of a library in Rust; pyo3 makes it no Exception
         if not (isinstance(error, Exception) or is_panic) or (isinstance(error, OSError) and error.errno is not None):
             raise
-        raise ScanError(f"{path}: not {wanted} ({cause_of(error)})") from error
+        cause = "its header is not text" if isinstance(error, UnicodeDecodeError) else cause_of(error)
+        raise ScanError(f"{path}: not {wanted} ({cause})") from error
 
 
 def check_promise(path: Path, n_points: int, point_bytes: float) -> None:

@@ -174,7 +174,7 @@ def pair_records(facts: PairFacts) -> Table:
 
 
 def object_view(pair_id: str, facts: ObjectFacts) -> View:
-    """Place and shape of an object on both sides, then its scores."""
+    """Warnings and scores of an object, then its place and shape on both sides."""
     sides, scores = (facts.real, facts.sim), facts.scores
     rows = [(name, *(own and own[name] for own in sides)) for name in _OBJECT_COLUMNS]
     rows.insert(0, ("object", *(own and own["community_id"] for own in sides)))
@@ -185,7 +185,7 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
     values = [(METRIC[name].label, scores[name], METRIC[name].reading) for name in _OBJECT_SCORES]
     score_table = Table(title, ("score", "value", "how to read it"), values, words=(0, 2), digits={1: 4})
     reason = [Note(f"null scores: {scores['reason']}")] if scores["reason"] else []
-    return [table, score_table, *reason, *alignment_warning([facts])]
+    return [*alignment_warning([facts]), *reason, score_table, table]
 
 
 def object_records(facts: ObjectFacts) -> Table:
