@@ -6,7 +6,7 @@ The list of stages is in `jobs`, the definition of a stage in `stage`, their com
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from itertools import islice
@@ -175,15 +175,30 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
 class _JobSummary:
     """Summary of the current jobs of a run.
 
-    keys : each pair and a hash of the keys that its row of `pairs` depends on
+    keys : by pair, a hash of the keys that its row of `pairs` depends on
     notes, suspects : see `run_record`; by pair
+    warnings : of the inspection, by pair
     """
 
     seconds: StageSeconds = field(default_factory=StageSeconds)
-    keys: list[str] = field(default_factory=list)
+    keys: dict[str, str] = field(default_factory=dict)
     n_jobs: int = 0
     notes: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     suspects: dict[str, FrameSuspect] = field(default_factory=dict)
+    warnings: dict[str, list[str]] = field(default_factory=dict)
+
+    def add(self, pair: ScanPair, records: Sequence[JobRecord]) -> None:
+        """Add the jobs of a pair that has any."""
+        sides, frames = inspection_of(records)
+        self.warnings[pair.pair_id] = pair_warnings(pair, sides, frames)
+        if suspect := frame_suspect(frames):
+            self.suspects[pair.pair_id] = suspect
+        for job in records:
+            self.seconds.add(job)
+            for note in job.metadata.get("notes", ()):
+                self.notes[pair.pair_id].append(f"{job.part} side: {note}")
+        self.n_jobs += len(records)
+        self.keys[pair.pair_id] = key_of(sorted(job.key for job in records if OF_PAIR in job.metadata))
 
 
 class _Run:
@@ -202,6 +217,7 @@ class _Run:
         self._out = engine.folder.folder
         self._planner = Planner(stages, self._settings, dataset.label_names)
         self._versions = {stage.name: stage.version for stage in stages}
+        self._jobs = _JobSummary()
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
         self.before = read_run(self._out)
@@ -228,7 +244,11 @@ class _Run:
         names, first = list(self._versions), self._from_stage
         redo = frozenset(names[names.index(first) :]) if first else frozenset[str]()
         chosen = {pair.pair_id for pair in selected}
-        return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo)
+
+        def complete(plan: PairPlan) -> None:
+            self._jobs.add(plan.pair, [job.record for job in plan.jobs if job.record is not None])
+
+        return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo, complete=complete)
 
     def replace(self, survey: Survey) -> None:
         """Remove stale results; a finished record is replaced by its header only if there is something to do."""
@@ -241,7 +261,7 @@ class _Run:
         self._end_phase("stages")
         jobs, pair_ids = self._summarise_jobs(survey.usable), [pair.pair_id for pair in survey.usable]
         times_s = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
-        key = key_of(library_versions(["fidpipe"]), jobs.keys, self._engine.failures, times_s)
+        key = key_of(library_versions(["fidpipe"]), sorted(jobs.keys.items()), self._engine.failures, times_s)
         before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
         is_same = before is not None and before.key == key
         header = self._header(is_same=is_same)
@@ -289,24 +309,14 @@ class _Run:
 
     def _summarise_jobs(self, pairs: Iterable[ScanPair]) -> _JobSummary:
         """Summarise the current jobs of the pairs, and report what inspection found."""
-        found, warnings, hashes = _JobSummary(), list[str](), {}
+        jobs = self._jobs
         for pair in pairs:
-            records = list(self._records([pair.pair_id]))
-            if not records:
-                continue
-            hashes[pair.pair_id] = self._hashes[pair.pair_id]
-            sides, frames = inspection_of(records)
-            warnings += pair_warnings(pair, sides, frames)
-            if suspect := frame_suspect(frames):
-                found.suspects[pair.pair_id] = suspect
-            for job in records:
-                found.seconds.add(job)
-                for note in job.metadata.get("notes", ()):
-                    found.notes[pair.pair_id].append(f"{job.part} side: {note}")
-            found.n_jobs += len(records)
-            found.keys += [pair.pair_id, key_of(sorted(job.key for job in records if OF_PAIR in job.metadata))]
-        self._reporter.warn(*shared_files(hashes), *warnings)
-        return found
+            if pair.pair_id not in jobs.keys and (records := list(self._records([pair.pair_id]))):
+                jobs.add(pair, records)
+        names = [pair.pair_id for pair in pairs if pair.pair_id in jobs.keys]
+        hashes = {name: self._hashes[name] for name in names}
+        self._reporter.warn(*shared_files(hashes), *(text for name in names for text in jobs.warnings[name]))
+        return jobs
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""

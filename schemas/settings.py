@@ -448,12 +448,12 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
     values: dict[str, Any] = {}
     if path is not None:
         try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
+            values = parse_toml(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError) as error:
             raise SettingsError(
                 f"settings file {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
             ) from error
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
+        except tomllib.TOMLDecodeError as error:
             raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
     if preset is not None:
         values["preset"] = preset
@@ -501,11 +501,19 @@ def parse(values: Mapping[str, Any]) -> Settings:
         raise SettingsError(_first_problem(error)) from error
 
 
+def parse_toml(text: str) -> dict[str, Any]:
+    """Values of a TOML text; `tomllib.TOMLDecodeError`, a ValueError, also for lists nested too deeply."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise tomllib.TOMLDecodeError("nested too deeply") from error
+
+
 def _toml_value(text: str) -> Any:
     """A TOML value if it is one, else the text itself: `greedy` needs no quotes."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+        return parse_toml(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
         return text
 
 

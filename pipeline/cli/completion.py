@@ -6,11 +6,11 @@ the shell completes files.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import orjson
 import typer
 
 _RECORD = "run.json"
@@ -64,8 +64,8 @@ def _recorded(folder: Any, part: str) -> list[str]:
     """Names of the entries of one part of a run's record."""
     path = Path(folder or "") / _RECORD
     try:
-        record = json.loads(path.read_bytes()) if path.stat().st_size < _LARGEST_RECORD else {}
-    except (OSError, ValueError, RecursionError):
+        record = orjson.loads(path.read_bytes()) if path.stat().st_size < _LARGEST_RECORD else {}
+    except (OSError, ValueError):
         return []
     names = record.get(part) if isinstance(record, dict) else None
     return list(names) if isinstance(names, dict) else []

@@ -8,7 +8,6 @@ A scan of a manifest may be one frame of a recording, named as in `readers/frame
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, ScanError, nearest
-from ...schemas.settings import FARTHEST_M
+from ...schemas.settings import FARTHEST_M, parse_toml
 from ...stages.arrays import FloatArray
 from .readers import formats, is_scan_path, stem_of, suffix_of
 from .readers.scan import LONGEST_LABEL
@@ -112,9 +111,9 @@ def read_label_names(folder: Path) -> dict[int, str]:
     if not path.exists():
         return {}
     try:
-        lines = tomllib.loads(path.read_text(encoding="utf-8"))
+        lines = parse_toml(path.read_text(encoding="utf-8"))
         names = {int(number): str(name) for number, name in lines.items()}
-    except (OSError, ValueError, RecursionError) as error:  # TOML and unicode errors are ValueErrors
+    except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
         raise DatasetError(f'{path}: expected lines such as 4 = "tree" ({error})') from error
     if (longest := max(map(len, names.values()), default=0)) > LONGEST_LABEL:  # each point takes room for the longest
         raise DatasetError(f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}")

@@ -202,6 +202,7 @@ class RunEngine:
         redo: frozenset[str] = frozenset(),
         exhaustive: frozenset[str] = frozenset(),
         why_absent: str = "no longer in the dataset",
+        complete: Callable[[PairPlan], None] = lambda _: None,
     ) -> Survey:
         """Compare existing results with the plan; call `hash_files` first.
 
@@ -212,6 +213,7 @@ class RunEngine:
         selected : names of the pairs to work on
         redo, exhaustive : see `with_results`; `redo` counts for the selected pairs
         why_absent : reason why results of other pairs are stale
+        complete : called with the plan of each pair without jobs to do, so that its records are read once
         """
         survey, names = Survey(), set()
         for pair in pairs:
@@ -224,6 +226,8 @@ class RunEngine:
                 plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive, by_content=True
             )
             survey.stale |= stale
+            if not plan.todo:
+                complete(plan)
             if is_selected and plan.todo:
                 survey.todo.append(pair)
                 survey.n_jobs += len(plan.todo)

@@ -16,6 +16,7 @@ from typing import Any
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
+from ...schemas.settings import parse_toml
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
 from ..storage.files import refuse_link, write_whole
 from ..storage.folder import refuse_other_content, refuse_overwrite
@@ -96,8 +97,8 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]
 
 def _read_recipe(path: Path) -> Recipe | None:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
+        return parse_toml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
 
 

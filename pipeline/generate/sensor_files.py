@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...schemas.errors import FidpipeError, suggestion
+from ...schemas.settings import parse_toml
 from ...stages.generate.rescan import RECORDED
 from ...stages.inspect.sensor_models import SENSORS, SensorModel
 from ..datasets.readers.scan import cause_of
@@ -47,10 +47,10 @@ def read_sensor(name: str) -> SensorModel:
         raise FidpipeError(f"sensor {name!r}: no such sensor; {suggestion(name, [*known, 'a table (.csv, .toml)'])}")
     try:
         text = path.read_text(encoding="utf-8")
-        values = tomllib.loads(text) if path.suffix.lower() == ".toml" else _columns(text)
+        values = parse_toml(text) if path.suffix.lower() == ".toml" else _columns(text)
     except OSError as error:
         raise FidpipeError(f"sensor {path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, RecursionError) as error:  # TOML, CSV and unicode errors are ValueErrors
+    except ValueError as error:  # TOML, CSV and unicode errors are ValueErrors
         raise FidpipeError(f"sensor {path}: not a table of beams ({cause_of(error)})") from error
     return _sensor(path, values)
 

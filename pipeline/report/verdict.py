@@ -5,10 +5,10 @@ The answers of `results.overview`, which the terminal also gives, with reference
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import orjson
 from pydantic import TypeAdapter
 
 from ...schemas.errors import RunError
@@ -136,8 +136,8 @@ _CRITERIA = TypeAdapter(list[Criterion])
 def _last_criteria(path: Path) -> list[Criterion] | None:
     """The criteria that a gate wrote down; None if none can be read."""
     try:
-        return _CRITERIA.validate_python(json.loads(path.read_text(encoding="utf-8"))["criteria"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return _CRITERIA.validate_python(orjson.loads(path.read_bytes())["criteria"])
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 

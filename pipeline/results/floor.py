@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from pydantic import TypeAdapter
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
 from ...schemas.results import JsonObject
+from ...schemas.settings import parse_toml
 from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
@@ -131,9 +131,9 @@ _RECIPE = TypeAdapter(FloorRecipe)
 def read_recipe(run: Path) -> FloorRecipe | None:
     """The recipe of a floor; None if the folder is not a run of `fidpipe floor`."""
     try:
-        recipe = tomllib.loads((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8"))
+        recipe = parse_toml((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8"))
         return _RECIPE.validate_python(recipe)
-    except (OSError, ValueError, RecursionError):  # TOML and unicode errors are ValueErrors
+    except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
 
 

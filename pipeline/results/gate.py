@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
-from ...schemas.settings import expected_and_got
+from ...schemas.settings import expected_and_got, parse_toml
 from ...stages.statistics.comparison import LEAST_PAIRS
 from .compare import Comparison
 from .families import FamilyChange
@@ -230,12 +230,12 @@ def read_criteria(path: Path) -> list[Criterion]:
         The file cannot be read, holds none, or a field is missing, unknown or of the wrong kind.
     """
     try:
-        file = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        file = _File.model_validate(parse_toml(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(
             f"criteria file {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
         ) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"criteria file {path}: not valid TOML ({error})") from error
     except ValidationError as error:
         problem = error.errors()[0]

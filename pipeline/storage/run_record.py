@@ -16,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import orjson
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ...schemas.columns import Row
@@ -100,8 +101,8 @@ def read_run(folder: Path) -> dict[str, Any]:
         seal = _SEAL.search(content)
         if seal and hashlib.sha256(content[: seal.start()]).hexdigest() != seal[1].decode():
             return {}
-        record: dict[str, Any] = json.loads(content)
-    except (FileNotFoundError, ValueError, RecursionError):
+        record: dict[str, Any] = orjson.loads(content)
+    except (FileNotFoundError, ValueError):
         return {}
     try:
         _AnyRecord.model_validate(record)
