@@ -55,6 +55,7 @@ from .storage.run_record import (
 from .storage.table_files import JobRecord
 
 _PAIRS_AT_ONCE = 500
+_MOST_COPIES = 10  # lines on scans that are listed several times
 _PEAKS = ("ground_real_peak_m", "ground_sim_peak_m")
 
 
@@ -315,7 +316,13 @@ class _Run:
                 jobs.add(pair, records)
         names = [pair.pair_id for pair in pairs if pair.pair_id in jobs.keys]
         hashes = {name: self._hashes[name] for name in names}
-        self._reporter.warn(*shared_files(hashes), *(text for name in names for text in jobs.warnings[name]))
+        copies = shared_files(hashes)
+        if len(copies) > _MOST_COPIES:
+            n_more = len(copies) - _MOST_COPIES
+            copies[_MOST_COPIES:] = [
+                f"{n_more} more scans are in several pairs or on both sides; fidpipe check lists them"
+            ]
+        self._reporter.warn(*copies, *(text for name in names for text in jobs.warnings[name]))
         return jobs
 
     def _write_record(self, record: RunHeader) -> None:
