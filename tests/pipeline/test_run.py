@@ -54,10 +54,12 @@ def test_a_second_run_makes_nothing(again, dataset):
             ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage", *RAYS],
         ),
         ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
-        ("communities.seed=1", ["ground", "sensor", "graph", "pieces", *RAYS]),
+        pytest.param(
+            "communities.seed=1", ["ground", "sensor", "graph", "pieces", *RAYS], marks=pytest.mark.exhaustive
+        ),
         ("graph.k=30", ["ground", "sensor", "pieces", *RAYS]),
         ("pieces.reach_m=2", ["ground", "sensor", "graph", *RAYS]),
-        ("ground.prior_m=0.2", ["sensor"]),
+        pytest.param("ground.prior_m=0.2", ["sensor"], marks=pytest.mark.exhaustive),
         ("input.max_range_m=50", []),
     ],
 )

@@ -65,6 +65,12 @@ def with_rays(tmp_path_factory):
     return folder / "run"
 
 
+@pytest.fixture(scope="module")
+def verified(whole, with_rays):
+    """The verification of both in full: by name of the fixture."""
+    return {"whole": verify_run(whole, None), "with_rays": verify_run(with_rays, None)}
+
+
 @pytest.fixture
 def copy(whole, tmp_path):
     """A copy of the run that a test may spoil."""
@@ -97,9 +103,10 @@ def another(values, *, is_text=False):
     return row, value + 1 if isinstance(value, int) else float(np.float32(value * 1.001 + 0.001))
 
 
-def test_all_numbers_of_a_run_agree(whole):
-    result = verify_run(whole, None)
+def test_all_numbers_of_a_run_agree(verified):
+    result = verified["whole"]
     assert result.passed, result.mismatches
+    assert verified["with_rays"].passed, verified["with_rays"].mismatches
     assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
     assert {table.table for table in result.tables} == {
         *("files", "scan", "ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"),
@@ -176,7 +183,6 @@ def test_each_edited_column_is_named_though_all_of_a_table_are_edited_at_once(co
 
 def test_each_edited_column_of_rays_is_named(with_rays, tmp_path, monkeypatch):
     monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
-    assert verify_run(with_rays, None).passed
     copy = shutil.copytree(with_rays, tmp_path / "run")
     rays, scores, keys = TABLES["rays"].schema.names, TABLES["ray_scores"].schema.names, {"pair_id", "by", "band"}
     assert len(pd.read_parquet(copy / "rays")) > 1000
@@ -195,10 +201,10 @@ def test_each_edited_column_of_rays_is_named(with_rays, tmp_path, monkeypatch):
     assert forged - wrong == set()
 
 
-def test_every_column_of_every_table_is_compared_or_declared_not_to_be(whole, with_rays):
-    result = verify_run(whole, None)
+def test_every_column_of_every_table_is_compared_or_declared_not_to_be(verified):
+    result = verified["whole"]
     assert result.unknown == ()
-    tables = (*result.tables, *verify_run(with_rays, None).tables)
+    tables = (*result.tables, *verified["with_rays"].tables)
     compared = {f"{own.table}.{column}" for own in tables for column in own.columns}
     of_runs = [table for stage in (*STAGES, *EXTRAS) for table in stage.gives]
     columns = {f"{table}.{name}" for table in [*of_runs, "pairs"] for name in TABLES[table].schema.names}
