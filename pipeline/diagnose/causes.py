@@ -18,7 +18,7 @@ class CauseModel:
 
     tolerance : without a floor it is named beyond this: the difference of two measurements of a scene, and for
         positions what a poor twin shows without being displaced
-    resolution : over a floor it is named beyond this
+    resolution : accuracy of the estimate; over a floor the cause is named beyond it
     words : with {size}, above 0, and below 0 unless the flaw has one direction
     setting : what controls it, attributes of CARLA's blueprint where they fit
     limbs : identifiers of PerCollECT's LidarLimbs cause tree (`data.json`, MIT) that fit
@@ -98,8 +98,9 @@ CAUSES = tuple(
 
 @dataclass(frozen=True)
 class NamedCause:
-    """A cause that the pairs show, with its mean and 95 % interval over pairs or blocks of pairs.
+    """A cause that the pairs show, with its mean and 95 % interval.
 
+    low, high : of Student's t over blocks of pairs, and the accuracy of the estimate, root of the sum of squares
     values : of the pairs, over the floor
     """
 
@@ -143,5 +144,6 @@ def name_causes(
         mean, low, high = mean_interval(block_means(values[is_known], blocks[is_known]))
         limit = model.resolution if floor else model.tolerance
         if low > limit or (high < -limit and len(model.words) > 1):
-            named.append(NamedCause(model, mean, low, high, values[is_known]))
+            reach = float(np.hypot((high - low) / 2, model.resolution))
+            named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
     return sorted(named, key=lambda cause: -cause.strength)

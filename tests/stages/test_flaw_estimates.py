@@ -8,6 +8,7 @@ from fidpipe.stages.diagnose.evidence import PairScans, estimate
 from fidpipe.stages.diagnose.gain import corrections, shares, surface_distance
 from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement, fit_displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
+from runs import some_of
 
 HEALTHY_NOISE_M, HEALTHY_LOSS = 0.01, 0.02
 
@@ -66,6 +67,7 @@ FLAWS = {
     "clutter": (drops(150), 0.01),
     "azimuth step": (lambda points, rng: points[::2], None),
 }
+ALWAYS = ["forward", "motion forward", "range noise", "lost returns", "missing pieces"]
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +102,7 @@ def test_no_cause_of_a_second_measurement(healthy):
     assert name_causes([pair.amounts for pair in healthy], None, np.arange(2)) == []
 
 
-@pytest.mark.parametrize("name", FLAWS)
+@pytest.mark.parametrize("name", some_of([*FLAWS], ALWAYS))
 def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, healthy, name):
     flaw, amount = FLAWS[name]
     pairs = simulated(places, flaw)
