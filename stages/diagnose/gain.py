@@ -206,11 +206,12 @@ def _density(
     name: str, amount: float, a: Side, b: Side, is_common: BoolArray, found: PairEstimates, rng: Generator
 ) -> Correction:
     """Real returns on common surface instead of the lost ones, or fewer of the simulated returns."""
+    step_deg, n_beams = found.sensors[1]["azimuth_step_deg"], found.sensors[1]["n_beams"]
     share = amount
     if name == "azimuth step":
-        share = amount / found.sensors[1]["azimuth_step_deg"]
+        share = amount / step_deg if step_deg else 0.0
     elif name == "beams":
-        share = -amount / (found.sensors[1]["n_beams"] - min(amount, 0.0))
+        share = -amount / (n_beams - min(amount, 0.0)) if n_beams else 0.0
     if share > 0:
         where = is_common & (a.range_m > FAR_M) if name == "lost far returns" else is_common
         return Correction(add=_as_simulated(a, b, where & (rng.random(len(where)) < share)))
