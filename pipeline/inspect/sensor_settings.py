@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import orjson
 
 from ...schemas.errors import FidpipeError, suggestion
+from ...schemas.settings import parse_toml
 from ...stages.arrays import FloatArray
 from ...stages.inspect.sensor_description import HOLE, LOST_BANDS_M, SensorDescription
 from ..datasets.readers.scan import cause_of
@@ -109,10 +109,10 @@ def read_sensor_settings(path: Path) -> dict[str, Any]:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        values = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+        values = orjson.loads(text) if path.suffix.lower() == ".json" else parse_toml(text)
     except OSError as error:
         raise FidpipeError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise FidpipeError(f"{path}: expected settings in TOML or JSON ({cause_of(error)})") from error
     values = values.get("sensor", values) if isinstance(values, dict) else values
     if not isinstance(values, dict) or not values:

@@ -6,6 +6,8 @@ import json
 from hashlib import sha256
 from pathlib import Path
 
+import orjson
+
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, DiagnosedCause, Diagnosis, Overview
 from .causes import CLASS, FAR
@@ -22,7 +24,7 @@ def results_identity(record: RunRecord) -> str:
 def read_diagnosis(folder: Path, record: RunRecord) -> Diagnosis | None:
     """The diagnosis in a run's folder; None without one, or if it is of other results or of another version."""
     try:
-        found = Diagnosis.from_dict(json.loads((folder / DIAGNOSIS).read_bytes()))
+        found = Diagnosis.from_dict(orjson.loads((folder / DIAGNOSIS).read_bytes()))
     except (OSError, ValueError):
         return None
     return found if found.of == results_identity(record) else None

@@ -308,7 +308,7 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     words = ("--sweep", "noise=0.01", "--repeats", 1, "--global-repeats", 1, "--workers", 1)
     perturb = ("perturb", dataset, "--out", tmp_path / "perturb", *words)
     assert own_process(*perturb).returncode == 0
-    result = package.fidpipe("run", dataset, "--out", again, "--workers", 1)
+    result = package.fidpipe("run", dataset, "--out", again, "--workers", 1, "--replace")
     assert made_again(result) == {"metrics"}
     assert "code of stage metrics is new" in result.stderr
     metrics = pd.read_parquet(again / "metrics").dropna(subset="laplacian_change")
@@ -321,7 +321,7 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     pairs = pd.read_parquet(again / "pairs.parquet").set_index("pair_id")
     means = pd.read_parquet(again / "metrics").groupby("pair_id").frobenius_change.mean()
     assert pairs.frobenius_change_mean.to_dict() == pytest.approx(means.to_dict())
-    assert made_again(package.fidpipe(*perturb)) == {"perturb_global", "perturb_objects"}
+    assert made_again(package.fidpipe(*perturb, "--replace")) == {"perturb_global", "perturb_objects"}
     assert "frobenius_change_mean" in pd.read_parquet(tmp_path / "perturb" / "perturb_global")
     scan = dataset / "real" / "000.bin"
     for side in ("real", "sim"):

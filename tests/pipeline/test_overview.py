@@ -164,7 +164,7 @@ def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_
     assert lines[0].endswith(" s, preset paper")
     headings = [line[:14].strip() for line in lines[1:] if line[:14].strip()]
     assert headings == ["surface", "pieces", "Fix first", "Worst places", "Objects", "Trust", "Next"]
-    assert lines[-1] == f"Next          fidpipe report {folder} --open"
+    assert lines[-2:] == [f"Next          fidpipe diagnose {folder}", f"              fidpipe report {folder} --open"]
     assert len(lines) <= 24
     text = "\n".join(lines)
     assert "faithful" not in text

@@ -193,6 +193,38 @@ def _read_gate_json(folder):
     return criteria
 
 
+def _sensor_settings():
+    text = 'noise_stddev = 0.03\nchannels = "32"\nupper_fov = 10.0\n'
+    return [{"a.toml": text.encode()}, {"a.json": json.dumps({"channels": 32, "range": 80}).encode()}]
+
+
+def _read_sensor_settings(folder):
+    from fidpipe.pipeline.inspect.sensor_settings import read_sensor_settings
+
+    (path,) = folder.glob("a.*")
+    return read_sensor_settings(path)
+
+
+_RECORD = SimpleNamespace(inputs={}, settings={}, stages={})
+
+
+def _diagnoses():
+    from fidpipe.pipeline.results.diagnosis import results_identity
+
+    fields = {"floor": None, "n_pairs": 1, "n_blocks": 1, "over": "pairs", "distance_m": 0.1, "floor_m": 0.0}
+    fields |= {"of": results_identity(_RECORD), "unexplained": 0.5, "causes": [], "estimates": [], "left_out": []}
+    return [{"diagnosis.json": json.dumps(fields).encode()}]
+
+
+def _read_diagnosis(folder):
+    from fidpipe.pipeline.results.diagnosis import read_diagnosis
+    from fidpipe.schemas.errors import FidpipeError
+
+    if (found := read_diagnosis(folder, _RECORD)) is None:
+        raise FidpipeError("no diagnosis")
+    return found
+
+
 def _records():
     return [{"run.json": json.dumps({"inputs": {"000": {}, "a b": {}}, "stages": {"graph": {}}}).encode()}]
 
@@ -241,6 +273,8 @@ TARGETS = SCANS | {
     "criteria": Target(_criteria, _read_criteria, words=(b"[[criterion]]\n", b"[criterion]\n", b"max = nan\n")),
     "sensor table": Target(_sensors, _read_sensor, words=(b"channels = ", b"[a]\n", b"elevation_deg", b"[[1]]")),
     "recipe": Target(_recipes, _go_on, words=(b"[files]\n", b'"../x"', b'".."', b"[[seed]]\n", b'"\\u0000"', b"nan")),
+    "sensor settings": Target(_sensor_settings, _read_sensor_settings, words=(b"channels = ", b"[a]\n", b"[[1]]")),
+    "diagnosis.json": Target(_diagnoses, _read_diagnosis, hot="diagnosis", words=(b"NaN", b"[[[[", b"null", b"1e999")),
     "gate.json": Target(_gate_json, _read_gate_json, words=(b"NaN", b"[[[[", b'{"a":', b"null", b"1e999")),
     "names at Tab": Target(_records, _complete, hot="run", words=(b"[[[[", b"null", b'{"inputs": [5]}', b"\x00")),
     "labels.toml to write": Target(

@@ -48,7 +48,9 @@ def answer_view(
     trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', str(folder), '--all'])}")
-    following = ["check", record.dataset] if record.frames else ["report", str(folder), "--open"]
+    following = [["check", record.dataset]] if record.frames else [["report", str(folder), "--open"]]
+    if overview is record.overview and not record.frames:  # not yet diagnosed
+        following.insert(0, ["diagnose", str(folder)])
     sections = {
         "  surface": [(surface_words(record, excess), "", "")],
         "  pieces": [(pieces_words(record), "", "")],
@@ -57,7 +59,7 @@ def answer_view(
         "Objects": [(scores_words(record), "", "")],
         "Last run": [(change_words(record), "", "")] if record.previous else [],
         "Trust": [(words, "", "") for words in trust],
-        "Next": [(shlex.join(["fidpipe", *following]), "", "")],
+        "Next": [(shlex.join(["fidpipe", *words]), "", "") for words in following],
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
 
