@@ -112,8 +112,8 @@ def mean_columns(of: str) -> list[pa.Field]:
 
 def score_column(metric: Metric, *, optional: bool | None = None) -> pa.Field:
     """Column of a score as the catalogue describes it; `optional` overrides the nullability of the catalogue."""
-    kind = INT32 if metric.is_count else FLOAT64
-    is_nullable = metric.is_nullable if optional is None else optional
+    kind = INT32 if "count" in metric.flags else FLOAT64
+    is_nullable = "required" not in metric.flags if optional is None else optional
     return column(metric.column, kind, metric.meaning, metric.unit or "", is_nullable)
 
 

@@ -1,18 +1,20 @@
 """Catalogue of scores: name, unit, bounds, direction, meaning and source of each.
 
 Columns of tables, headings of views, names of measures for a gate, limits of the report's quadrants and the list of
-baseline metrics come from here. To add a score: a row here and the function that computes it.
+baseline metrics come from here. The scores are the rows of `metrics.csv` next to this file, in the order of the columns
+of the tables; its columns are the fields of `Metric`, and `group` is what is scored. To add a score: a row there and
+the function that computes it.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+import csv
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any
 
-_METHOD_SECTION = 'paper, section "Graph-Based Validation Metrics"'
+_NUMBERS = ("low", "high", "equal", "paper_mean", "paper_std")
 
 
 @dataclass(frozen=True)
@@ -30,39 +32,38 @@ class PaperMean:
 class Metric:
     """One score.
 
+    group : object, pair, coverage, surface, piece, ray, intensity, baseline, nvs, or dataset (all scans at once)
     column : name in the tables, with the unit if it has one
     heading : short name for table headings, without the unit
+    short : heading for narrow columns if `heading` is too long
+    unit : "m", "m2", "dB", or None for a plain number
+    low, high : bounds, or None
+    better : "lower" or "higher", direction of a better value; None for a number that does not measure quality
+    equal : value for two identical objects (or scans); None if it depends on the object
+    flags : "count" (values are integers), "required" (each finished job has a value), "no-mean" (`pairs` does not have
+        mean and standard deviation over the objects)
+    paper : mean of the paper's 50 pairs
+    method : name in the setting metrics.baselines that selects it; "" for our own scores
     meaning : one sentence: what the column holds
     reading : one sentence: how to read a value
-    short : heading for narrow columns if `heading` is too long
-    unit : "m", "m2", or None for a plain number
-    low, high : bounds, or None
-    better : direction of a better value; None for a number that does not measure quality
-    equal : value for two identical objects (or scans); None if it depends on the object
     source : source of the definition
-    paper : mean of the paper's 50 pairs
-    is_count : values are integers
-    is_nullable : a finished job may have no value
-    has_mean : `pairs` has mean and standard deviation over the objects
-    method : name in the setting metrics.baselines that selects it; "" for our own scores
     """
 
+    group: str
     column: str
     heading: str
+    short: str
+    unit: str | None
+    low: float | None
+    high: float | None
+    better: str | None
+    equal: float | None
+    flags: list[str]
+    paper: PaperMean | None
+    method: str
     meaning: str
-    reading: str = ""
-    short: str = ""
-    unit: str | None = None
-    low: float | None = 0.0
-    high: float | None = None
-    better: Literal["lower", "higher"] | None = "lower"
-    equal: float | None = 0.0
-    source: str = ""
-    paper: PaperMean | None = None
-    is_count: bool = False
-    is_nullable: bool = True
-    has_mean: bool = True
-    method: str = ""
+    reading: str
+    source: str
 
     @property
     def label(self) -> str:
@@ -98,120 +99,14 @@ def unit_words(unit: str | None) -> str:
     return {"m2": "m²", None: ""}.get(unit, unit or "")
 
 
-_spectral = partial(Metric, source=_METHOD_SECTION)
-_metres = partial(Metric, unit="m", source="fidpipe")
-_count = partial(Metric, is_count=True)
-_share = partial(Metric, high=1.0, better="higher", equal=1.0)
-_SIDES = (("real", "real"), ("sim", "simulated"))
+def _read_metrics() -> Iterator[Metric]:
+    with Path(__file__).with_name("metrics.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            values: dict[str, Any] = row | {name: float(row[name]) if row[name] else None for name in _NUMBERS}
+            values |= {"unit": row["unit"] or None, "better": row["better"] or None, "flags": row["flags"].split()}
+            mean, std = values.pop("paper_mean"), values.pop("paper_std")
+            yield Metric(**values, paper=None if mean is None else PaperMean(mean, std))
 
-#: The scores of a matched object, in the order of the columns of `metrics`.
-OBJECT_SCORES = (
-    Metric(
-        "centroid_distance_m",
-        "offset",
-        "distance between the centroids",
-        "distance between the centroids of matched objects",
-        unit="m",
-        source='paper, section "Controlled Perturbation Analysis", d_cent',
-        is_nullable=False,
-    ),
-    Metric(
-        "cdc",
-        "CDC",
-        "density-aware Chamfer distance of the paper, 0 to 2",
-        "geometry: 0 for the same points, 2 without any near point",
-        high=2.0,
-        source='paper, equation "cdc"',
-        paper=PaperMean(0.75, 0.02),
-        is_nullable=False,
-    ),
-    _spectral(
-        "r_lambda",
-        "r_lambda",
-        "max_eigenvalue_shift / laplacian_change, 0 to 1",
-        "structure: share of the Laplacian's change that shifts its spectrum; 0 best, 1 worst",
-        high=1.0,
-        paper=PaperMean(0.37, 0.03),
-    ),
-    _spectral(
-        "r_gap",
-        "r_gap",
-        "change of the spectral gap / (2 laplacian_change), 0 to 0.5",
-        "structure: change of the overall connectivity; 0 best, 0.5 worst",
-        high=0.5,
-        paper=PaperMean(0.028, 0.014),
-    ),
-    _spectral(
-        "max_eigenvalue_shift",
-        "shift",
-        "largest shift of an ordered eigenvalue",
-        "largest shift of an ordered eigenvalue: the numerator of r_lambda",
-        high=2.0,
-    ),
-    _spectral(
-        "laplacian_change",
-        "change",
-        "spectral norm of the difference of the Laplacians",
-        "spectral norm of the difference of the Laplacians: the denominator of r_lambda",
-        high=2.0,
-    ),
-    Metric(
-        "eigenspectrum_distance",
-        "d_lambda",
-        "Euclidean distance of the ordered spectra",
-        "Euclidean distance of the ordered spectra; grows with the number of nodes",
-        source='paper, section "Controlled Perturbation Analysis", d_lambda',
-    ),
-    *(
-        _spectral(
-            f"gap_{side}",
-            f"gap, {side}",
-            f"second smallest eigenvalue minus the smallest, {words}",
-            f"second smallest eigenvalue of the {words} object",
-            high=2.0,
-            better=None,
-            equal=None,
-            has_mean=False,
-        )
-        for side, words in _SIDES
-    ),
-    Metric(
-        "alignment_rms_m",
-        "alignment",
-        "root mean square distance of aligned nodes, both sides centred",
-        "distance of aligned nodes; if it is large, do not trust r_lambda",
-        short="align",
-        unit="m",
-        source="fidpipe; the cost of the paper's one-to-one alignment",
-        is_nullable=False,
-    ),
-)
-
-#: Scores of a pair as a whole, in the order of the columns of `seeds` and then of `pairs`.
-PAIR_SCORES = (
-    *(
-        _count(f"n_communities_{side}", f"{words} objects", f"objects of the {words} side", better=None, equal=None)
-        for side, words in _SIDES
-    ),
-    _count("n_matched", "matched objects", "objects that both sides have", better="higher", equal=None),
-    *(
-        _count(
-            f"n_{kind}",
-            f"{kind} objects",
-            f"{own} objects without a {other} one",
-            f"{own} objects without a {other} counterpart",
-        )
-        for kind, own, other in (("missing", "real", "simulated"), ("hallucinated", "simulated", "real"))
-    ),
-    _share(
-        "match_rate",
-        "match rate",
-        "matched / max(communities of either side)",
-        "objects that both sides have, over those of the side with more; 1 is best",
-        source="paper, Algorithm 1",
-        paper=PaperMean(0.594, 0.066),
-    ),
-)
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.
 COVERAGE_REACHES = ("0p1m", "0p3m", "1m")
@@ -222,395 +117,36 @@ def reach_words(reach: str) -> str:
     return f"{reach.replace('p', '.').removesuffix('m')} m"
 
 
-#: Coverage of both surfaces of a pair, in the order of the columns of `pairs`.
-COVERAGE_SCORES = tuple(
-    _share(
-        f"covered_{side}_{reach}",
-        f"{words} covered, {reach_words(reach)}",
-        f"share of {words} object points with {an_other} object point at most {reach_words(reach)} away",
-        f"surface: share of the {words} points with a point of the other side within {reach_words(reach)}; 1 is best",
-        short=f"{side} in {reach_words(reach)}",
-        source="fidpipe",
-    )
-    for side, words, an_other in (("real", "real", "a simulated"), ("sim", "simulated", "a real"))
-    for reach in COVERAGE_REACHES
-)
+#: Every score by its column.
+METRIC = {metric.column: metric for metric in _read_metrics()}
 
-_ROUGHNESS = "standard deviation of the 20 nearest points from their plane"
-_MEDIAN = "roughness of a typical point (median); the bias is a difference of means"
 
-#: Displacement and roughness of the surfaces of a pair, in the order of the columns of `pairs`.
-SURFACE_SCORES = (
-    *(
-        Metric(
-            f"shift_{axis}_m",
-            f"shift {axis}",
-            f"displacement of the simulated surface along {axis}, point to plane",
-            f"displacement of the simulated surface along {axis}; 0 if both are at the same place",
-            unit="m",
-            low=None,
-            better=None,
-            source="fidpipe; Chen and Medioni 1992",
-        )
-        for axis in "xyz"
-    ),
-    Metric(
-        "shift_m",
-        "shift",
-        "length of the displacement along the observable directions",
-        "the mean over pairs is a mean of lengths, which noise enlarges; for the mean vector see shift x, y and z",
-        unit="m",
-        source="fidpipe; Chen and Medioni 1992",
-    ),
-    *(
-        _metres(
-            f"roughness_{side}_m",
-            f"roughness, {words}",
-            f"median over {words} points: {_ROUGHNESS}",
-            _MEDIAN,
-            better=None,
-            equal=None,
-        )
-        for side, words in _SIDES
-    ),
-    Metric(
-        "roughness_bias_m",
-        "roughness bias",
-        "mean roughness, simulated minus real",
-        "above 0 the simulated surface is rougher (noise), below 0 it is smoother. The roughest points dominate the "
-        "mean, so the medians may differ in the other direction",
-        unit="m",
-        low=None,
-        better=None,
-        source="double validation metric, Rosenberger 2023",
-    ),
-    Metric(
-        "roughness_area_m",
-        "roughness area",
-        "area between the two distributions of roughness after removing the bias",
-        unit="m",
-        source="double validation metric, Rosenberger 2023",
-    ),
-)
+def _of_group(group: str) -> tuple[Metric, ...]:
+    return tuple(metric for metric in METRIC.values() if metric.group == group)
 
-_PIECES = (("missing", "real", "simulated", "simulation"), ("invented", "simulated", "real", "real scan"))
 
-#: Missing and invented pieces of surface of a pair, and share of found objects, in the order of the columns of `pairs`.
-PIECE_SCORES = (
-    *(
-        Metric(
-            f"n_{kind}_pieces",
-            f"{kind} pieces",
-            f"connected parts of {own} objects without a {other} point within pieces.reach_m",
-            f"connected parts of {own} objects where the {place} has nothing",
-            is_count=True,
-            source="fidpipe",
-        )
-        for kind, own, other, place in _PIECES
-    ),
-    *(
-        Metric(
-            f"{kind}_pieces_share",
-            f"share in {kind} pieces",
-            f"share of the {own} object points that are in {kind} pieces",
-            high=1.0,
-            source="fidpipe",
-        )
-        for kind, own, *_ in _PIECES
-    ),
-    _share(
-        "found",
-        "found",
-        "n_matched / (n_matched + n_missing)",
-        "share of the real objects that have a simulated counterpart; 1 is best",
-        source="fidpipe",
-    ),
-)
-
-_RAY_OUTCOMES = (
-    ("same", "rays whose ranges differ by at most 0.1 m or three standard deviations of the noise"),
-    ("in_front", "rays on which the simulated return is nearer than the real one"),
-    ("behind", "rays on which the simulated return is farther than the real one"),
-    ("dropped", "rays that only the real side returned, with simulated surface within 0.3 m of the return"),
-    ("no_surface", "rays that only the real side returned, without simulated surface within 0.3 m of the return"),
-    ("sim_only", "rays that only the simulated side returned"),
-)
-_ray_error = partial(Metric, unit="m", source="fidpipe")
-
-#: Scores of the rays of a pair, in the order of the columns of `ray_scores` and `pairs`.
-RAY_SCORES = (
-    Metric("n_rays", "rays", "rays with a return on either side", is_count=True, better=None, equal=None),
-    *(
-        Metric(
-            f"rays_{name}",
-            f"rays {name.replace('_', ' ')}",
-            f"share of the {meaning}",
-            high=1.0,
-            better="higher" if name == "same" else "lower",
-            equal=1.0 if name == "same" else 0.0,
-            source="fidpipe",
-        )
-        for name, meaning in _RAY_OUTCOMES
-    ),
-    *(
-        _share(
-            f"rays_{name}_f1",
-            f"rays, F1 of {name}s",
-            f"2 n / (2 n + d): n rays that both sides {verb}, d rays that one side alone returned",
-            source="fidpipe",
-        )
-        for name, verb in (("hit", "returned"), ("drop", "dropped"))
-    ),
-    _ray_error("rays_bias_m", "range bias", "median difference of ranges, simulated minus real", low=None, better=None),
-    *(
-        _ray_error(
-            f"rays_bias_{end}_m",
-            f"range bias, {end} end",
-            f"{end} end of the 95 % interval of the range bias, for independent rays",
-            low=None,
-            better=None,
-        )
-        for end in ("low", "high")
-    ),
-    Metric("rays_scale", "range scale", "median of simulated over real range, minus 1", low=None, better=None),
-    _ray_error("rays_mae_m", "range MAE", "mean absolute difference of ranges"),
-    _ray_error("rays_medae_m", "range MedAE", "median absolute difference of ranges"),
-    _ray_error("rays_p90_m", "range p90", "90 % of the absolute differences of ranges are below"),
-    _ray_error("rays_rmse_m", "range RMSE", "root mean square difference of ranges"),
-)
-
-#: Those whose mean over pairs describes a run.
+#: The scores of a matched object, in the order of the columns of `metrics`.
+OBJECT_SCORES = _of_group("object")
+#: Scores of a pair as a whole, in the order of the columns of `seeds` and then of `pairs`.
+PAIR_SCORES = _of_group("pair")
+#: Coverage of both surfaces of a pair, displacement and roughness, missing and invented pieces and the share of found
+#: objects, rays and intensities: in the order of the columns of `pairs`, those of rays also of `ray_scores`.
+COVERAGE_SCORES, SURFACE_SCORES = _of_group("coverage"), _of_group("surface")
+PIECE_SCORES, RAY_SCORES, INTENSITY_SCORES = _of_group("piece"), _of_group("ray"), _of_group("intensity")
+#: The baseline metrics, in the order in which they are computed and shown.
+BASELINES = _of_group("baseline")
+#: Scores of papers on LiDAR synthesis as their code defines them, in the order in which they are computed and shown.
+NVS_SCORES = _of_group("nvs")
+#: Of a pair and of all scans of a dataset, and of these alone.
+BEV_JSD, BEV_MMD = METRIC["bev_jsd_100x100_160m"], METRIC["bev_mmd_100x100_160m_sigma0p5"]
+#: Scores of the displacement of the simulated surface.
+SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
+#: Scores of rays whose mean over pairs describes a run.
 RAY_MEANS = tuple(
     metric.column for metric in RAY_SCORES if metric.column not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
 )
-
-#: Scores of the intensities of a pair, in the order of the columns of `pairs`.
-INTENSITY_SCORES = (
-    Metric(
-        "intensity_rank_corr",
-        "intensity, rank correlation",
-        "Spearman's correlation of both intensities on rays with the same range",
-        low=-1.0,
-        high=1.0,
-        better="higher",
-        equal=1.0,
-        source="fidpipe",
-    ),
-    Metric(
-        "intensity_rank_distance",
-        "intensity, rank distance",
-        "Wasserstein distance of the ranks of both intensities within bins of range and incidence",
-        high=1.0,
-        source="fidpipe",
-    ),
-    Metric(
-        "intensity_ratio",
-        "intensity ratio",
-        "mean simulated over mean real intensity on rays with the same range",
-        better=None,
-        equal=1.0,
-        source="fidpipe",
-    ),
-    Metric(
-        "intensity_rmse",
-        "intensity RMSE",
-        "root mean square difference, if input.intensity_scale is same",
-        source="fidpipe",
-    ),
-    *(
-        Metric(
-            f"intensity_{side}_by_{cause}",
-            f"{side} intensity by {cause}",
-            f"share of the variance of the ranks of the {word} intensity that {cause} explains",
-            high=1.0,
-            better=None,
-            equal=None,
-            source="fidpipe",
-        )
-        for side, word in _SIDES
-        for cause in ("range", "incidence", "class")
-    ),
-)
-
-#: Scores of the displacement of the simulated surface.
-SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
-
-
-def _baseline(method: str, column: str, meaning: str, **others: Any) -> Metric:
-    """Baseline metric, headed by its column; the ending _m or _m2 of the column is the unit."""
-    ending = column.rpartition("_")[2]
-    return Metric(column, column, meaning, unit=ending if ending in ("m", "m2") else None, method=method, **others)
-
-
-#: The baseline metrics, in the order in which they are computed and shown.
-BASELINES = (
-    _baseline(
-        "chamfer",
-        "chamfer_mean_m",
-        "mean distance to the nearest point of the other side, from both sides, added; not squared",
-    ),
-    _baseline(
-        "chamfer",
-        "chamfer_squared_m2",
-        "mean squared distance to the nearest point of the other side, from both sides, added",
-    ),
-    _baseline(
-        "chamfer",
-        "chamfer_one_way_sum_m",
-        "sum over real points of the distance to the nearest simulated point",
-        source="paper, equation of the Chamfer distance",
-    ),
-    _baseline("hausdorff", "hausdorff_m", "largest distance of a point of either side to the other side"),
-    _baseline(
-        "f_score",
-        "f_score",
-        "harmonic mean of the shares of points nearer than metrics.f_score_distance_m to the other side",
-        high=1.0,
-        better="higher",
-        equal=1.0,
-    ),
-    _baseline(
-        "dcd",
-        "dcd",
-        "published density-aware Chamfer distance, the real object scaled to a bounding box of diagonal 1",
-        high=1.0,
-        source="Wu et al., Density-aware Chamfer Distance, NeurIPS 2021",
-    ),
-    _baseline(
-        "emd",
-        "emd_mean_m",
-        "exact earth mover's distance of all points of the object; all points of a side have the same weight",
-        source="Rubner et al., The earth mover's distance, IJCV 2000",
-    ),
-    _baseline(
-        "emd",
-        "emd_kept_mean_m",
-        "exact earth mover's distance of the kept nodes only, equally many on each side, mean per node",
-    ),
-    _baseline(
-        "emd",
-        "emd_centred_mean_m",
-        "earth mover's distance of the kept nodes with both sides centred: the cost of the alignment",
-    ),
-    _baseline("sliced_wasserstein", "sliced_wasserstein_m", "mean earth mover's distance along random lines"),
-    _baseline(
-        "histogram", "histogram", "Minkowski distance of the histograms of pairwise distances divided by the maximum"
-    ),
-    _baseline(
-        "icp",
-        "icp_fitness",
-        "share of simulated points within metrics.icp_distance_m of a real one after point-to-point ICP",
-        high=1.0,
-        better="higher",
-        equal=1.0,
-    ),
-    _baseline("icp", "icp_rmse_m", "root mean square distance of these points"),
-    _baseline(
-        "netlsd",
-        "netlsd",
-        "distance of the heat-trace signatures of both graphs, all nodes",
-        source="Tsitsulin et al., NetLSD, KDD 2018",
-    ),
-    _baseline(
-        "r_h",
-        "r_h",
-        "change of the heat kernel over t times the change of the Laplacian, 0 to 1",
-        high=1.0,
-        source="source of the paper, not in its text",
-    ),
-)
-
-_LIDAR4D = "Zheng et al., LiDAR4D, CVPR 2024: utils/metrics.py"
-_LIDARGEN = "Zyrianov et al., LiDARGen, ECCV 2022, as R2DM's metrics/bev.py"
-_NO_RETURN = "over all pixels of the range image, a pixel without a return being 0"
-
-
-def _nvs(column: str, meaning: str, **others: Any) -> Metric:
-    """Score of a paper on LiDAR synthesis, headed by its column."""
-    ending = column.rpartition("_")[2]
-    unit = {"m": "m", "m2": "m2", "db": "dB"}.get(ending)
-    return Metric(column, column, meaning, unit=unit, **({"source": _LIDAR4D} | others))
-
-
-def _nvs_image(what: str, ending: str, words: str) -> tuple[Metric, ...]:
-    return (
-        _nvs(f"nvs_{what}_rmse{ending}", f"root mean square difference of {words}, {_NO_RETURN}"),
-        _nvs(f"nvs_{what}_medae{ending}", f"median absolute difference of {words}, {_NO_RETURN}"),
-        _nvs(
-            f"nvs_{what}_psnr_db",
-            f"peak signal-to-noise ratio of the image of {words}",
-            low=None,
-            better="higher",
-            equal=None,
-        ),
-        _nvs(
-            f"nvs_{what}_ssim",
-            f"structural similarity of the images of {words}",
-            low=-1.0,
-            high=1.0,
-            better="higher",
-            equal=1.0,
-        ),
-    )
-
-
-#: Of a pair, and of all scans of a dataset at once.
-BEV_JSD = _nvs(
-    "bev_jsd_100x100_160m",
-    "root of the Jensen-Shannon divergence of the points in 100 x 100 cells of 1.6 m seen from above, 3 to 70 m",
-    high=math.sqrt(math.log(2)),
-    source=_LIDARGEN,
-)
-#: Scores of papers on LiDAR synthesis as their code defines them, in the order in which they are computed and shown.
-NVS_SCORES = (
-    *_nvs_image("depth", "_m", "ranges"),
-    *_nvs_image("intensity", "", "intensities"),
-    _nvs("nvs_raydrop_rmse", "root of the share of pixels with a return on one side only", high=1.0),
-    *(
-        _nvs(f"nvs_raydrop_{name}", meaning, high=1.0, better="higher", equal=1.0)
-        for name, meaning in (
-            ("accuracy", "share of pixels with a return on both sides or on neither"),
-            ("hit_f1", "F1 of the pixels with a return (not of the drops)"),
-        )
-    ),
-    _nvs(
-        "nvs_chamfer_m2", "mean squared distance to the nearest point of the other range image, both directions added"
-    ),
-    _nvs(
-        "nvs_f_score_0p05m2",
-        "harmonic mean of the shares of points with a squared distance below 0.05 m2 (22.4 cm) to the other image",
-        high=1.0,
-        better="higher",
-        equal=1.0,
-    ),
-    BEV_JSD,
-)
-#: Score of all scans of a dataset at once.
-BEV_MMD = _nvs(
-    "bev_mmd_100x100_160m_sigma0p5",
-    "squared maximum mean discrepancy of the same maps, each of sum 1; Gaussian kernel, sigma 0.5",
-    source=_LIDARGEN,
-)
-
-#: Every score by its column.
-METRIC = {
-    metric.column: metric
-    for metric in (
-        *OBJECT_SCORES,
-        *PAIR_SCORES,
-        *COVERAGE_SCORES,
-        *SURFACE_SCORES,
-        *PIECE_SCORES,
-        *RAY_SCORES,
-        *INTENSITY_SCORES,
-        *BASELINES,
-        *NVS_SCORES,
-        BEV_MMD,
-    )
-}
-
 #: Object scores with mean and standard deviation in `pairs`, in that order.
-OBJECT_METRICS = tuple(metric.column for metric in OBJECT_SCORES if metric.has_mean)
+OBJECT_METRICS = tuple(metric.column for metric in OBJECT_SCORES if "no-mean" not in metric.flags)
 #: Object scores whose distributions over all objects a run reports.
 DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
 #: Limits of the quadrants of the report, by fidpipe, not by the paper; a limit itself belongs to the better quadrant.

@@ -276,7 +276,7 @@ def _with_unmatched(rows: Sequence[Row], name: str) -> list[float | None]:
     worst = METRIC[name].high
     if worst is None:
         raise ValueError(f"{name} has no upper bound that an unmatched object could count as")
-    n_without = "n_too_small" if METRIC[name].is_nullable else None
+    n_without = None if "required" in METRIC[name].flags else "n_too_small"
     return [
         with_unmatched_as_worst(
             row[METRIC[name].mean_column],

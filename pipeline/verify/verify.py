@@ -390,7 +390,7 @@ def _summary(run: FinishedRun, settings: Settings) -> Iterator[Part]:
     for name in DISTRIBUTED:
         columns[unmatched_worst(name)] = []
         for row in scored:
-            n = row["n_matched"] - (row["n_too_small"] if METRIC[name].is_nullable else 0)
+            n = row["n_matched"] - (0 if "required" in METRIC[name].flags else row["n_too_small"])
             n_alone, worst = row["n_missing"] + row["n_hallucinated"], METRIC[name].high or 0.0
             sums = (row[METRIC[name].mean_column] or 0.0) * n + worst * n_alone
             columns[unmatched_worst(name)].append(sums / (n + n_alone) if n + n_alone else None)

@@ -29,7 +29,7 @@ N_POINTS = 100
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-PYTHON_FILE = re.compile(r"`([\w/]+\.py)`")
+FILE = re.compile(r"`([\w/]+\.(?:py|csv))`")
 MOST_FILES = {"A reader": 2, "A setting": 2, "A baseline metric": 4, "A score": 4, "A stage": 5, "An experiment": 4}
 
 
@@ -45,15 +45,15 @@ def section_of(title):
 
 
 def blocks_of(title):
-    """The Python of a section, block by block."""
-    texts = re.split(r"```python\n(.*?)```", section_of(title), flags=re.DOTALL)
-    return [Block(PYTHON_FILE.findall(text)[-1], code) for text, code in zip(texts[::2], texts[1::2], strict=False)]
+    """The Python and CSV of a section, block by block."""
+    texts = re.split(r"```(?:python|csv)\n(.*?)```", section_of(title), flags=re.DOTALL)
+    return [Block(FILE.findall(text)[-1], code) for text, code in zip(texts[::2], texts[1::2], strict=False)]
 
 
 def files_of(title):
     """The files that the numbered list of a section names, one for each line of it."""
     items = re.findall(r"^\d+\. (.*?)(?=^\d+\. |^$)", section_of(title), re.DOTALL | re.MULTILINE)
-    return [named[0] for item in items if (named := PYTHON_FILE.findall(item))]
+    return [named[0] for item in items if (named := FILE.findall(item))]
 
 
 # Places of a block in an existing file. Each function takes the file's text and the block.
@@ -77,6 +77,13 @@ def last_in(name):
         return f"{head}{'' if head.endswith(',') else ','}\n{code.rstrip().removesuffix(',')},\n{text[end:]}"
 
     return edit
+
+
+def last_of_group(text, code):
+    """Behind the last row of its group."""
+    group = code.partition(",")[0]
+    last = max(i for i, line in enumerate(text.splitlines(), 1) if line.startswith(f"{group},"))
+    return insert(text, last + 1, code)
 
 
 def field_in(name):
@@ -159,9 +166,9 @@ def insert(text, line, code, indent=0):
 PLACES = {
     "A reader": [None, last_in("FORMATS")],
     "A setting": [field_in("GraphSettings"), before_return_of("build_graph")],
-    "A baseline metric": [last_in("BASELINES"), None, after_imports, last_in("BASELINES")],
+    "A baseline metric": [last_of_group, None, after_imports, last_in("BASELINES")],
     "A score": [
-        last_in("OBJECT_SCORES"),
+        last_of_group,
         field_in("Scores"),
         last_in("score_object"),
         last_in("SPECTRAL"),
@@ -238,7 +245,7 @@ def extended(title, folder):
         path = package / files_of(title)[-1]
         path.write_text(raised_version(path.read_text()))
         touched.append(files_of(title)[-1])
-    for path in touched:
+    for path in (path for path in touched if path.endswith(".py")):
         compile((package / path).read_text(), path, "exec")
     return Extended(folder), touched
 
