@@ -470,10 +470,10 @@ def other_versions(there: Mapping[str, str | None], here: Mapping[str, str]) -> 
 
 @cache
 def code_hash() -> str:
-    """A hash of fidpipe's own code: two checkouts of one version may differ."""
+    """A hash of fidpipe's own code and data: two checkouts of one version may differ."""
     root = Path(__file__).parents[2]
     digest = hashlib.sha256()
     for folder in ("pipeline", "schemas", "stages"):
-        for path in sorted((root / folder).rglob("*.py")):
+        for path in sorted(path for ending in ("py", "csv", "toml") for path in (root / folder).rglob(f"*.{ending}")):
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:8]
