@@ -21,12 +21,12 @@ from fidpipe.pipeline.datasets.pairs import ScanPair
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.datasets.readers.scan import Scan
 from fidpipe.pipeline.inspect.side_checks import SideSamples
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros, clean_scan
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.frame_search import check_frames
 from fidpipe.stages.inspect.plausibility import implausible
-from fidpipe.stages.inspect.sensor_models import SENSORS
 from fidpipe.stages.inspect.stamps import describe_stamps
 
 SETTINGS = InputSettings()

@@ -22,9 +22,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_description import beams_text, describe_sensor
-from fidpipe.stages.inspect.sensor_models import SENSORS
 
 HEIGHTS_M = {"hdl64": (0.12, 0.21)}  # of the lower and the upper block above the origin of its recordings
 RECORDINGS = {

@@ -46,7 +46,7 @@ def synth(
 
     fidpipe synth dense/ --pairs 1 --sensor hdl64 --points 120000
     """
-    from ...stages.inspect.sensor_models import SENSORS
+    from ...schemas.sensor_models import SENSORS
     from ..engine.progress import Reporter
     from ..generate.synth import make_dataset
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ...schemas.errors import FidpipeError, suggestion
+from ...schemas.sensor_models import SENSORS, SensorModel
 from ...schemas.settings import parse_toml
 from ...stages.generate.rescan import RECORDED
-from ...stages.inspect.sensor_models import SENSORS, SensorModel
 from ..datasets.readers.scan import cause_of
 
 _TABLES = (".csv", ".toml")

@@ -9,10 +9,10 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
+from ...schemas.sensor_models import SENSORS
 from ...stages.generate.ray_casting import require_ray_caster
 from ...stages.generate.street_objects import KINDS
 from ...stages.generate.street_scans import make_pair
-from ...stages.inspect.sensor_models import SENSORS
 from ..datasets.pairs import MANIFEST
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks

@@ -16,13 +16,13 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError, suggestion
+from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried, lose_foliage
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
-from ...stages.inspect.sensor_models import SensorModel
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
 from ..datasets.readers import read_scan, stem_of
 from ..datasets.readers.scan import label_path_of

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...schemas.errors import FidpipeError
+from ...schemas.sensor_models import SensorModel
 from ..arrays import FloatArray, IndexArray
-from ..inspect.sensor_models import SensorModel
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = N
 
     Examples
     --------
-    >>> from ..inspect.sensor_models import SENSORS
+    >>> from ...schemas.sensor_models import SENSORS
     >>> beams = fire(SENSORS["vlp32c"])
     >>> len(beams.azimuth_rad) // 32, round(float(np.degrees(beams.elevation_rad[3])), 3)
     (1808, -15.639)

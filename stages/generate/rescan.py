@@ -11,8 +11,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
+from ...schemas.sensor_models import SensorModel
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..inspect.sensor_models import SensorModel
 from ..inspect.surfels import fit_planes, voxel_ids
 from .flaws import SCATTERED
 from .ray_casting import RayTarget, measure_ranges

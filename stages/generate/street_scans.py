@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...schemas.sensor_models import SensorModel
 from ..arrays import Float32Array, FloatArray, IndexArray
-from ..inspect.sensor_models import SensorModel
 from .ray_casting import Beams, RayTarget, fire, measure_ranges, return_probability
 from .street_objects import Mesh, join_meshes
 from .street_scene import build_scene

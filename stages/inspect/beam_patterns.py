@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from ...schemas.sensor_models import SENSORS, SensorModel
 from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
-from .sensor_models import SENSORS, SensorModel
 
 _HEIGHTS_M = np.round(np.arange(-0.3, 0.301, 0.01), 2)
 _BLOCKS_APART_M = (0.05, 0.12)

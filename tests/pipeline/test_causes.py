@@ -5,9 +5,9 @@ import pytest
 
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.results.causes import CAUSE_KINDS, GroupCoverage, find_causes, surface_causes
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor_models import SENSORS
 from fidpipe.stages.statistics.findings import BAND_EDGES_M
 
 NO_CLASSES = GroupCoverage(("",), np.ones((4, 1)), np.ones((4, 1)))

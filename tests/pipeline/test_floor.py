@@ -27,10 +27,10 @@ from fidpipe.pipeline.results.floor import excess_over
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.metric_catalogue import COVERAGE_SCORES, OBJECT_METRICS
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_description import describe_sensor
-from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import assert_same_tables, command, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 

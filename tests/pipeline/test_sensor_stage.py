@@ -6,9 +6,9 @@ import pytest
 
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor_models import SENSORS
 from runs import run
 
 N_POINTS = 12_000

@@ -16,12 +16,12 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import synth
 from fidpipe.schemas.errors import FidpipeError
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.generate.street_objects import KINDS
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.ground import remove_ground
-from fidpipe.stages.inspect.sensor_models import SENSORS
 
 N_POINTS = 400  # of a small scan
 CLASSES = ("wall", "car", "tree", "vegetation")

@@ -15,11 +15,11 @@ from fidpipe.pipeline.datasets.sequences import read_recording
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import twin
 from fidpipe.schemas.errors import DatasetError, FidpipeError
+from fidpipe.schemas.sensor_models import SENSORS, SensorModel
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.generate.flaws import FLAWS, parse_flaws
 from fidpipe.stages.generate.rescan import RECORDED
-from fidpipe.stages.inspect.sensor_models import SENSORS, SensorModel
 from runs import command, run, tables
 from scenes import box, moved, rigid, write_bin
 

@@ -21,10 +21,10 @@ from fidpipe.pipeline.verify.verify_view import verify_view
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.experiment_tables import EXPERIMENT_TABLES
 from fidpipe.schemas.metric_catalogue import INTENSITY_SCORES
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor_models import SENSORS
 from fidpipe.stages.literal import literal_method
 from runs import command, contents, rewrite, run, some_of
 from scenes import write_dataset

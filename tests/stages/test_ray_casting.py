@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fidpipe.schemas.errors import FidpipeError
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import RayTarget, fire, measure_ranges, return_probability
-from fidpipe.stages.inspect.sensor_models import SENSORS
 
 VLP32C = SENSORS["vlp32c"]
 

@@ -5,9 +5,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.inspect import sensor_description
-from fidpipe.stages.inspect.sensor_models import SENSORS
 from fidpipe.stages.rays import OUTCOMES, RayGrid, compare_rays, find_rays, score_rays
 
 STEP_DEG = 0.4

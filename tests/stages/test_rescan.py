@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from fidpipe.schemas.sensor_models import SENSORS, SensorModel
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.generate.rescan import EMPTY_MAP, SurfelModel, extend_map, recorded_directions
-from fidpipe.stages.inspect.sensor_models import SENSORS, SensorModel
 from scenes import box
 
 EXACT = SensorModel("exact", (), (), 0.4, 0.5, 100.0, 0.0, 0.0, 0.0, 60.0)

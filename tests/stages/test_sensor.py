@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import fire, measure_ranges
 from fidpipe.stages.inspect.beam_patterns import BeamPattern, find_beams, recognise
 from fidpipe.stages.inspect.sensor_description import beams_text, describe_sensor, differences, sensor_lines
-from fidpipe.stages.inspect.sensor_models import SENSORS
 
 CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])  # of the room
 TILT = np.array([[0.9962, 0, 0.0872], [0, 1, 0], [-0.0872, 0, 0.9962]])  # by five degrees
