@@ -2,10 +2,11 @@
 
 Public names, loaded when first used:
 
-evaluate_pair : one pair of scans in memory
-open_run : the folder of a run, its tables as pandas frames
+evaluate_pair : one pair of scans in memory, as a `PairResult`
+open_run : the folder of a run, as a `Run`: its tables as pandas frames, and plots
+read_scan : a scan file of any format, as a `Scan`
 Settings : all settings of a run, with the paper's defaults
-FidpipeError : what a wrong input or setting raises
+FidpipeError : the error that a wrong input or setting raises
 """
 
 from __future__ import annotations
@@ -14,21 +15,26 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .pipeline.datasets.readers import read_scan
+    from .pipeline.datasets.readers.scan import Scan
     from .pipeline.evaluate import PairResult, evaluate_pair
-    from .pipeline.results.finished import FinishedRun, open_run
+    from .pipeline.open_run import Run, open_run
     from .schemas.errors import FidpipeError
     from .schemas.settings import Settings
 
 __version__ = "0.1.0"
-__all__ = ["FidpipeError", "FinishedRun", "PairResult", "Settings", "evaluate_pair", "open_run"]
+__all__ = ["FidpipeError", "PairResult", "Run", "Scan", "Settings", "evaluate_pair", "open_run", "read_scan"]
 
 _HOME = {
     "FidpipeError": ".schemas.errors",
     "FinishedRun": ".pipeline.results.finished",
     "PairResult": ".pipeline.evaluate",
+    "Run": ".pipeline.open_run",
+    "Scan": ".pipeline.datasets.readers.scan",
     "Settings": ".schemas.settings",
     "evaluate_pair": ".pipeline.evaluate",
-    "open_run": ".pipeline.results.finished",
+    "open_run": ".pipeline.open_run",
+    "read_scan": ".pipeline.datasets.readers",
 }
 
 
@@ -36,3 +42,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(_HOME[name], __name__), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

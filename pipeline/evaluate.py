@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..schemas.tables import TABLES
 from ..stages.arrays import FloatArray, IntArray
 from ..stages.inspect.frame_search import check_frames
 from ..stages.method import Evaluation, evaluate, n_communities
+from .datasets.readers import read_scan
 from .datasets.readers.scan import Scan
 from .engine.pool import one_blas_thread
 from .inspect.frame_checks import frame_warning
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
 _PAIR = "pair"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PairResult:
     """The tables of one pair as pandas frames, with the columns of `schemas.tables`.
 
@@ -73,14 +75,22 @@ class PairResult:
     seeds: pd.DataFrame | None = None
     nvs: pd.DataFrame | None = None
 
+    def __repr__(self) -> str:
+        names = ("n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean")
+        known = ((name, self.summary[name]) for name in names)
+        return f"<evaluated pair: {', '.join(f'{name} {value:.4g}' for name, value in known if value is not None)}>"
 
-def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[str, Any] | None = None) -> PairResult:
+
+def evaluate_pair(
+    real: ArrayLike | Scan | Path, sim: ArrayLike | Scan | Path, settings: Settings | Mapping[str, Any] | None = None
+) -> PairResult:
     """Compare a simulated scan with a real one, object by object; the same numbers as `fidpipe run`.
 
     Parameters
     ----------
     real, sim : (n, 3) points, metres, in the real sensor's frame (z up), of any real number type; computed with as
-        float64. NaN and infinite points, and the masked ones of a masked array, are dropped
+        float64. NaN and infinite points, and the masked ones of a masked array, are dropped. A fourth column is the
+        intensity, as in KITTI. Also a `Scan`, or the path of a scan file of any format that `read_scan` opens
     settings : by default those of the paper; or some of them by group, such as {"graph": {"k": 60}};
         {"preset": "reference"} fixes the objects on the real side
 
@@ -93,7 +103,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     Raises
     ------
     ScanError
-        An array is not of shape (n, 3), or its values are not real numbers (complex, boolean, text, objects).
+        An array is not of shape (n, 3) or (n, 4), or its values are not real numbers (complex, boolean, text, objects);
+        or a file cannot be read.
     StageError
         A stage fails, for example because fewer than 8 object points are left.
 
@@ -110,8 +121,8 @@ def evaluate_pair(real: ArrayLike, sim: ArrayLike, settings: Settings | Mapping[
     >>> evaluate_pair(scan, scan[::-1], {"preset": "reference"}).summary["cdc_mean"]
     0.0
     """
-    scans = {"real": Scan(_points("real", real)), "sim": Scan(_points("sim", sim))}
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
+    scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
     check = check_frames(scans["real"].points, scans["sim"].points, settings.input)
     if check and check.is_suspect:
         warnings.warn(frame_warning(check), stacklevel=2)
@@ -201,13 +212,25 @@ def _whole(table: pa.Table) -> pa.Table:
     return table
 
 
-def _points(name: str, points: ArrayLike) -> FloatArray:
+def _scan(name: str, source: ArrayLike | Scan | Path, settings: Settings) -> Scan:
+    if isinstance(source, Scan):
+        return replace(source, points=_numbers(name, source.points)[:, :3])
+    if isinstance(source, str | Path):
+        return read_scan(source, settings.input.columns_of(name))
+    columns = _numbers(name, source)
+    return Scan(columns[:, :3], intensity=columns[:, 3] if columns.shape[1] == 4 else None)
+
+
+def _numbers(name: str, points: ArrayLike) -> FloatArray:
     try:
         array = np.asanyarray(points)
     except ValueError as error:
         raise ScanError(f"{name}: expected numbers of shape (n, 3), got rows of unequal lengths") from error
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ScanError(f"{name}: expected an array of shape (n, 3), got {array.shape}")
+    if array.ndim != 2 or array.shape[1] not in (3, 4):
+        hint = f"; pass {name}[:, :3]" if array.ndim == 2 and array.shape[1] > 4 else ""
+        raise ScanError(
+            f"{name}: expected an array of shape (n, 3), or (n, 4) with the intensity, got {array.shape}{hint}"
+        )
     if array.dtype.kind not in "fiu":
         convert = ".real" if array.dtype.kind == "c" else ".astype(float)"
         raise ScanError(f"{name}: expected real numbers, got {array.dtype} values; convert them with {name}{convert}")

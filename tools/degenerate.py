@@ -51,7 +51,7 @@ ARRAYS = {
     "rows of unequal lengths": [[1.0, 2.0, 3.0], [1.0]],
     "shape (0, 3)": np.empty((0, 3)),
     "shape (3,)": np.ones(3),
-    "shape (n, 4)": np.ones((20, 4)),
+    "shape (n, 5)": np.ones((20, 5)),
     "a number": 5.0,
 }
 _MATCHES = ("n_matched", "n_communities_real", "n_communities_sim")

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -191,11 +192,7 @@ class PairFrames:
     def ray_image(self) -> NDArray[np.uint8]:
         """(beams, columns) place in `OUTCOME_COLOURS`, 255 for none; left on the left, the highest beam on top."""
         rays = self._columns("rays", "", ["beam", "column", "outcome"])
-        beams, columns = (rays[name].max() + 1 if len(rays) else 0 for name in ("beam", "column"))
-        image = np.full((beams, columns), 255, dtype=np.uint8)
-        places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
-        image[rays.beam, rays.column] = rays.outcome.map(places).fillna(255)
-        return image[::-1, ::-1]
+        return ray_image(rays, outcome_places(rays), 255)
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:
@@ -250,6 +247,25 @@ class PairFrames:
     def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:
         rows: pd.DataFrame = self._run.read_table(table, self._pair_id, side, columns).to_pandas()
         return rows
+
+
+def ray_image(rays: pd.DataFrame, values: NDArray[Any], empty: float) -> NDArray[Any]:
+    """(beams, columns) the value of each ray, `empty` for none; left on the left, the highest beam on top.
+
+    Beams with more returns than firings in a turn have more columns than most; these are left out.
+    """
+    last = rays.groupby("beam").column.max()
+    image = np.full((len(last), int(last.median()) + 1 if len(last) else 0), empty, dtype=values.dtype)
+    shown = (rays.column < image.shape[1]).to_numpy()
+    image[rays.beam[shown], rays.column[shown]] = values[shown]
+    return image[::-1, ::-1]
+
+
+def outcome_places(rays: pd.DataFrame) -> NDArray[np.uint8]:
+    """(n,) place of the outcome of each ray in `OUTCOME_COLOURS`, 255 for none."""
+    places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
+    found: NDArray[np.uint8] = np.array(rays.outcome.map(places).fillna(255), dtype=np.uint8)
+    return found
 
 
 def _matched_and_not(objects: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:

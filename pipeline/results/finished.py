@@ -43,15 +43,12 @@ _BY_CHANCE = ("match_rate", "cdc_mean", "r_lambda_mean")
 class FinishedRun:
     """A run that has ended: its record, and its tables as pandas frames or as Arrow, each checked as it is read.
 
-    Python users create one with `open_run`, which documents parameters and errors.
+    Python users open it with `fidpipe.open_run`, as the subclass `open_run.Run`, which has plots as well.
 
-    Examples
-    --------
-    >>> import fidpipe
-    >>> run = fidpipe.open_run("runs/streets")  # doctest: +SKIP
-    >>> run.metrics.groupby("pair_id").r_lambda.median()  # doctest: +SKIP
-    >>> run.points("0003", "sim").query("community_id == 7")[["x", "y", "z"]]  # doctest: +SKIP
-    >>> run.table("metrics")  # as Arrow  # doctest: +SKIP
+    Raises
+    ------
+    RunError
+        The folder is not a run, the run has not ended, or its table of pairs is damaged.
     """
 
     def __init__(self, folder: Path | str) -> None:
@@ -277,7 +274,7 @@ def _repeatability(run: FinishedRun, name: str) -> float:
     return math.inf if spread is None or spread.least_dataset is None else spread.least_dataset
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ObjectFacts:
     """One object of a pair; without the columns that name pair and side.
 
@@ -292,12 +289,17 @@ class ObjectFacts:
     sim: Row | None
     scores: Row | None
 
+    def __repr__(self) -> str:
+        rows = (("real", self.real), ("sim", self.sim))
+        sides = (f"{side} {row['community_id']} ({row['n_points']} points)" for side, row in rows if row)
+        return f"<object {', '.join(sides)}: {self.status}>"
+
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
         return {"status": self.status, "real": self.real, "sim": self.sim, "scores": self.scores}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PairFacts:
     """A pair: its row of `pairs`, its objects, and its rows of `ray_scores`; none of both where it failed."""
 
@@ -305,24 +307,12 @@ class PairFacts:
     objects: tuple[ObjectFacts, ...]
     rays: tuple[Row, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<pair {self.pair['pair_id']}: {self.pair['status']}, {len(self.objects)} objects>"
+
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
         return {"pair": self.pair, "objects": [each.as_dict() for each in self.objects], "rays": [*self.rays]}
-
-
-def open_run(folder: Path | str) -> FinishedRun:
-    """The folder of a finished run, its tables as pandas frames: `pairs`, `objects`, `metrics`, `points`, `edges`.
-
-    Parameters
-    ----------
-    folder : as `fidpipe run` wrote it
-
-    Raises
-    ------
-    RunError
-        The folder is not a run, the run has not ended, or its table of pairs is damaged.
-    """
-    return FinishedRun(folder)
 
 
 def run_facts(run: FinishedRun) -> JsonObject:

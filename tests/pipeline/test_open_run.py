@@ -1,10 +1,18 @@
-"""A finished run opened in Python: the frames are the files."""
+"""A finished run opened in Python: the frames are the files, and the plots show them; and all public names."""
 
+from io import BytesIO
+from types import SimpleNamespace
+
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from matplotlib.colors import to_rgba
+from matplotlib.image import imread
 
 import fidpipe
+from fidpipe.pipeline.report.figures.run_plots import plot_range_image
+from fidpipe.pipeline.report.look import SIDE_COLOURS
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import TABLES
 from reports import HOSTILE_PAIRS
@@ -64,3 +72,58 @@ def test_what_is_not_there_is_named(run, report_run, tmp_path):
     with pytest.raises(RunError, match="no run.json"):
         fidpipe.open_run(tmp_path)
     assert repr(run) == f"<fidpipe run {report_run}: 4 pairs scored, 1 failed, preset paper>"
+
+
+def test_the_public_names_are_those_of_dir_and_each_loads():
+    assert dir(fidpipe) == sorted(fidpipe.__all__)
+    assert all(hasattr(fidpipe, name) for name in dir(fidpipe))
+    assert issubclass(fidpipe.Run, fidpipe.FinishedRun)
+
+
+def test_pairs_and_objects_are_one_line_in_a_notebook(run):
+    pair = run.pair(FIRST)
+    assert repr(pair).endswith(f": scored, {len(pair.objects)} objects>")
+    matched = pair.objects[0]
+    numbers = matched.real["community_id"], matched.real["n_points"], matched.sim["community_id"]
+    assert repr(matched).startswith("<object real {} ({} points), sim {} (".format(*numbers))
+    assert run.object(FIRST, f"sim:{numbers[2]}") == run.object(FIRST, numbers[0]) == matched
+
+
+def test_the_plot_of_an_object_has_its_points_in_colour_and_its_scores(run):
+    matched = run.pair(FIRST).objects[0]
+    figure = run.plot_object(FIRST, matched.real["community_id"])
+    assert f"CDC {matched.scores['cdc']:.3f}"[:8] in figure.get_suptitle()
+    for axis, (side, colour) in zip(figure.axes, SIDE_COLOURS.items(), strict=True):
+        _, own = axis.collections
+        assert len(own.get_offsets()) == getattr(matched, side)["n_points"]
+        assert tuple(own.get_facecolor()[0]) == to_rgba(colour)
+    assert imread(BytesIO(figure._repr_png_())).shape[2] == 4
+
+
+def test_the_plot_of_pieces_has_the_points_of_the_table(run):
+    figure, pieces = run.plot_pieces(LAST), run.table("pieces", [LAST]).to_pandas()
+    assert len(pieces)
+    for axis, side in zip(figure.axes, ("real", "sim"), strict=True):
+        own = pieces[pieces.side == side]
+        assert len(axis.collections[1].get_offsets()) == own.n_points.sum()
+        centres = np.array([text.xy for text in axis.texts]).reshape(-1, 2)
+        assert centres == pytest.approx(own[["cx", "cy"]].to_numpy()[:10])
+
+
+def test_a_pair_without_rays_has_no_range_image(run):
+    with pytest.raises(RunError, match="no rays: "):
+        run.plot_range_image(FIRST)
+
+
+def test_a_range_image_has_left_on_the_left_and_the_highest_beam_on_top():
+    outcomes = ["same", "none", "dropped", "sim_only", "same", "behind", "same"]
+    rays = {"beam": [0, 0, 1, 1, 2, 2, 2], "column": [0, 1, 0, 1, 0, 1, 2], "outcome": outcomes}
+    rays |= {
+        "real_range_m": [4.0, None, 6.0, None, 5.0, 6.0, 9.0],
+        "sim_range_m": [4.0, None, None, 7.0, 5.0, 8.0, 9.0],
+    }
+    stub = SimpleNamespace(folder="run", table=lambda name, pairs: pa.table(rays))
+    real, sim, outcome = (axis.images[0].get_array() for axis in plot_range_image(stub, "a").axes[:3])
+    assert real.filled(np.nan).tolist() == pytest.approx(np.array([[6, 5], [np.nan, 6], [np.nan, 4]]), nan_ok=True)
+    assert sim.filled(np.nan).tolist() == pytest.approx(np.array([[8, 5], [7, np.nan], [np.nan, 4]]), nan_ok=True)
+    assert outcome.tolist() == [[2, 0], [5, 3], [None, 0]]  # the third column of beam 2 is beyond a turn

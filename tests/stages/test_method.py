@@ -4,9 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import fidpipe
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.schemas.errors import StageError
+from fidpipe.schemas.errors import ScanError, StageError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.method import compare, evaluate, graph_of, partition, score
 from runs import run
@@ -95,6 +96,25 @@ def test_a_transformed_and_mirrored_pair_has_the_tables_of_a_run(scans, tmp_path
         assert np.array_equal(own.scan.labels, tables["communities", side]["community_id"])
     assert [own.scores.cdc for own in found.scores.objects] == tables["metrics", ""]["cdc"].tolist()
     assert found.scores.summary["match_rate"] == row["match_rate"] > 0.5
+
+
+def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_path):
+    columns = [np.column_stack([points, np.linspace(0, 1, len(points))]).astype(np.float32) for points in scans]
+    paths = [tmp_path / f"{side}.bin" for side in SIDES]
+    for path, rows in zip(paths, columns, strict=True):
+        rows.tofile(path)
+    own = [fidpipe.read_scan(str(path)) for path in paths]
+    assert repr(own[0]) == f"<scan of {len(scans[0])} points, intensity>"
+    results = [evaluate_pair(*sources) for sources in (columns, paths, own)]
+    assert results[0].points["real"].intensity.max() == 1
+    for result in results[1:]:
+        assert result.summary == results[0].summary
+        pd.testing.assert_frame_equal(result.points["sim"], results[0].points["sim"])
+    matched = results[0].summary["n_matched"]
+    assert matched > 0
+    assert repr(results[0]).startswith(f"<evaluated pair: n_matched {matched}, n_missing ")
+    with pytest.raises(ScanError, match=r"sim: expected .* got \(60, 5\); pass sim\[:, :3\]"):
+        evaluate_pair(columns[0], np.ones((60, 5)))
 
 
 @pytest.mark.exhaustive

@@ -130,7 +130,9 @@ def frames_of(path: Path) -> list[Path]:
     return found
 
 
-def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: dict[int, str] | None = None) -> Scan:
+def read_scan(
+    path: Path | str, columns: tuple[str, ...] | None = None, label_names: dict[int, str] | None = None
+) -> Scan:
     """The points of a scan file, or of one frame of a recording, with their other columns.
 
     Points that are not finite or zero are kept: cleaning drops and counts them.
@@ -146,6 +148,7 @@ def read_scan(path: Path, columns: tuple[str, ...] | None = None, label_names: d
     ScanError
         The file is missing, empty, truncated or of another format; or the library that reads it is missing.
     """
+    path = Path(path)
     suffix, address = suffix_of(path), address_of(path)
     if suffix is None:
         raise ScanError(f"{path}: unknown format; known are {', '.join(formats())}")

@@ -46,7 +46,7 @@ CARLA_TAGS = dict(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scan:
     """One scan as stored in its file.
 
@@ -70,6 +70,11 @@ class Scan:
     times_s: FloatArray | None = None
     label_names: Mapping[int, str] = field(default_factory=dict)
     stamp_s: float | None = None
+
+    def __repr__(self) -> str:
+        optional = ("intensity", "labels", "instances", "incidence", "rings", "times_s")
+        others = "".join(f", {name}" for name in optional if getattr(self, name) is not None)
+        return f"<scan of {len(self.points)} points{others}>"
 
     def content_hash(self) -> str:
         """SHA-256 of all that was read, as hexadecimal digits."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC
-from ....stages.arrays import FloatArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.statistics.typical_objects import SHAPES
 from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
@@ -62,7 +61,7 @@ def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
     real, matched = tables.clouds["real"], tables.matched
     n_objects = int(real.community.max()) + 1
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
-    with style.new_figure(11, _height(frame, 3.2), f"pair {style.shown_name(pair_id)}") as figure:
+    with style.new_figure(11, style.panel_height(frame, 3.2), f"pair {style.shown_name(pair_id)}") as figure:
         objects, sides, fidelity = figure.subplots(1, 3, sharex=True, sharey=True)
         style.dots(objects, real.points, 1.2, style.community_colours(n_objects + 1)[real.community])
         objects.set_title(f"(A) {n_objects} objects of the real scan")
@@ -99,7 +98,7 @@ def draw_coverage(results: RunResults, pair_id: str, folder: Any) -> Any:
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
     is_worst = len(results.pairs) > 1 and pair_id == results.pairs.pair_id[0]
     title = f"pair {style.shown_name(pair_id)}{', the worst' if is_worst else ''}"
-    with style.new_figure(9.6, _height(frame, 3.9), title) as figure:
+    with style.new_figure(9.6, style.panel_height(frame, 3.9), title) as figure:
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for axis, (side, cloud), words in zip(axes, tables.clouds.items(), _UNCOVERED, strict=True):
             order = np.argsort(tables.distances_m[side], kind="stable")
@@ -118,7 +117,7 @@ def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:
     tables = PairFrames(results, pair_id)
     alone = tables.unmatched
     frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
-    with style.new_figure(9, _height(frame, 4.0), f"pair {style.shown_name(pair_id)}") as figure:
+    with style.new_figure(9, style.panel_height(frame, 4.0), f"pair {style.shown_name(pair_id)}") as figure:
         sides, unmatched = figure.subplots(1, 2, sharex=True, sharey=True)
         _draw_sides(sides, tables)
         sides.set_title("all objects")
@@ -269,9 +268,3 @@ def _choose_objects(results: RunResults) -> list[int]:
 def _draw_sides(axis: Any, tables: PairFrames) -> None:
     for side, cloud in tables.clouds.items():
         style.dots(axis, cloud.points, 0.8, SIDE_COLOURS[side], alpha=0.5, label=side)
-
-
-def _height(frame: FloatArray, panel_width_in: float) -> float:
-    """Inches of a figure whose panels are as wide as given, with room for titles and legends."""
-    width, height = frame[1] - frame[0]
-    return float(np.clip(panel_width_in * height / width, 1.5, 6)) + 1.25

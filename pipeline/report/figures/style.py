@@ -25,13 +25,13 @@ KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}, "pdf": {"
 
 
 @contextmanager
-def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[Any]:
-    """A figure in our style that needs no display and is let go of at the end."""
+def new_figure(width_in: float, height_in: float, title: str = "", kind: Any = None) -> Iterator[Any]:
+    """A figure in our style that needs no display; `kind` is its class, by default that of matplotlib."""
     from matplotlib import style
     from matplotlib.figure import Figure
 
     with style.context(f"{__package__}.look"):
-        figure = Figure(figsize=(width_in, height_in))
+        figure = (kind or Figure)(figsize=(width_in, height_in))
         if title:
             figure.suptitle(title)
         yield figure
@@ -77,6 +77,12 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
     low, high = np.minimum(low, 0), np.maximum(high, 0)
     margin = 0.04 * (high - low).max()
     return np.stack([low - margin, high + margin])
+
+
+def panel_height(frame: FloatArray, panel_width_in: float) -> float:
+    """Inches of a figure whose panels are as wide as given, with room for titles and legends."""
+    width, height = frame[1] - frame[0]
+    return float(np.clip(panel_width_in * height / width, 1.5, 6)) + 1.25
 
 
 def from_above(axis: Any, frame: FloatArray) -> None:

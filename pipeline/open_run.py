@@ -1,0 +1,71 @@
+"""A finished run for Python users: its tables as pandas frames, its objects, and plots of a pair and of an object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from .results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts
+
+
+class Run(FinishedRun):
+    """A finished run, as `open_run` returns it: tables as pandas frames or as Arrow, objects, and plots.
+
+    Each file is checked as it is read. A plot is a matplotlib figure: notebooks show it, `savefig` writes it.
+
+    Examples
+    --------
+    >>> import fidpipe
+    >>> run = fidpipe.open_run("runs/streets")  # doctest: +SKIP
+    >>> run.metrics.groupby("pair_id").r_lambda.median()  # doctest: +SKIP
+    >>> run.points("0003", "sim").query("community_id == 7")[["x", "y", "z"]]  # doctest: +SKIP
+    >>> run.table("coverage")  # as Arrow  # doctest: +SKIP
+    >>> run.plot_object("0003", 7).savefig("object.png")  # doctest: +SKIP
+    """
+
+    def pair(self, pair_id: str) -> PairFacts:
+        """A pair: its row of `pairs` and its objects, worst first; see `fidpipe show RUN PAIR`."""
+        return pair_facts(self, pair_id)
+
+    def object(self, pair_id: str, name: str | int) -> ObjectFacts:
+        """One object of a pair: 7 or "real:7" is the real object 7 with its partner, "sim:7" the simulated one."""
+        return object_facts(self, pair_id, str(name))
+
+    def plot_object(self, pair_id: str, name: str | int) -> Any:
+        """Plot an object on both sides in one box, with its scores; other points in the box are grey.
+
+        Parameters
+        ----------
+        pair_id : name of the pair
+        name : 7 or "real:7" for the real object 7 and its partner, "sim:7" for the simulated one
+        """
+        from .report.figures.run_plots import plot_object
+
+        return plot_object(self, pair_id, str(name))
+
+    def plot_pieces(self, pair_id: str) -> Any:
+        """Plot a pair from above: missing and invented pieces in colour, with the numbers of the largest ones."""
+        from .report.figures.run_plots import plot_pieces
+
+        return plot_pieces(self, pair_id)
+
+    def plot_range_image(self, pair_id: str) -> Any:
+        """Plot range images of a pair: real ranges, simulated ranges on the same rays, and the outcome of each ray."""
+        from .report.figures.run_plots import plot_range_image
+
+        return plot_range_image(self, pair_id)
+
+
+def open_run(folder: Path | str) -> Run:
+    """The folder of a finished run, its tables as pandas frames: `pairs`, `objects`, `metrics`, `points`, `edges`.
+
+    Parameters
+    ----------
+    folder : as `fidpipe run` wrote it
+
+    Raises
+    ------
+    RunError
+        The folder is not a run, the run has not ended, or its table of pairs is damaged.
+    """
+    return Run(folder)
