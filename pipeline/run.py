@@ -23,7 +23,7 @@ from ..schemas.record import FrameSuspect, MetricsSummary, RunHeader, RunRecord
 from ..schemas.results import Findings, JsonObject, ObjectOverview
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
-from ..schemas.tables import PAIRS, TIMINGS
+from ..schemas.tables import TABLES
 from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairs import Dataset, ScanPair, read_dataset
@@ -263,14 +263,14 @@ class _Run:
         jobs, pair_ids = self._summarise_jobs(survey.usable), [pair.pair_id for pair in survey.usable]
         times_s = {pair.pair_id: pair.timestamp_s for pair in self._dataset.pairs}
         key = key_of(library_versions(["fidpipe"]), sorted(jobs.keys.items()), self._engine.failures, times_s)
-        before = self._folder.ledger.jobs("").get((PAIRS.name, ""))
+        before = self._folder.ledger.jobs("").get(("pairs", ""))
         is_same = before is not None and before.key == key
         header = self._header(is_same=is_same)
         if not is_same:
             self._write_record(header)
-        pairs = self._write_table(PAIRS, key, self._pair_parts(survey))
+        pairs = self._write_table(TABLES["pairs"], key, self._pair_parts(survey))
         made_by = self._folder.token if self._engine.n_made else ""  # where nothing was made, all rows are reused
-        self._write_table(TIMINGS, key_of(key, list(self._versions), made_by), self._timing_parts(pair_ids))
+        self._write_table(TABLES["timings"], key_of(key, list(self._versions), made_by), self._timing_parts(pair_ids))
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
@@ -363,7 +363,7 @@ class _Run:
             stored = self._folder.write_at(path, table.name, parts, key)
             before = JobRecord(table.name, "", "", key, {path.name: stored})
             self._folder.ledger.put_job(before)
-        return self._folder.read(table.name, before.files[path.name], path.name) if table is PAIRS else None
+        return self._folder.read(table.name, before.files[path.name], path.name) if table.name == "pairs" else None
 
     def _pair_parts(self, survey: Survey) -> Iterator[pa.Table]:
         """The rows of `pairs`, some pairs at a time: those with current results, and those that failed."""
@@ -376,7 +376,7 @@ class _Run:
                 reason = None if row else failures.get(pair_id) or self._past_failure(usable.get(pair_id))
                 if row or reason:
                     rows.append(row or {"pair_id": pair_id, "status": "failed", "reason": reason})
-            yield PAIRS.from_rows(rows)
+            yield TABLES["pairs"].from_rows(rows)
 
     def _row(self, pair_id: str) -> Row | None:
         """The row of a scored pair; None if a stage that every run has is not done."""
@@ -400,7 +400,7 @@ class _Run:
     def _timing_parts(self, pair_ids: Iterable[str]) -> Iterator[pa.Table]:
         """The rows of `timings`, some pairs at a time."""
         for names in _chunks(sorted(pair_ids)):
-            yield TIMINGS.from_rows(
+            yield TABLES["timings"].from_rows(
                 row for record in self._records(names) for row in timing_rows(record, self._folder.token)
             )
 

@@ -10,16 +10,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from .metric_catalogue import OBJECT_METRICS, Metric
-
 SIDES = ("real", "sim")
 #: A row of a table by column; the schema of the table has names and types.
 Row = dict[str, Any]
 _CHUNK_ROWS = 5000
 
-STRING, INT32, FLOAT64, BOOL = pa.string(), pa.int32(), pa.float64(), pa.bool_()
 #: Strings that are the same in all rows of a file: in memory a dictionary, in Parquet plain strings.
-CONSTANT = pa.dictionary(INT32, STRING)
+CONSTANT = pa.dictionary(pa.int32(), pa.string())
 
 
 @dataclass(frozen=True)
@@ -100,25 +97,5 @@ def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional:
     return pa.field(name, kind, nullable=optional, metadata=metadata)
 
 
-def table(name: str, keys: tuple[str, ...], *columns: pa.Field) -> Table:
-    """Table of these columns, with rows sorted by `keys`."""
-    return Table(name, pa.schema(columns), keys)
-
-
-def mean_columns(of: str) -> list[pa.Field]:
-    """Columns for the means of all object scores."""
-    return [column(f"{name}_mean", FLOAT64, f"mean of {name} over {of}", optional=True) for name in OBJECT_METRICS]
-
-
-def score_column(metric: Metric, *, optional: bool | None = None) -> pa.Field:
-    """Column of a score as the catalogue describes it; `optional` overrides the nullability of the catalogue."""
-    kind = INT32 if "count" in metric.flags else FLOAT64
-    is_nullable = "required" not in metric.flags if optional is None else optional
-    return column(metric.column, kind, metric.meaning, metric.unit or "", is_nullable)
-
-
 PAIR = column("pair_id", CONSTANT, "name of the scan pair")
 SIDE = column("side", CONSTANT, "real or sim")
-POINT = column("point_id", INT32, "row of the point in its input file, from 0")
-COMMUNITY = column("community_id", INT32, "object of this side; 0 is the largest, -1 no object (communities.leave_out)")
-LABEL = column("label", STRING, "semantic class, if the input has labels", optional=True)

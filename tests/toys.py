@@ -8,19 +8,22 @@ from pydantic import BaseModel, ConfigDict
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.points_job import column as values_of
 from fidpipe.pipeline.stage import Grain, JobResult, Stage
-from fidpipe.schemas.columns import COMMUNITY, FLOAT64, INT32, PAIR, SIDE, SIDES, Table, column
+from fidpipe.schemas.columns import PAIR, SIDE, SIDES, Table, column
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
 
-REAL_ID = column("real_id", INT32, "community of the real side")
+COMMUNITY = column("community_id", pa.int32(), "object of this side")
+REAL_ID = column("real_id", pa.int32(), "community of the real side")
 
 CROWDS = Table(
     "toy_crowds",
-    pa.schema([PAIR, SIDE, COMMUNITY, column("n_over", INT32, "points over toy.least_points")]),
+    pa.schema([PAIR, SIDE, COMMUNITY, column("n_over", pa.int32(), "points over toy.least_points")]),
     ("community_id",),
 )
-RATIOS = Table("toy_ratios", pa.schema([PAIR, REAL_ID, column("ratio", FLOAT64, "of simulated points")]), ("real_id",))
-MARKS = Table("toy_marks", pa.schema([PAIR, REAL_ID, column("mark", FLOAT64, "cdc times ratio")]), ("real_id",))
+RATIOS = Table(
+    "toy_ratios", pa.schema([PAIR, REAL_ID, column("ratio", pa.float64(), "of simulated points")]), ("real_id",)
+)
+MARKS = Table("toy_marks", pa.schema([PAIR, REAL_ID, column("mark", pa.float64(), "cdc times ratio")]), ("real_id",))
 TOY_TABLES = (CROWDS, RATIOS, MARKS)
 TABLES.update({table.name: table for table in TOY_TABLES})
 

@@ -12,7 +12,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import BASELINE_NAMES
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
-from ...schemas.tables import BASELINES
+from ...schemas.tables import TABLES
 from ...stages.baselines import Baseline, compare_objects, compare_points
 from ...stages.baselines.icp import can_register
 from ...stages.summary import mean_and_std
@@ -38,7 +38,7 @@ def make_baselines(own: Inputs) -> JobResult:
     real_points, sim_points = (object_points(own, side)[1] for side in SIDES)
     values = compare_points(real_points, sim_points, settings.metrics, watch=watch)
     rows += [_row(own, value, None, None) for value in values]
-    return JobResult({"baselines": BASELINES.from_rows(rows)}, {"means": _means(rows)})
+    return JobResult({"baselines": TABLES["baselines"].from_rows(rows)}, {"means": _means(rows)})
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:

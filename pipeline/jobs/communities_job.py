@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...schemas.settings import Settings
-from ...schemas.tables import COMMUNITIES, OBJECTS
+from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ...stages.method import PartitionedScan, partition
 from ...stages.objects import majority_labels
@@ -61,13 +61,13 @@ def communities_result(
     names = [None] * len(point_ids) if noted is None or noted.labels is None else noted.labels.tolist()
     labels = majority_labels(scan.labels, names, len(objects.n_points))
     both = {"pair_id": pair_id, "side": side}
-    communities = COMMUNITIES.build(both | {"point_id": point_ids, "community_id": scan.labels})
+    communities = TABLES["communities"].build(both | {"point_id": point_ids, "community_id": scan.labels})
     measures = np.column_stack([objects.centroid, objects.extent, objects.shape, objects.range_m])
     columns: dict[str, Any] = {
         name: nulls_for_nan(values.tolist()) for name, values in zip(_MEASURES, measures.T, strict=True)
     }
     columns |= {"community_id": np.arange(len(objects.n_points), dtype=np.int32), "n_points": objects.n_points}
-    described = OBJECTS.build(both | columns | {"label": labels})
+    described = TABLES["objects"].build(both | columns | {"label": labels})
     return JobResult({"communities": communities, "objects": described})
 
 

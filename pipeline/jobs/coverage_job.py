@@ -6,7 +6,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES
-from ...schemas.tables import COVERAGE
+from ...schemas.tables import TABLES
 from ...stages.coverage import Coverage
 from ...stages.method import SideCoverage, measure_coverage
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
@@ -35,7 +35,7 @@ def coverage_result(pair_id: str, coverage: tuple[SideCoverage, SideCoverage]) -
         rows += [both | {"community_id": i} | row for i, row in enumerate(objects)]
         rows.append(both | whole)
         of_pair |= {f"covered_{side}_{reach}": whole[f"covered_{reach}"] for reach in COVERAGE_REACHES}
-    return JobResult({"coverage": COVERAGE.from_rows(rows)}, {OF_PAIR: of_pair})
+    return JobResult({"coverage": TABLES["coverage"].from_rows(rows)}, {OF_PAIR: of_pair})
 
 
 def _rows(coverage: Coverage) -> list[Row]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...schemas.tables import GRAPH
+from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ...stages.graph import build_graph
 from ...stages.linalg.subgraph import Edges
@@ -21,7 +21,7 @@ def make_graph(own: Inputs) -> JobResult:
 def graph_result(pair_id: str, side: str, point_ids: IntArray, edges: Edges) -> JobResult:
     """The edges; each names its points by their ids."""
     columns = {"src": point_ids[edges.src], "dst": point_ids[edges.dst], "length_m": edges.length_m}
-    rows = GRAPH.build({"pair_id": pair_id, "side": side} | columns, len(edges.src))
+    rows = TABLES["graph"].build({"pair_id": pair_id, "side": side} | columns, len(edges.src))
     return JobResult({"graph": rows}, {"n_edges": len(edges.src)})
 
 

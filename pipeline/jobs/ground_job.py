@@ -8,7 +8,7 @@ import numpy as np
 
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
-from ...schemas.tables import GROUND
+from ...schemas.tables import TABLES
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
 from ...stages.inspect.plausibility import inspect_points
@@ -58,7 +58,7 @@ def make_ground(own: Inputs) -> JobResult:
 def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> JobResult:
     """The clean points with their ground flags; the metadata hold the number of dropped points and the cut."""
     x, y, z = clean.points.T
-    rows = GROUND.build(
+    rows = TABLES["ground"].build(
         {
             "pair_id": pair_id,
             "side": side,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.tables import MATCHING
+from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ...stages.matching import Matching
 from ...stages.method import match_objects
@@ -30,7 +30,7 @@ def matching_result(pair_id: str, matching: Matching, n_real: IntArray, n_sim: I
     rows += [{"real_id": a, "status": "missing"} for a in matching.missing.tolist()]
     rows += [{"sim_id": b, "status": "hallucinated"} for b in matching.hallucinated.tolist()]
     n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])
-    table = MATCHING.from_rows({"pair_id": pair_id} | row for row in rows)
+    table = TABLES["matching"].from_rows({"pair_id": pair_id} | row for row in rows)
     return JobResult(
         {"matching": table}, {OBJECTS: list(zip(matching.real_ids.tolist(), n_keep.tolist(), strict=True))}
     )

@@ -11,7 +11,7 @@ import pyarrow as pa
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...schemas.results import Number
-from ...schemas.tables import METRICS
+from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.method import n_communities
 from ...stages.metrics import Scores, score_object
@@ -49,7 +49,7 @@ def metrics_result(
         | vars(scores)
         for match, sizes, scores in objects
     ]
-    return JobResult({"metrics": METRICS.from_rows(rows)})
+    return JobResult({"metrics": TABLES["metrics"].from_rows(rows)})
 
 
 def gather_metrics(own: Inputs, tables: Tables) -> Metadata:

@@ -14,7 +14,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, METRIC, NVS_SCORES
 from ...schemas.record import OF_DATASET, OF_SCAN
 from ...schemas.settings import Settings
-from ...schemas.tables import NVS
+from ...schemas.tables import TABLES
 from ...stages import nvs
 from ...stages.arrays import FloatArray
 from ...stages.summary import mean_and_std
@@ -36,7 +36,9 @@ def make_nvs(own: Inputs) -> JobResult:
         for each in scores
     ]
     maps = {side: _as_text(nvs.map_from_above(own)) for side, own in zip(SIDES, points, strict=True)}
-    return JobResult({"nvs": NVS.from_rows(rows)}, {"values": {each.name: each.value for each in scores}, "maps": maps})
+    return JobResult(
+        {"nvs": TABLES["nvs"].from_rows(rows)}, {"values": {each.name: each.value for each in scores}, "maps": maps}
+    )
 
 
 def summarise_nvs(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:

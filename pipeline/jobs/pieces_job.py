@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.tables import PIECES
+from ...schemas.tables import TABLES
 from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan, Pieces, count_pieces, find_pieces
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
@@ -50,7 +50,7 @@ def pieces_result(
         labels = majority_labels(pieces.labels[inside], known, len(pieces.partner)) if known else []
         common = {"pair_id": pair_id, "side": side}
         rows += [common | row | {"label": label} for row, label in zip(_rows(pieces), labels, strict=True)]
-    return JobResult({"pieces": PIECES.from_rows(rows)}, {OF_PAIR: count_pieces(*both)})
+    return JobResult({"pieces": TABLES["pieces"].from_rows(rows)}, {OF_PAIR: count_pieces(*both)})
 
 
 def _rows(pieces: Pieces) -> list[Row]:

@@ -10,10 +10,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ...schemas.columns import SIDES
-from ...schemas.metric_catalogue import INTENSITY_SCORES
-from ...schemas.metric_catalogue import RAY_SCORES as RAY_METRICS
+from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
 from ...schemas.settings import InputSettings
-from ...schemas.tables import RAY_SCORES, RAYS
+from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.intensity import score_intensity
 from ...stages.rays import (
@@ -49,18 +48,18 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
     ground : the table of each side, whose rows the returns are
     settings : of input, for the scale of intensities
     """
-    of_pair: Metadata = {metric.column: None for metric in (*RAY_METRICS, *INTENSITY_SCORES)}
+    of_pair: Metadata = {metric.column: None for metric in (*RAY_SCORES, *INTENSITY_SCORES)}
     of_pair |= {"rays_reason": None, "intensity_note": None}
     if isinstance(rays, str):
         of_pair |= {"rays_reason": rays}
-        return JobResult({"rays": RAYS.from_rows([]), "ray_scores": RAY_SCORES.from_rows([])}, {OF_PAIR: of_pair})
+        return JobResult({name: TABLES[name].from_rows([]) for name in ("rays", "ray_scores")}, {OF_PAIR: of_pair})
     returned = [pa.array(rows, mask=rows < 0) for rows in (rays.real_row, rays.sim_row)]
     ids, labels = (
         [table.column(name).take(rows) for table, rows in zip(ground, returned, strict=True)]
         for name in ("point_id", "label")
     )
     label = pc.if_else(pa.array(rays.real_row >= 0), *(names.combine_chunks() for names in labels)).cast(pa.string())
-    table = RAYS.build(
+    table = TABLES["rays"].build(
         {
             "pair_id": pair_id,
             "beam": rays.beam,
@@ -84,7 +83,7 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
     classes = np.array(label.dictionary_encode().indices.fill_null(-1))
     one_scale = settings.intensity_scale == "same"
     of_pair |= score_rays(rays) | score_intensity(rays, intensity, classes, has_one_scale=one_scale)
-    return JobResult({"rays": table, "ray_scores": RAY_SCORES.from_rows(scores)}, {OF_PAIR: of_pair})
+    return JobResult({"rays": table, "ray_scores": TABLES["ray_scores"].from_rows(scores)}, {OF_PAIR: of_pair})
 
 
 def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:

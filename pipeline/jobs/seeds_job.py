@@ -14,7 +14,7 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.settings import Settings
-from ...schemas.tables import SEEDS
+from ...schemas.tables import TABLES
 from ...stages.method import PartitionedScan, compare, n_communities, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
@@ -34,9 +34,8 @@ def make_seeds(own: Inputs) -> JobResult:
         {"pair_id": own.pair_id, "seed": seed} | {name: row[name] for name in SEEDED_SCORES}
         for seed, row in scores.items()
     ]
-    return JobResult(
-        {"seeds": SEEDS.from_rows(rows)}, {"scores": {name: [row[name] for row in rows] for name in SEEDED_SCORES}}
-    )
+    by_score = {name: [row[name] for row in rows] for name in SEEDED_SCORES}
+    return JobResult({"seeds": TABLES["seeds"].from_rows(rows)}, {"scores": by_score})
 
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:

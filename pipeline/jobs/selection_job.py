@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
-from ...schemas.tables import SELECTION
+from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ...stages.selection import Selection, select_nodes
 from ..stage import Grain, Inputs, JobResult, Stage
@@ -44,7 +44,7 @@ def selection_result(
     ----------
     objects : of each matched object its row of `matching`, the ids of its points on both sides, and its kept nodes
     """
-    parts = [SELECTION.from_rows([])]
+    parts = [TABLES["selection"].from_rows([])]
     for match, real_ids, sim_ids, kept in objects:
         columns = {
             "rank": np.arange(len(kept.real_nodes), dtype=np.int32),
@@ -54,7 +54,7 @@ def selection_result(
             "sim_influence": kept.sim_influence,
         }
         ids = {"pair_id": pair_id, "real_id": match["real_id"], "sim_id": match["sim_id"]}
-        parts.append(SELECTION.build(ids | columns, len(kept.real_nodes)))
+        parts.append(TABLES["selection"].build(ids | columns, len(kept.real_nodes)))
     return JobResult({"selection": pa.concat_tables(parts).combine_chunks()})
 
 

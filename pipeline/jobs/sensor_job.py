@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from ...schemas.settings import Settings
-from ...schemas.tables import SENSOR
+from ...schemas.tables import TABLES
 from ...stages.clean import as_ros
 from ...stages.inspect.frame_search import can_move, check_frames
 from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, pair_columns, sensor_row
@@ -39,7 +39,7 @@ def sensor_result(pair_id: str, side: str, sensor: SensorDescription) -> JobResu
     """One row; the metadata contain the whole description."""
     row = {"pair_id": pair_id, "side": side} | sensor_row(sensor)
     metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, side)}
-    return JobResult({"sensor": SENSOR.build(row, 1)}, metadata)
+    return JobResult({"sensor": TABLES["sensor"].build(row, 1)}, metadata)
 
 
 def _libraries(settings: Settings) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...schemas.settings import Settings
-from ...schemas.tables import SURFACE
+from ...schemas.tables import TABLES
 from ...stages.method import SurfaceComparison, measure_surface
 from ...stages.surface import Offsets
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
@@ -24,7 +24,7 @@ def surface_result(pair_id: str, surface: SurfaceComparison) -> JobResult:
     (pair,) = _rows(surface.whole)
     rows = [{"real_id": i} | row for i, row in enumerate(_rows(surface.objects))]
     of_pair: Metadata = {name: pair[name] for name in SHIFT_COLUMNS} | surface.roughness
-    table = SURFACE.from_rows({"pair_id": pair_id} | row for row in [*rows, pair])
+    table = TABLES["surface"].from_rows({"pair_id": pair_id} | row for row in [*rows, pair])
     return JobResult({"surface": table}, {OF_PAIR: of_pair})
 
 

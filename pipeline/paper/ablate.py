@@ -19,9 +19,9 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import SettingsError
-from ...schemas.experiment_tables import ABLATE, ABLATE_SUMMARY
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
+from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.method import Memo, compare, n_communities, partition
 from ...stages.paper.parameter_choice import Choice, Influence, ParameterSet, Trial, choose_parameters
@@ -90,7 +90,7 @@ def make_rows(own: Inputs) -> JobResult:
         summary = compare(real, sim, settings, memo=memo).summary
         scores = n_communities(summary) | {name: summary[name] for name in _SUMMARY}
         rows.append({"pair_id": own.pair_id, **dict(zip(_NAMES, point, strict=True)), **scores})
-    return JobResult({"ablate": ABLATE.from_rows(rows)})
+    return JobResult({"ablate": TABLES["ablate"].from_rows(rows)})
 
 
 #: Increase its version when the same request results in other numbers.
@@ -183,10 +183,10 @@ def ablate_dataset(
     ) as experiment:
         request = {"values": {name: list(own) for name, own in tried.items()}, "grid": grid}
         experiment.make({plan.pair_id: _parts(settings_of) for plan in experiment.prepare()}, request)
-        rows = experiment.rows(ABLATE.name).sort_by([(key, "ascending") for key in ABLATE.keys])
+        rows = experiment.rows("ablate").sort_by([(key, "ascending") for key in TABLES["ablate"].keys])
         scores = rows.to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
         means = ({"n_pairs": row.pop("n"), **row} for row in mean_rows(scores, [*_NAMES, "metric"]))
-        experiment.write_summary(ABLATE_SUMMARY, list(means))
+        experiment.write_summary(TABLES["ablate_summary"], list(means))
         return AblateOutcome(**experiment.finish(), base=base, values=tried, grid=grid, rows=rows)
 
 

@@ -17,9 +17,9 @@ import pyarrow.compute as pc
 
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, SettingsError
-from ...schemas.experiment_tables import PERTURB_SUMMARY
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
+from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.generate.perturbations import KINDS, Perturbation
 from ...stages.paper.sweep_means import Means
@@ -127,7 +127,7 @@ def perturb_source(
             for name, own in chosen.items()
         }
         experiment.make(parts, request)
-        summary = experiment.write_summary(PERTURB_SUMMARY, _summary_rows(experiment))
+        summary = experiment.write_summary(TABLES["perturb_summary"], _summary_rows(experiment))
         return PerturbOutcome(
             **experiment.finish(), scans=tuple(chosen), objects=all_chosen, levels=tuple(levels), summary=summary
         )

@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import Row
-from ...schemas.experiment_tables import PERTURB_BASELINES, PERTURB_GLOBAL, PERTURB_OBJECTS
 from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...schemas.settings import CommunitySettings, Settings
+from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_objects
 from ...stages.generate.perturbations import Perturbation, perturb
@@ -53,7 +53,7 @@ def make_global(own: Inputs) -> JobResult:
             row |= {name: summary[name] for name in _SUMMARY}
             row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
         rows.append(row)
-    return JobResult({"perturb_global": PERTURB_GLOBAL.from_rows(rows)})
+    return JobResult({"perturb_global": TABLES["perturb_global"].from_rows(rows)})
 
 
 def make_objects(own: Inputs) -> JobResult:
@@ -73,7 +73,7 @@ def make_objects(own: Inputs) -> JobResult:
             scores, distance_m = {"status": "too_small", "reason": reason}, None
         counts = {"n_points": len(points), "n_points_altered": len(altered), "centroid_distance_m": distance_m}
         rows.append(row | counts | scores)
-    return JobResult({"perturb_objects": PERTURB_OBJECTS.from_rows(rows)})
+    return JobResult({"perturb_objects": TABLES["perturb_objects"].from_rows(rows)})
 
 
 def make_baselines(own: Inputs) -> JobResult:
@@ -90,7 +90,7 @@ def make_baselines(own: Inputs) -> JobResult:
         for baseline in compare_objects(before, after, nodes, settings.selection.t, settings.metrics):
             number = {"unit": baseline.unit, "value": baseline.value, "reason": baseline.reason}
             rows.append(row | {"baseline": baseline.name} | number)
-    return JobResult({"perturb_baselines": PERTURB_BASELINES.from_rows(rows)})
+    return JobResult({"perturb_baselines": TABLES["perturb_baselines"].from_rows(rows)})
 
 
 def _unaltered_scan(own: Inputs) -> PartitionedScan:

@@ -81,23 +81,23 @@ class FinishedRun:
 
     @property
     def pairs(self) -> pd.DataFrame:
-        """One row per pair, failed ones with their reason; columns of `schemas.tables.PAIRS`."""
+        """One row per pair, failed ones with their reason; its columns are in `schemas/tables.csv`."""
         return _frame(self.table("pairs"))
 
     @property
     def objects(self) -> pd.DataFrame:
-        """One row per object of either side of all scored pairs; columns of `schemas.tables.OBJECTS`."""
+        """One row per object of either side of all scored pairs; its columns are in `schemas/tables.csv`."""
         return _frame(self.table("objects"))
 
     @property
     def metrics(self) -> pd.DataFrame:
-        """One row per matched object of all scored pairs; columns of `schemas.tables.METRICS`."""
+        """One row per matched object of all scored pairs; its columns are in `schemas/tables.csv`."""
         return _frame(self.table("metrics"))
 
     def points(self, pair_id: str, side: str) -> pd.DataFrame:
         """The clean points of a side, (x, y, z) in metres in the real sensor's frame, and the object of each.
 
-        Columns of `schemas.tables.GROUND` and `community_id`, which is null for ground.
+        Columns of the table `ground`, and `community_id`, which is null for ground.
         """
         points = _frame(self._of_side("ground", pair_id, side))
         labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]

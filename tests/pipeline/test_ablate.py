@@ -22,9 +22,9 @@ from fidpipe.pipeline.paper.ablate import (
     parameter_sets,
 )
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
-from fidpipe.schemas.experiment_tables import ABLATE
 from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.settings import load
+from fidpipe.schemas.tables import TABLES
 from fidpipe.stages import method
 from fidpipe.stages.paper.parameter_choice import ParameterSet
 from runs import command
@@ -146,7 +146,7 @@ def made_up(tmp_path, rates, r_lambdas):
         for pair, (rate, r_lambda) in enumerate(zip(of_rate, of_lambda, strict=True))
     ]
     values = {"k": (30, 60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}
-    table = ABLATE.from_rows(rows)
+    table = TABLES["ablate"].from_rows(rows)
     return AblateOutcome(
         folder=tmp_path,
         base=ParameterSet(90, 0.2, 5.0, 1.0),

@@ -10,7 +10,7 @@ from degenerate import ARRAYS, FURTHER, OPEN, PAGE, SCENES
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import FidpipeError, ScanError
-from fidpipe.schemas.tables import PAIRS
+from fidpipe.schemas.tables import TABLES
 from runs import command, run, tables
 from scenes import cloud, drifted, street
 
@@ -175,4 +175,4 @@ def _in_memory(real, sim, settings):
     try:
         return _without_names(degenerate.evaluated(real, sim, settings).summary)
     except FidpipeError:
-        return _without_names(dict.fromkeys(PAIRS.schema.names) | {"status": "failed"})
+        return _without_names(dict.fromkeys(TABLES["pairs"].schema.names) | {"status": "failed"})

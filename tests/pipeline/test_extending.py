@@ -79,6 +79,10 @@ def last_in(name):
     return edit
 
 
+def at_the_end(text, code):
+    return text + code
+
+
 def last_of_group(text, code):
     """Behind the last row of its group."""
     group = code.partition(",")[0]
@@ -175,8 +179,7 @@ PLACES = {
         last_in("spectral"),
     ],
     "A stage": [
-        before("TABLES"),
-        last_in("TABLES"),
+        at_the_end,
         before("Settings"),
         field_in("Settings"),
         None,
@@ -185,8 +188,7 @@ PLACES = {
         last_in("STAGES"),
     ],
     "An experiment": [
-        before("EXPERIMENT_TABLES"),
-        last_in("EXPERIMENT_TABLES"),
+        at_the_end,
         None,
         before("_numbers"),
         in_place_of_its_like,

@@ -15,7 +15,7 @@ from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.metric_catalogue import BEV_JSD, BEV_MMD, NVS_SCORES, SEEDED_SCORES
 from fidpipe.schemas.settings import load
-from fidpipe.schemas.tables import BASELINES, SEEDS
+from fidpipe.schemas.tables import TABLES
 from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, command, marks, run
 
 BASELINE_WORD, SEED_WORD = "metrics.baselines=all", "stability.seeds=2"
@@ -67,7 +67,7 @@ def test_there_is_a_baseline_for_each_object_and_each_pair_of_scans(finished):
     metrics = pd.read_parquet(finished / "metrics")
     for pair_id in ("000", "001"):
         table = extras(finished)["baselines", pair_id]
-        BASELINES.check(table)
+        TABLES["baselines"].check(table)
         frame = table.to_pandas()
         n_matched = int((metrics.pair_id == pair_id).sum())
         assert (frame.real_id.notna().sum(), frame.real_id.isna().sum()) == (15 * n_matched, 10)
@@ -83,7 +83,7 @@ def test_the_seeds_of_a_pair_are_what_runs_under_them_give(dataset, finished, tm
             assert {name: found[name] for name in SEEDED_SCORES} == {name: row[name] for name in SEEDED_SCORES}
     run(dataset, tmp_path / "run", load(None, [SEED_WORD, "communities.seed=7"]), pattern="000")
     (table,) = extras(tmp_path / "run").values()
-    assert SEEDS.check(table.cast(SEEDS.schema))["seed"].to_pylist() == [7, 8]
+    assert TABLES["seeds"].check(table.cast(TABLES["seeds"].schema))["seed"].to_pylist() == [7, 8]
     with pytest.raises(SettingsError, match="got 2147483648 as the last of stability.seeds"):
         load(None, [f"communities.seed={2**31 - 2}", "stability.seeds=3"])
 

@@ -7,6 +7,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -17,7 +18,7 @@ from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.jobs.points_job import object_points
 from fidpipe.pipeline.stage import SCAN, JobResult, Memo
 from fidpipe.pipeline.storage.folder import RunFolder
-from fidpipe.schemas.columns import FLOAT64, column
+from fidpipe.schemas.columns import column
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.tables import TABLES
 from pools import WatchedPool
@@ -306,7 +307,7 @@ def test_a_stage_that_names_what_no_contract_has_is_refused_before_any_work(data
 
 
 def test_another_column_makes_a_table_again_and_what_follows(again, dataset, monkeypatch):
-    before, wider = files(again), toys.MARKS.schema.append(column("more", FLOAT64, "of the same", optional=True))
+    before, wider = files(again), toys.MARKS.schema.append(column("more", pa.float64(), "of the same", optional=True))
     monkeypatch.setattr(toys, "MARKS", replace(toys.MARKS, schema=wider))
     monkeypatch.setitem(TABLES, "toy_marks", toys.MARKS)
     run_with_toys(dataset, again)

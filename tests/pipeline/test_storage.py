@@ -13,19 +13,21 @@ from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.pipeline.storage.table_files import JobRecord, read_footer
 from fidpipe.schemas.errors import RunError
-from fidpipe.schemas.tables import COMMUNITIES, MATCHING, OBJECTS, PAIRS, TABLES, TIMINGS
+from fidpipe.schemas.tables import TABLES
 
 JOB = JobRecord("communities", "a", "real", "key", {}, ("read",), {"n": 1}, (("louvain", 0.5),))
 FILES = {"communities/a.real.parquet", "objects/a.real.parquet"}
 
 
 def communities(n=5):
-    return COMMUNITIES.build({"pair_id": "a", "side": "real", "point_id": np.arange(n), "community_id": np.zeros(n)})
+    return TABLES["communities"].build(
+        {"pair_id": "a", "side": "real", "point_id": np.arange(n), "community_id": np.zeros(n)}
+    )
 
 
 def objects():
-    numbers = {field.name: 1.0 for field in OBJECTS.schema if field.type == pa.float64()}
-    return OBJECTS.from_rows(
+    numbers = {field.name: 1.0 for field in TABLES["objects"].schema if field.type == pa.float64()}
+    return TABLES["objects"].from_rows(
         [{"pair_id": "a", "side": "real", "community_id": 0, "n_points": 5, "label": "car"} | numbers]
     )
 
@@ -44,14 +46,14 @@ def written(tmp_path):
     return RunFolder(tmp_path)
 
 
-@pytest.mark.parametrize("table", [PAIRS, TIMINGS])
+@pytest.mark.parametrize("table", [TABLES["pairs"], TABLES["timings"]])
 def test_a_table_of_thousands_of_long_texts_is_read(tmp_path, table):
     """Runs of which very many pairs failed, or have long names: the guard against memory bombs is not for them."""
     folder = RunFolder(tmp_path)
     names = [f"drive_2026_11_22_lot{number // 100:03d}_{number:06d}" for number in range(3000)]
 
     def rows(some):
-        if table is PAIRS:
+        if table.name == "pairs":
             return [{"pair_id": name, "status": "failed", "reason": f"no file /a/b/c/{name}.bin"} for name in some]
         step = {"stage": "ground", "side": "real", "step": "histogram", "seconds": 0.1, "reused": False}
         return [step | {"pair_id": name, "step": f"step {k}"} for name in some for k in range(10)]
@@ -198,7 +200,7 @@ def test_a_table_under_another_name_is_not_adopted(written, tmp_path):
 def test_a_table_of_the_whole_run_is_adopted(tmp_path):
     folder = RunFolder(tmp_path)
     with folder.locked():
-        stored = folder.write_at(tmp_path / "pairs.parquet", "pairs", PAIRS.from_rows([]), "key")
+        stored = folder.write_at(tmp_path / "pairs.parquet", "pairs", TABLES["pairs"].from_rows([]), "key")
         folder.ledger.put_job(JobRecord("pairs", "", "", "key", {"pairs.parquet": stored}))
     before = folder.ledger.jobs("")
     folder = without_ledger(tmp_path)
@@ -209,7 +211,7 @@ def test_a_table_of_the_whole_run_is_adopted(tmp_path):
 def test_a_table_without_rows_is_adopted(tmp_path):
     folder = RunFolder(tmp_path)
     with folder.locked():
-        folder.write_job(JobRecord("matching", "a", "", "key", {}), {"matching": MATCHING.from_rows([])})
+        folder.write_job(JobRecord("matching", "a", "", "key", {}), {"matching": TABLES["matching"].from_rows([])})
     assert without_ledger(tmp_path).ledger.jobs("a").keys() == {("matching", "")}
 
 

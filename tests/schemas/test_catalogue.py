@@ -19,7 +19,7 @@ from fidpipe.schemas.metric_catalogue import (
     metric_of,
 )
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
-from fidpipe.schemas.tables import METRICS, PAIRS
+from fidpipe.schemas.tables import TABLES
 from fidpipe.stages.baselines import compare_objects
 from fidpipe.stages.metrics import score_object
 from fidpipe.stages.selection import select_nodes
@@ -35,13 +35,13 @@ def test_no_column_stands_in_the_catalogue_twice():
 
 def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():
     for metric in OBJECT_SCORES:
-        field = METRICS.schema.field(metric.column)
+        field = TABLES["metrics"].schema.field(metric.column)
         assert field.metadata[b"meaning"].decode() == metric.meaning
         assert field.metadata.get(b"unit", b"").decode() == (metric.unit or "")
 
 
 def test_every_mean_of_a_pair_leads_back_to_its_score():
-    means = [name for name in PAIRS.schema.names if name.endswith("_mean")]
+    means = [name for name in TABLES["pairs"].schema.names if name.endswith("_mean")]
     assert [metric_of(name).column for name in means] == list(OBJECT_METRICS)
     with pytest.raises(KeyError):
         metric_of("n_nothing")

@@ -2,7 +2,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from fidpipe.schemas.tables import COMMUNITIES, MATCHING, METRICS, TABLES
+from fidpipe.schemas.tables import TABLES
 
 
 def test_every_column_says_what_it_means():
@@ -16,22 +16,19 @@ def test_every_key_is_a_column():
         assert set(table.keys) <= set(table.schema.names)
 
 
-def test_a_missing_column_is_refused():
-    rows = COMMUNITIES.build({"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)})
+def test_a_missing_column_and_another_type_are_rejected():
+    columns = {"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)}
+    rows = TABLES["communities"].build(columns)
     with pytest.raises(ValueError, match="table communities: (no|unknown) "):
-        COMMUNITIES.check(rows.drop_columns(["side"]))
-
-
-def test_another_type_is_refused():
-    rows = COMMUNITIES.build({"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)})
+        TABLES["communities"].check(rows.drop_columns(["side"]))
     wrong = rows.set_column(2, "point_id", pa.array([1, 2, 3], pa.int64()))
     with pytest.raises(ValueError, match="column point_id: expected int32, got int64"):
-        COMMUNITIES.check(wrong)
+        TABLES["communities"].check(wrong)
 
 
 def test_a_null_where_none_is_allowed_is_refused():
     with pytest.raises(ValueError, match="table metrics, column n_real: expected no nulls, got 1"):
-        METRICS.from_rows([{"pair_id": "a", "real_id": 0, "sim_id": 0, "status": "scored"}])
+        TABLES["metrics"].from_rows([{"pair_id": "a", "real_id": 0, "sim_id": 0, "status": "scored"}])
 
 
 def test_rows_are_sorted_by_key_with_nulls_last():
@@ -40,5 +37,5 @@ def test_rows_are_sorted_by_key_with_nulls_last():
         {"real_id": 3, "status": "missing"},
         {"real_id": 1, "status": "missing"},
     ]
-    table = MATCHING.from_rows([{"pair_id": "a", **row} for row in rows])
+    table = TABLES["matching"].from_rows([{"pair_id": "a", **row} for row in rows])
     assert table.column("real_id").to_pylist() == [1, 3, None]
