@@ -80,7 +80,7 @@ def find_pieces(real: CutScan, sim: CutScan, settings: PieceSettings) -> tuple[P
     real, sim : all clean points of both sides, at least one object point each
     settings : reach_m, link_m, min_points
     """
-    labels = [_label_pieces(own, other, settings) for own, other in ((real, sim), (sim, real))]
+    labels = [label_pieces(own, other, settings) for own, other in ((real, sim), (sim, real))]
     objects = [_describe(own, ids) for own, ids in zip((real, sim), labels, strict=True)]
     links = _match_moved(*objects)
     vectors = objects[1].centroid[links[1]] - objects[0].centroid[links[0]]
@@ -105,7 +105,7 @@ def count_pieces(missing: Pieces, invented: Pieces) -> dict[str, Number]:
     }
 
 
-def _label_pieces(own: CutScan, other: CutScan, settings: PieceSettings) -> IntArray:
+def label_pieces(own: CutScan, other: CutScan, settings: PieceSettings) -> IntArray:
     """Piece of each clean point of a side, (n,) int32, -1 for none."""
     labels = np.full(len(own.points), -1, dtype=np.int32)
     objects = np.flatnonzero(~own.is_ground)

@@ -12,7 +12,6 @@ import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC
 from ...stages.arrays import IntArray
-from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from ..results.quadrants import QUADRANTS, UNKNOWN
 from .look import OUTCOME_COLOURS
 from .run_frames import RunResults
@@ -23,7 +22,6 @@ _BINS = 25
 _FEWEST_IN_BOX = 3
 _FATES = ("matched", "missing", "hallucinated")
 _RANGE_BIN_M, _MOST_RANGE_BINS = 10.0, 12
-_SECTOR_DEG = 30.0
 _QUARTILES = {"q1": 0.25, "median": 0.5, "q3": 0.75}
 _COLOURED = (0.02, 0.98)
 
@@ -89,18 +87,6 @@ def boxes(results: RunResults, column: str, groups: Iterable[str]) -> list[dict[
     return made
 
 
-def band_of(range_m: pd.Series[float]) -> pd.Series[Any]:
-    """The band of distance from the sensor that each range is in, such as "10 to 20 m", in order."""
-    return pd.cut(range_m, [*BAND_EDGES_M, math.inf], right=False, labels=list(BAND_NAMES))
-
-
-def range_bands(results: RunResults) -> pd.DataFrame:
-    """Objects by band (rows) and fate (matched, missing, hallucinated); matched ones count at their real side."""
-    objects = pd.concat([results.matched.assign(status="matched")[["range_m", "status"]], results.unmatched])
-    counts = pd.crosstab(band_of(objects.range_m), objects.status)
-    return counts.reindex(columns=list(_FATES), fill_value=0)
-
-
 def ray_outcomes(results: RunResults) -> pd.DataFrame:
     """Shares of the outcomes of rays (columns) by range (rows, near to far), and `n_rays`, over the scored pairs."""
     outcomes = {f"rays_{name}": name for name in OUTCOME_COLOURS}
@@ -116,27 +102,23 @@ def ray_outcomes(results: RunResults) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Bins:
-    """Equal bins of a place around the sensor, each with its lower end.
+    """Equal bins of the distance from the sensor, from 0.
 
-    column : of objects, `range_m` or `bearing_deg`
-    low, width : lower end of the first bin, and how wide each is, in the column's unit
+    width : metres
     names : of the bins, such as "10 to 20 m"
     """
 
-    column: str
-    low: float
     width: float
     names: tuple[str, ...]
 
     @property
     def middles(self) -> list[float]:
         """The middle of each bin."""
-        return [self.low + (i + 0.5) * self.width for i in range(len(self.names))]
+        return [(i + 0.5) * self.width for i in range(len(self.names))]
 
     def index(self, objects: pd.DataFrame) -> IntArray:
-        """The bin of each object, (n,) int32; bearings go round."""
-        steps = np.floor((objects[self.column].to_numpy(dtype=float) - self.low) / self.width).astype(np.int32)
-        index: IntArray = steps % len(self.names) if self.column == "bearing_deg" else steps
+        """The bin of each object, (n,) int32."""
+        index: IntArray = np.floor(objects.range_m.to_numpy(dtype=float) / self.width).astype(np.int32)
         return index
 
 
@@ -146,14 +128,7 @@ def range_bins(results: RunResults) -> Bins:
     farthest_m = float(ranges_m.max()) if len(ranges_m) else 0.0
     width = _RANGE_BIN_M * max(1, math.ceil(farthest_m / (_RANGE_BIN_M * _MOST_RANGE_BINS)))
     lows = [width * i for i in range(math.floor(farthest_m / width) + 1)]
-    return Bins("range_m", 0.0, width, tuple(f"{low:g} to {low + width:g} m" for low in lows))
-
-
-def bearing_bins() -> Bins:
-    """Twelve sectors of 30 degrees, one of them straight ahead; left is positive."""
-    half, n = _SECTOR_DEG / 2, round(360 / _SECTOR_DEG)
-    middles = [_SECTOR_DEG * (i + 1) - 180 for i in range(n)]
-    return Bins("bearing_deg", middles[0] - half, _SECTOR_DEG, tuple(f"{m - half:g} to {m + half:g}°" for m in middles))
+    return Bins(width, tuple(f"{low:g} to {low + width:g} m" for low in lows))
 
 
 def binned_scores(results: RunResults, bins: Bins) -> dict[str, pd.DataFrame]:

@@ -1,4 +1,4 @@
-"""The charts of many objects as plotly figures: plain dictionaries that a page holds as JSON and plotly.js draws.
+"""The charts of many objects: plain dictionaries of data and layout that a page holds as JSON and plotly.js draws.
 
 Each chart of a run has a sentence with its main numbers, for those who do not see it.
 
@@ -8,13 +8,12 @@ values. The charts of one pair are drawn by the page.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import orjson
 import pandas as pd
-import plotly.graph_objects as go
 
 from ...schemas.metric_catalogue import METRIC
 from ..results.compare import recorded_times_s
@@ -28,21 +27,19 @@ from .aggregates import (  # fmt: skip
     PairsInOrder,
     along_the_sequence,
     axis_title,
-    bearing_bins,
     binned_fates,
     binned_scores,
     boxes,
     evenly,
     histograms,
     quadrants,
-    range_bands,
     range_bins,
     ray_outcomes,
     stage_times,
 )
 from .look import (
     FATE_COLOURS,
-    GREEN,
+    GREY,
     OUTCOME_COLOURS,
     OUTCOME_WORDS,
     QUADRANT_COLOURS,
@@ -68,10 +65,12 @@ _GRID = {"gridcolor": _LINE, "zerolinecolor": _LINE}
 _AXIS = {**_GRID, "linecolor": _SOFT, "showline": True, "showgrid": True, "automargin": True}
 _AXIS_3D = {**_GRID, "color": _SOFT, "showbackground": False, "showspikes": False}
 _ROUND_AXIS = {"gridcolor": _LINE, "linecolor": _SOFT}
+#: Axes and margins of a strip of dots that cannot be zoomed.
+_FIXED = {"showgrid": False, "fixedrange": True}
 
 #: The look that all charts of a page share.
-TEMPLATE: Chart = go.layout.Template(
-    layout={
+TEMPLATE: Chart = {
+    "layout": {
         "paper_bgcolor": _CLEAR,
         "plot_bgcolor": _CLEAR,
         "font": {"color": _INK, "family": "system-ui, sans-serif", "size": 12},
@@ -85,7 +84,7 @@ TEMPLATE: Chart = go.layout.Template(
         "polar": {"bgcolor": _CLEAR, "radialaxis": _ROUND_AXIS, "angularaxis": _ROUND_AXIS},
         "scene": {"aspectmode": "data", "dragmode": "orbit", **dict.fromkeys(("xaxis", "yaxis", "zaxis"), _AXIS_3D)},
     }
-).to_plotly_json()
+}
 
 
 def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
@@ -93,17 +92,16 @@ def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
     names = results.pairs.pair_id.tolist()
     scans = [names[i] for i in evenly(len(names), MOST_SCANS)]
     classes = results.matched.group.value_counts().index[:MOST_CLASSES]
-    by_place = {"range": range_bins(results), "bearing": bearing_bins()}
+    bins = range_bins(results)
     return {
         **{f"hist_{score}": _histogram(score, counted) for score, counted in histograms(results).items()},
         "quadrants": _quadrants(results),
         "box_scan": _boxes("of the scans", boxes(results, "pair_id", scans)),
         "box_class": _boxes(f"by {results.class_is}", boxes(results, "group", classes)),
-        **{f"scores_{name}": _scores_by(bins, binned_scores(results, bins)) for name, bins in by_place.items()},
+        "scores_range": _scores_by(bins, binned_scores(results, bins)),
         "sequence": _sequence(along_the_sequence(results, recorded_times_s(results.run))),
         "polar": _polar(results.unmatched),
-        **{f"fates_{name}": _fates_by(bins, binned_fates(results, bins)) for name, bins in by_place.items()},
-        "bands": _bands(range_bands(results)),
+        "fates_range": _fates_by(bins, binned_fates(results, bins)),
         **({"rays_range": _rays(rays)} if len(rays := ray_outcomes(results)) else {}),
         "times": _times(stage_times(results)),
     }
@@ -111,277 +109,281 @@ def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
 
 def _histogram(score: str, counted: dict[str, Any]) -> CaptionedChart:
     edges, median = counted["edges"], counted["median"]
-    bars = go.Bar(
-        x=(edges[:-1] + edges[1:]) / 2,
-        y=counted["counts"],
-        width=edges[1] - edges[0],
-        marker_color=on_page(SCORE_COLOURS[score]),
-        hovertemplate="%{x:.2f}: %{y} objects<extra></extra>",
-    )
-    figure = go.Figure(bars)
+    bars = {
+        "type": "bar",
+        "x": (edges[:-1] + edges[1:]) / 2,
+        "y": counted["counts"],
+        "width": edges[1] - edges[0],
+        "marker": {"color": on_page(SCORE_COLOURS[score])},
+        "hovertemplate": "%{x:.2f}: %{y} objects<extra></extra>",
+    }
     title = f"{METRIC[score].label}, {counted['n']:,} objects"
-    if median is not None:
-        title += f", median {median:.2f}"
-        figure.add_vline(median, line_dash="dash", line_width=1.5)
-    figure.update_layout(title={"text": title, "font_size": 13}, yaxis_title_text="objects")
-    figure.update_xaxes(range=[0, METRIC[score].high], title_text=axis_title(score))
-    return _plain(figure), f"Histogram of {title}."
+    title += "" if median is None else f", median {median:.2f}"
+    layout = {
+        "title": {"text": title, "font": {"size": 13}},
+        "xaxis": {"range": [0, METRIC[score].high], "title": {"text": axis_title(score)}},
+        "yaxis": {"title": {"text": "objects"}},
+        "shapes": [] if median is None else [_line(x=median, dash="dash", width=1.5)],
+    }
+    return _chart([bars], layout), f"Histogram of {title}."
 
 
 def _quadrants(results: RunResults) -> CaptionedChart:
     """r_lambda over CDC, one dot per object; evenly over the order from worst to best where they are too many."""
     scored = results.matched[results.matched.r_lambda.notna()]
     dots = scored.iloc[evenly(len(scored), MOST_DOTS)]
-    figure, counted = go.Figure(), quadrants(results)
+    counted, data = quadrants(results), []
     for key, title in QUADRANTS.items():
         own = dots[dots.quadrant == key]
-        figure.add_scatter(
-            mode="markers",
-            name=f"{title}: {counted[key]['n']} ({100 * counted[key]['share']:.0f} %)",
-            x=own.cdc.to_numpy(np.float32),
-            y=own.r_lambda.to_numpy(np.float32),
-            **_opening(own, "object", own.real_id),
-            hovertemplate="%{text}<br>CDC %{x:.3f}<br>r_lambda %{y:.3f}<extra></extra>",
-            marker={"color": on_page(QUADRANT_COLOURS[key]), "size": 6, "opacity": 0.8},
-            cliponaxis=False,
+        data.append(
+            {
+                "mode": "markers",
+                "name": f"{title}: {counted[key]['n']} ({100 * counted[key]['share']:.0f} %)",
+                "x": own.cdc.to_numpy(np.float32),
+                "y": own.r_lambda.to_numpy(np.float32),
+                **_opening(own, "object", own.real_id),
+                "hovertemplate": "%{text}<br>CDC %{x:.3f}<br>r_lambda %{y:.3f}<extra></extra>",
+                "marker": {"color": on_page(QUADRANT_COLOURS[key]), "size": 6, "opacity": 0.8},
+                "cliponaxis": False,
+            }
         )
-    figure.add_vline(CDC_LIMIT, line_width=1)
-    figure.add_hline(R_LAMBDA_LIMIT, line_width=1)
-    figure.update_xaxes(range=[0, 2.02], title_text=axis_title("cdc"))
-    figure.update_yaxes(range=[0, 1.02], title_text=axis_title("r_lambda"))
-    figure.update_layout(legend_font_size=11)
+    layout = {
+        "xaxis": {"range": [0, 2.02], "title": {"text": axis_title("cdc")}},
+        "yaxis": {"range": [0, 1.02], "title": {"text": axis_title("r_lambda")}},
+        "shapes": [_line(x=CDC_LIMIT, width=1), _line(y=R_LAMBDA_LIMIT, width=1)],
+        "legend": {"font": {"size": 11}},
+    }
     counts = _listed(f"{title} {counted[key]['n']:,}" for key, title in QUADRANTS.items())
-    return _plain(figure), f"r_lambda over CDC of each object: {counts}"
+    return _chart(data, layout), f"r_lambda over CDC of each object: {counts}"
 
 
 def _boxes(what: str, groups: Sequence[dict[str, Any]]) -> CaptionedChart:
     """Both scores of each group side by side; shortened names may be equal, so that boxes are placed at numbers."""
-    figure = go.Figure()
     names = {"q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
+    data: list[Chart] = []
     for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
         known = [(i + offset, group[score]) for i, group in enumerate(groups) if group[score]]
         outside = [(x, y) for x, box in known for y in box["fliers"]]
         look = {"marker": {"color": on_page(SCORE_COLOURS[score]), "size": 3}, "hoverinfo": "y"}
-        figure.add_box(
-            name=METRIC[score].label,
-            x=[x for x, _ in known],
-            width=0.34,
-            **{theirs: [box[ours] for _, box in known] for theirs, ours in names.items()},
-            line_width=1.2,
-            **look,
-        )
+        box = {"type": "box", "name": METRIC[score].label, "x": [x for x, _ in known], "width": 0.34}
+        box |= {theirs: [own[ours] for _, own in known] for theirs, ours in names.items()}
+        data.append({**box, "line": {"width": 1.2}, **look})
         xs, ys = [x for x, _ in outside], [y for _, y in outside]
-        figure.add_scatter(mode="markers", showlegend=False, x=xs, y=ys, **look)
+        data.append({"mode": "markers", "showlegend": False, "x": xs, "y": ys, **look})
     ticks = [f"{in_chart(group['name'], 14)} ({group['n']})" for group in groups]
     places = {"tickvals": list(range(len(groups))), "range": [-0.6, len(groups) - 0.4]}
-    figure.update_xaxes(ticktext=ticks, showgrid=False, tickangle=-90 if len(groups) > 2 else 0, **places)
-    figure.update_yaxes(range=[0, 2.05], title_text="score of an object")
-    figure.update_layout(boxmode="overlay", margin_t=30)
+    layout = {
+        "xaxis": {"ticktext": ticks, "showgrid": False, "tickangle": -90 if len(groups) > 2 else 0, **places},
+        "yaxis": {"range": [0, 2.05], "title": {"text": "score of an object"}},
+        "boxmode": "overlay",
+        "margin": {"t": 30},
+    }
     medians = _listed(
         f"{shown(group['name'])} {_both({score: group[score] and group[score]['med'] for score in SCORES})}"
         for group in groups[:_MOST_MEDIANS]
     )
-    return _plain(figure), f"Box plots {what}. Medians: {medians}"
+    return _chart(data, layout), f"Box plots {what}. Medians: {medians}"
 
 
 def _polar(unmatched: pd.DataFrame) -> CaptionedChart:
     """Unmatched objects around the sensor, seen from above, the largest first where they are too many."""
-    figure = go.Figure()
-    drawn = unmatched.head(MOST_DOTS)
+    drawn, data = unmatched.head(MOST_DOTS), []
     for fate, symbol in (("missing", "circle-open"), ("hallucinated", "x-thin")):
         own, colour = drawn[drawn.status == fate], on_page(FATE_COLOURS[fate])
-        figure.add_scatterpolar(
-            mode="markers",
-            name=f"{fate} ({(unmatched.status == fate).sum():,})",
-            r=own.range_m.to_numpy(np.float32),
-            theta=own.bearing_deg.to_numpy(np.float32),
-            **_opening(own, f"{fate} object", own.community_id),
-            hovertemplate="%{text}<br>%{r:.1f} m, %{theta:.0f}°<extra></extra>",
-            marker={"color": colour, "size": 6, "symbol": symbol, "line": {"width": 1.5, "color": colour}},
+        data.append(
+            {
+                "type": "scatterpolar",
+                "mode": "markers",
+                "name": f"{fate} ({(unmatched.status == fate).sum():,})",
+                "r": own.range_m.to_numpy(np.float32),
+                "theta": own.bearing_deg.to_numpy(np.float32),
+                **_opening(own, f"{fate} object", own.community_id),
+                "hovertemplate": "%{text}<br>%{r:.1f} m, %{theta:.0f}°<extra></extra>",
+                "marker": {"color": colour, "size": 6, "symbol": symbol, "line": {"width": 1.5, "color": colour}},
+            }
         )
     ticks = ["ahead", "", "left", "", "behind", "", "right", ""]
-    figure.update_polars(
-        radialaxis={"ticksuffix": " m", "angle": 45, "tickangle": 45, "nticks": 5},
-        angularaxis={"rotation": 90, "tickvals": list(range(0, 360, 45)), "ticktext": ticks},
-    )
-    figure.update_layout(margin={"l": 45, "r": 45, "t": 65, "b": 30}, legend_y=1.1)
+    layout = {
+        "polar": {
+            "radialaxis": {"ticksuffix": " m", "angle": 45, "tickangle": 45, "nticks": 5},
+            "angularaxis": {"rotation": 90, "tickvals": list(range(0, 360, 45)), "ticktext": ticks},
+        },
+        "margin": {"l": 45, "r": 45, "t": 65, "b": 30},
+        "legend": {"y": 1.1},
+    }
     missing, invented = ((unmatched.status == fate).sum() for fate in ("missing", "hallucinated"))
     median = f", median distance {unmatched.range_m.median():.0f} m" if len(unmatched) else ""
-    return _plain(figure), (
+    return _chart(data, layout), (
         f"Map of the {missing:,} missing and {invented:,} hallucinated objects around the sensor{median}."
     )
 
 
-def _bands(bands: pd.DataFrame) -> CaptionedChart:
-    figure, n_real = go.Figure(), bands.matched + bands.missing
-    for fate, shape, side, n_all in (
-        ("matched", "", "real", n_real),
-        ("missing", "/", "real", n_real),
-        ("hallucinated", "x", "simulated", bands.matched + bands.hallucinated),
-    ):
-        figure.add_bar(
-            name=fate,
-            x=bands.index.tolist(),
-            y=bands[fate],
-            customdata=100 * bands[fate] / n_all.clip(lower=1),
-            marker={"color": on_page(FATE_COLOURS[fate]), "pattern": {"shape": shape, "solidity": 0.25}},
-            hovertemplate=f"%{{y}} {fate}, %{{customdata:.0f}} % of the {side} objects<extra></extra>",
-        )
-    figure.update_layout(barmode="group", yaxis_title_text="objects", margin_t=30)
-    figure.update_xaxes(type="category", showgrid=False, tickangle=-45)
-    counts = _listed(f"{band} {', '.join(f'{n} {fate}' for fate, n in row.items())}" for band, row in bands.iterrows())
-    return _plain(figure), f"Objects by distance: {counts}"
-
-
 def _rays(rays: pd.DataFrame) -> CaptionedChart:
     """Shares of the outcomes of rays by range, stacked."""
-    figure = go.Figure()
-    for name, colour in OUTCOME_COLOURS.items():
-        figure.add_bar(
-            name=OUTCOME_WORDS[name],
-            x=rays.index.tolist(),
-            y=100 * rays[name],
-            customdata=rays.n_rays,
-            marker={"color": on_page(colour)},
-            hovertemplate=f"%{{y:.1f}} % {OUTCOME_WORDS[name]} of %{{customdata:,}} rays<extra></extra>",
-        )
-    figure.update_layout(barmode="stack", yaxis_title_text="share of the rays (%)", margin_t=60)
-    figure.update_xaxes(type="category", showgrid=False)
+    data = [
+        {
+            "type": "bar",
+            "name": OUTCOME_WORDS[name],
+            "x": rays.index.tolist(),
+            "y": 100 * rays[name].to_numpy(),
+            "customdata": rays.n_rays.to_numpy(),
+            "marker": {"color": on_page(colour)},
+            "hovertemplate": f"%{{y:.1f}} % {OUTCOME_WORDS[name]} of %{{customdata:,}} rays<extra></extra>",
+        }
+        for name, colour in OUTCOME_COLOURS.items()
+    ]
+    layout = {
+        "barmode": "stack",
+        "margin": {"t": 60},
+        "xaxis": {"type": "category", "showgrid": False},
+        "yaxis": {"title": {"text": "share of the rays (%)"}},
+    }
     counts = _listed(
         f"{band} {', '.join(f'{row[name]:.0%} {OUTCOME_WORDS[name]}' for name in OUTCOME_COLOURS)}"
         for band, row in rays.iterrows()
     )
-    return _plain(figure), f"Outcomes of the rays by range: {counts}"
+    return _chart(data, layout), f"Outcomes of the rays by range: {counts}"
 
 
 def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> CaptionedChart:
     """Median and quartiles of both scores in each bin, above the number of objects that they are of."""
-    figure = go.Figure()
+    data: list[Chart] = []
     for offset, (score, rows) in zip((-0.1, 0.1), scores.items(), strict=True):
         colour = on_page(SCORE_COLOURS[score])
-        bar = {"array": (rows.q3 - rows["median"]).fillna(0), "arrayminus": (rows["median"] - rows.q1).fillna(0)}
-        figure.add_scatter(
-            mode="lines+markers",
-            name=f"{METRIC[score].label}, median and quartiles",
-            x=np.array(bins.middles) + offset * bins.width,
-            y=rows["median"],
-            error_y={**bar, "symmetric": False, "thickness": 1.5, "width": 3, "color": colour},
-            customdata=[f"{name}, {n:,} objects" for name, n in rows.n.items()],
-            hovertemplate=f"%{{customdata}}<br>{METRIC[score].label} %{{y:.2f}}<extra></extra>",
-            line={"color": colour, "width": 1, "dash": "dot"},
-            marker={"color": colour, "size": 7},
+        data.append(
+            {
+                "mode": "lines+markers",
+                "name": f"{METRIC[score].label}, median and quartiles",
+                "x": np.array(bins.middles) + offset * bins.width,
+                "y": rows["median"].to_numpy(),
+                "error_y": {
+                    "array": (rows.q3 - rows["median"]).fillna(0).to_numpy(),
+                    "arrayminus": (rows["median"] - rows.q1).fillna(0).to_numpy(),
+                    **{"symmetric": False, "thickness": 1.5, "width": 3, "color": colour},
+                },
+                "customdata": [f"{name}, {n:,} objects" for name, n in rows.n.items()],
+                "hovertemplate": f"%{{customdata}}<br>{METRIC[score].label} %{{y:.2f}}<extra></extra>",
+                "line": {"color": colour, "width": 1, "dash": "dot"},
+                "marker": {"color": colour, "size": 7},
+            }
         )
     highest = max(np.nanmax(rows[["median", "q3"]].to_numpy(), initial=0.0) for rows in scores.values())
-    figure.update_yaxes(range=[0, 1.08 * highest or 1], title_text="score")
     n = max((rows.n for rows in scores.values()), key=sum)
     medians = _listed(
         f"{name} {_both({score: rows['median'][name] for score, rows in scores.items()})} of {n[name]}"
         for name in bins.names
         if n[name]
     )
-    return _above_counts(figure, bins, n), f"Medians by {_place(bins)}: {medians}"
+    axis = {"range": [0, 1.08 * highest or 1], "title": {"text": "score"}}
+    return _above_counts(data, axis, bins, n), f"Medians by distance: {medians}"
 
 
 def _fates_by(bins: Bins, fates: pd.DataFrame) -> CaptionedChart:
     """Share of the real objects missing in each bin, and of the simulated ones hallucinated; their number."""
-    figure = go.Figure()
+    data: list[Chart] = []
     for fate, side, symbol in (("missing", "real", "circle-open"), ("hallucinated", "simulated", "x-thin")):
         colour, n_all = on_page(FATE_COLOURS[fate]), fates.matched + fates[fate]
-        figure.add_scatter(
-            mode="lines+markers",
-            name=f"{fate}, share of the {side}",
-            x=bins.middles,
-            y=fates[f"{fate}_share"],
-            customdata=[f"{name}: {n:,} of {of:,}" for (name, n), of in zip(fates[fate].items(), n_all, strict=True)],
-            hovertemplate=f"%{{customdata}} {side} objects {fate}, %{{y:.0%}}<extra></extra>",
-            line={"color": colour, "width": 1, "dash": "dot"},
-            marker={"color": colour, "size": 8, "symbol": symbol, "line": {"width": 2, "color": colour}},
+        words = [f"{name}: {n:,} of {of:,}" for (name, n), of in zip(fates[fate].items(), n_all, strict=True)]
+        data.append(
+            {
+                "mode": "lines+markers",
+                "name": f"{fate}, share of the {side}",
+                "x": bins.middles,
+                "y": fates[f"{fate}_share"].to_numpy(),
+                "customdata": words,
+                "hovertemplate": f"%{{customdata}} {side} objects {fate}, %{{y:.0%}}<extra></extra>",
+                "line": {"color": colour, "width": 1, "dash": "dot"},
+                "marker": {"color": colour, "size": 8, "symbol": symbol, "line": {"width": 2, "color": colour}},
+            }
         )
-    figure.update_yaxes(range=[-0.03, 1.03], tickformat=".0%", title_text="share")
     n = fates.matched + fates.missing + fates.hallucinated
     known = fates[n > 0]
     shares = _listed(
         f"{name} {_share(missing)} and {_share(invented)}"
         for name, missing, invented in zip(known.index, known.missing_share, known.hallucinated_share, strict=True)
     )
-    words = "Missing share of the real and hallucinated share of the simulated objects"
-    return _above_counts(figure, bins, n), f"{words} by {_place(bins)}: {shares}"
+    axis = {"range": [-0.03, 1.03], "tickformat": ".0%", "title": {"text": "share"}}
+    title = "Missing share of the real and hallucinated share of the simulated objects by distance"
+    return _above_counts(data, axis, bins, n), f"{title}: {shares}"
 
 
-def _above_counts(figure: Any, bins: Bins, counts: pd.Series[int]) -> Chart:
-    """The same figure with the number of objects in each bin below."""
-    figure.add_bar(
-        name="number of objects",
-        x=bins.middles,
-        y=counts,
-        width=0.85 * bins.width,
-        yaxis="y2",
-        marker_color=_SOFT,
-        hovertemplate="%{y} objects<extra></extra>",
-    )
-    if bins.column == "range_m":
-        axis: Chart = {
-            "title_text": "distance from the sensor (m)",
-            "range": [0, bins.low + bins.width * len(bins.names)],
-        }
-    else:  # as seen by the sensor: left is left
-        names = {180: "behind", 90: "left", 0: "ahead", -90: "right"}
-        axis = {"title_text": "direction from the sensor", "range": [196, -166]}
-        axis |= {"tickvals": list(names), "ticktext": list(names.values()), "tickangle": 0}
-    figure.update_xaxes(anchor="y2", **axis)
-    figure.update_layout(
-        yaxis_domain=[0.34, 1],
-        yaxis2={"domain": [0, 0.22], "rangemode": "tozero", "nticks": 3},
-        margin_t=30,
-    )
-    return _plain(figure)
+def _above_counts(data: list[Chart], axis: Chart, bins: Bins, counts: pd.Series[int]) -> Chart:
+    """The same traces with the number of objects in each bin below."""
+    bars = {
+        **{"type": "bar", "name": "number of objects", "x": bins.middles, "y": counts.to_numpy(), "yaxis": "y2"},
+        **{"width": 0.85 * bins.width, "marker": {"color": _SOFT}, "hovertemplate": "%{y} objects<extra></extra>"},
+    }
+    reach = [0, bins.width * len(bins.names)]
+    layout = {
+        "xaxis": {"anchor": "y2", "title": {"text": "distance from the sensor (m)"}, "range": reach},
+        "yaxis": {"domain": [0.34, 1], **axis},
+        "yaxis2": {"domain": [0, 0.22], "rangemode": "tozero", "nticks": 3},
+        "margin": {"t": 30},
+    }
+    return _chart([*data, bars], layout)
 
 
 def _sequence(pairs: PairsInOrder) -> CaptionedChart:
     """Match rate and the means of both scores of each pair, one after the other."""
-    figure, ends, rows = go.Figure(), [], pairs.rows.iloc[evenly(len(pairs.rows), MOST_DOTS)]
-    colours = {"match_rate": GREEN, **{METRIC[score].mean_column: SCORE_COLOURS[score] for score in SCORES}}
+    data, ends, rows = [], [], pairs.rows.iloc[evenly(len(pairs.rows), MOST_DOTS)]
+    names = [f"pair {in_chart(name)}, {n:,} matched" for name, n in zip(rows.pair_id, rows.n_matched, strict=True)]
+    colours = {"match_rate": GREY, **{METRIC[score].mean_column: SCORE_COLOURS[score] for score in SCORES}}
     for (column, colour), symbol in zip(colours.items(), ("square", "circle", "diamond"), strict=True):
         metric, values = METRIC[column.removesuffix("_mean")], pairs.rows[column].dropna()
         if len(values):
             ends.append(f"{metric.label} {values.min():.2f} to {values.max():.2f}")
-        figure.add_scatter(
-            mode="lines+markers" if len(rows) > 1 else "markers",
-            name=f"{metric.label} ({metric.scale})",
-            x=rows.place,
-            y=rows[column],
-            text=[
-                f"pair {in_chart(name)}, {n:,} matched" for name, n in zip(rows.pair_id, rows.n_matched, strict=True)
-            ],
-            hovertemplate=f"%{{text}}<br>{metric.label} %{{y:.3f}}<extra></extra>",
-            line={"color": on_page(colour), "width": 1},
-            marker={"color": on_page(colour), "size": 6, "symbol": symbol},
+        data.append(
+            {
+                "mode": "lines+markers" if len(rows) > 1 else "markers",
+                "name": f"{metric.label} ({metric.scale})",
+                "x": rows.place.to_numpy(),
+                "y": rows[column].to_numpy(dtype=float),
+                "text": names,
+                "hovertemplate": f"%{{text}}<br>{metric.label} %{{y:.3f}}<extra></extra>",
+                "line": {"color": on_page(colour), "width": 1},
+                "marker": {"color": on_page(colour), "size": 6, "symbol": symbol},
+            }
         )
     along = "time since the first scan (s)" if pairs.has_times else "number of the pair, by name"
-    figure.update_xaxes(title_text=along, dtick=1 if len(rows) <= 10 and not pairs.has_times else None)
-    figure.update_yaxes(rangemode="tozero", title_text="match rate, means of scores")
-    figure.update_layout(margin_t=30)
+    layout = {
+        "xaxis": {
+            "title": {"text": along},
+            "dtick": 1 if len(rows) <= 10 and not pairs.has_times else None,
+        },
+        "yaxis": {"rangemode": "tozero", "title": {"text": "match rate, means of scores"}},
+        "margin": {"t": 30},
+    }
     order = "time" if pairs.has_times else "name"
-    return _plain(figure), f"Each of {len(pairs.rows)} pairs by {order}, lowest to highest: {_listed(ends)}"
+    return _chart(data, layout), f"Each of {len(pairs.rows)} pairs by {order}, lowest to highest: {_listed(ends)}"
 
 
 def _times(times: pd.DataFrame) -> CaptionedChart:
-    figure = go.Figure()
     patterns = ("", "/", "x")
-    for i, (step, own) in enumerate(times.groupby("step", sort=False)):
-        figure.add_bar(
-            orientation="h",
-            name=step,
-            x=own.seconds,
-            y=own.stage.tolist(),
-            marker={"color": SERIES[i % len(SERIES)], "pattern_shape": patterns[i // len(SERIES) % len(patterns)]},
-            hovertemplate=f"%{{y}}, {in_chart(str(step))}: %{{x:.3f}} s<extra></extra>",
-        )
-    figure.update_layout(barmode="stack", xaxis_title_text="seconds per pair", margin_t=30)
-    figure.update_layout(legend_font_size=11, legend_traceorder="normal")
-    figure.update_yaxes(categoryorder="array", categoryarray=times.stage.unique().tolist()[::-1])
+    data = [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "name": step,
+            "x": own.seconds.to_numpy(),
+            "y": own.stage.tolist(),
+            "marker": {
+                "color": SERIES[i % len(SERIES)],
+                "pattern": {"shape": patterns[i // len(SERIES) % len(patterns)]},
+            },
+            "hovertemplate": f"%{{y}}, {in_chart(str(step))}: %{{x:.3f}} s<extra></extra>",
+        }
+        for i, (step, own) in enumerate(times.groupby("step", sort=False))
+    ]
+    layout = {
+        "barmode": "stack",
+        "xaxis": {"title": {"text": "seconds per pair"}},
+        "yaxis": {"categoryorder": "array", "categoryarray": times.stage.unique().tolist()[::-1]},
+        "legend": {"font": {"size": 11}, "traceorder": "normal"},
+        "margin": {"t": 30},
+    }
     seconds = times.groupby("stage", observed=True).seconds.sum()
-    return _plain(figure), f"Median seconds per pair by stage: {_listed(f'{a} {b:.2f}' for a, b in seconds.items())}"
+    words = _listed(f"{stage} {value:.2f}" for stage, value in seconds.items())
+    return _chart(data, layout), f"Median seconds per pair by stage: {words}"
 
 
 def change_chart(scores: Sequence[ScoreChange]) -> Chart:
@@ -389,7 +391,8 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
 
     Zero is in the middle; each strip has its own scale, which is written at its end.
     """
-    figure = go.Figure()
+    data: list[Chart] = []
+    notes: list[Chart] = []
     for i, score in enumerate(scores):
         change = score.difference
         known = {name: value for name, value in score.of_pairs.items() if value is not None}
@@ -397,35 +400,38 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
         reach = float(np.abs([*known.values(), *ends]).max()) or 1.0
         colour = of_theme(score.verdict) if score.verdict in ("better", "worse") else _SOFT
         dots = [list(known.items())[place] for place in evenly(len(known), _MOST_CHANGES)]
-        figure.add_scatter(
-            mode="markers",
-            x=[value / reach for _, value in dots],
-            y=[i] * len(dots),
-            text=[f"pair {in_chart(name)}: {value:+.3f}" for name, value in dots],
-            hovertemplate="%{text}<extra></extra>",
-            marker={"color": colour, "size": 7, "opacity": 0.35, "line_width": 0},
+        data.append(
+            {
+                "mode": "markers",
+                "x": [value / reach for _, value in dots],
+                "y": [i] * len(dots),
+                "text": [f"pair {in_chart(name)}: {value:+.3f}" for name, value in dots],
+                "hovertemplate": "%{text}<extra></extra>",
+                "marker": {"color": colour, "size": 7, "opacity": 0.35, "line": {"width": 0}},
+            }
         )
         if change.difference is not None and change.low is not None:
-            low, middle, high = np.array([ends[0], change.difference, ends[1]]) / reach
+            low, middle, high = (np.array([ends[0], change.difference, ends[1]]) / reach).tolist()
             bar = {"array": [high - middle], "arrayminus": [middle - low], "symmetric": False, "thickness": 3}
-            figure.add_scatter(
-                mode="markers",
-                x=[middle],
-                y=[i],
-                error_x={**bar, "color": colour, "width": 0},
-                hoverinfo="skip",
-                marker={"symbol": "line-ns", "size": 16, "line": {"width": 3, "color": colour}},
-            )
-        figure.add_annotation(x=1.03, xref="paper", xanchor="left", y=i, text=f"±{reach:.2g}", showarrow=False)
-    figure.add_vline(0, line={"color": _SOFT, "width": 1})
-    figure.update_xaxes(range=[-1.05, 1.05], visible=False, fixedrange=True)
+            mark = {"symbol": "line-ns", "size": 16, "line": {"width": 3, "color": colour}}
+            error = {"error_x": {**bar, "color": colour, "width": 0}}
+            data.append({"mode": "markers", "x": [middle], "y": [i], **error, "hoverinfo": "skip", "marker": mark})
+        end = {"x": 1.03, "xref": "paper", "xanchor": "left", "y": i, "yref": "y", "showarrow": False}
+        notes.append({**end, "text": f"±{reach:.2g}"})
     names, n = [f"{score.name} {score.mark}" for score in scores], len(scores)
-    figure.update_yaxes(
-        tickvals=list(range(n)), ticktext=names, range=[n - 0.5, -0.5], showgrid=False,
-        showline=False, zeroline=False, fixedrange=True,
-    )  # fmt: skip
-    figure.update_layout(showlegend=False, height=34 * n + 24, margin={"l": 10, "r": 75, "t": 12, "b": 12})
-    return _plain(figure)
+    layout = {
+        "shapes": [_line(x=0, color=_SOFT, width=1)],
+        "annotations": notes,
+        "xaxis": {**_FIXED, "range": [-1.05, 1.05], "visible": False},
+        "yaxis": {
+            **_FIXED, "tickvals": list(range(n)), "ticktext": names, "range": [n - 0.5, -0.5],
+            "showline": False, "zeroline": False,
+        },
+        "showlegend": False,
+        "height": 34 * n + 24,
+        "margin": {"l": 10, "r": 75, "t": 12, "b": 12},
+    }  # fmt: skip
+    return _chart(data, layout)
 
 
 def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
@@ -443,37 +449,45 @@ def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
         ]
         for ends in ([step.high for step in steps], [step.low for step in steps])
     )
-    figure = go.Figure()
-    figure.add_scatter(
-        mode="lines+markers",
-        x=x,
-        y=[step.mean for step in steps],
-        text=[
+    line = {
+        "mode": "lines+markers",
+        "x": x,
+        "y": [step.mean for step in steps],
+        "text": [
             f"{in_chart(name)}<br>against the first: {step.since_first or '-'}"
             for name, step in zip(names, steps, strict=True)
         ],
-        hovertemplate="%{text}<br>%{y:.3f}<extra></extra>",
-        error_y={"array": above, "arrayminus": below, "symmetric": False, "color": _SOFT, "thickness": 1.5, "width": 3},
-        line={"color": _SOFT, "width": 1.5},
-        marker={"size": 7, "color": _SOFT},
-        cliponaxis=False,
-    )
+        "hovertemplate": "%{text}<br>%{y:.3f}<extra></extra>",
+        "error_y": {
+            "array": above, "arrayminus": below, "symmetric": False, "color": _SOFT, "thickness": 1.5, "width": 3,
+        },
+        "line": {"color": _SOFT, "width": 1.5},
+        "marker": {"size": 7, "color": _SOFT},
+        "cliponaxis": False,
+    }  # fmt: skip
+    marks = []
     for verdict, symbol in (("better", "triangle-up"), ("worse", "triangle-down")):
         own = [(place, step.mean) for place, step in zip(x, steps, strict=True) if step.since_first == verdict]
-        figure.add_scatter(
-            mode="markers",
-            x=[place for place, _ in own],
-            y=[mean for _, mean in own],
-            hoverinfo="skip",
-            marker={"size": 13, "color": of_theme(verdict), "symbol": symbol},
-            cliponaxis=False,
-        )
-    if steps[0].mean is not None:
-        figure.add_hline(steps[0].mean, line={"color": _SOFT, "width": 1, "dash": "dot"})
-    figure.update_xaxes(tickvals=x, range=[0.6, len(names) + 0.4], showgrid=False, title_text="run", fixedrange=True)
-    figure.update_yaxes(fixedrange=True)
-    figure.update_layout(showlegend=False, margin={"l": 50, "r": 12, "t": 10, "b": 40})
-    return _plain(figure)
+        look = {"size": 13, "color": of_theme(verdict), "symbol": symbol}
+        places = {"x": [place for place, _ in own], "y": [mean for _, mean in own]}
+        marks.append({"mode": "markers", **places, "hoverinfo": "skip", "marker": look, "cliponaxis": False})
+    first = steps[0].mean
+    layout = {
+        "shapes": [] if first is None else [_line(y=first, color=_SOFT, width=1, dash="dot")],
+        "xaxis": {**_FIXED, "tickvals": x, "range": [0.6, len(names) + 0.4], "title": {"text": "run"}},
+        "yaxis": {"fixedrange": True},
+        "showlegend": False,
+        "margin": {"l": 50, "r": 12, "t": 10, "b": 40},
+    }
+    return _chart([line, *marks], layout)
+
+
+def _line(x: float | None = None, y: float | None = None, **look: Any) -> Chart:
+    """A line across a chart at a value of x, or of y."""
+    along, across = ("x", "y") if y is None else ("y", "x")
+    at = x if y is None else y
+    ends = {f"{along}0": at, f"{along}1": at, f"{across}0": 0, f"{across}1": 1, f"{across}ref": f"{across} domain"}
+    return {"type": "line", "line": look, **ends}
 
 
 def _listed(parts: Iterable[str]) -> str:
@@ -492,18 +506,15 @@ def _share(value: float) -> str:
     return "none there" if pd.isna(value) else f"{100 * value:.0f} %"
 
 
-def _place(bins: Bins) -> str:
-    return "distance" if bins.column == "range_m" else "direction (0° ahead, left positive)"
-
-
 def _opening(objects: pd.DataFrame, what: str, ids: Iterable[int]) -> dict[str, Any]:
     """Target of a click on a dot (index of its pair in the run, name of the object), and its title."""
     titles = [f"pair {in_chart(pair_id)}, {what} {i}" for pair_id, i in zip(objects.pair_id, ids, strict=True)]
     return {"customdata": objects[["pair", "name"]].to_numpy().tolist(), "text": titles}
 
 
-def _plain(figure: Any) -> Chart:
-    """A figure as JSON has it, without plotly's own template; arrays of numbers are in base64."""
-    chart: Chart = json.loads(figure.to_json())
-    del chart["layout"]["template"]
+def _chart(data: Sequence[Mapping[str, Any]], layout: Chart) -> Chart:
+    """Traces (dots and lines by default) and their layout as JSON has them: arrays as lists, NaN as null."""
+    traces = [{"type": "scatter", **trace} for trace in data]
+    text = orjson.dumps({"data": traces, "layout": layout}, np.ndarray.tolist, orjson.OPT_SERIALIZE_NUMPY)
+    chart: Chart = orjson.loads(text)
     return chart

@@ -7,23 +7,24 @@ from html import escape
 from ..results.quadrants import QUADRANTS, UNKNOWN
 from ..terminal import shown
 
-#: Okabe and Ito, Color Universal Design (2008).
+#: Okabe and Ito, Color Universal Design (2008). Blue and vermilion are the sides and nothing else.
 BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#999999",
 )  # fmt: skip
-SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, GREY)
+OLIVE, CRIMSON = "#9A8500", "#D81B60"
+SERIES = (GREEN, ORANGE, PURPLE, SKY, GREY)
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
-SCORE_COLOURS = {"r_lambda": BLUE, "cdc": ORANGE}
+SCORE_COLOURS = {"r_lambda": PURPLE, "cdc": GREEN}
 FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILION, "too small": PURPLE}
 #: Outcomes of rays, as `stages.rays` names them.
 OUTCOME_COLOURS = {
-    "same": GREY, "in_front": VERMILION, "behind": PURPLE, "dropped": BLUE, "no_surface": SKY, "sim_only": ORANGE,
+    "same": GREY, "in_front": OLIVE, "behind": PURPLE, "dropped": BLUE, "no_surface": SKY, "sim_only": VERMILION,
 }  # fmt: skip
 OUTCOME_WORDS = {
     "same": "same range", "in_front": "simulated in front", "behind": "simulated behind",
     "dropped": "lost, surface is simulated", "no_surface": "lost, no surface", "sim_only": "simulated only",
 }  # fmt: skip
-QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, ORANGE, SKY, VERMILION, GREY), strict=True))
+QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, PURPLE, OLIVE, CRIMSON, GREY), strict=True))
 
 #: Where a score is better, by whether higher is.
 ARROWS = {True: "↑", False: "↓"}
@@ -34,15 +35,21 @@ RAMPS = {
     "dark": ("#6a00a8", "#9c179e", "#cc4778", "#ed7953", "#fdb42f", "#f0f921"),
 }
 
+#: From behind a surface to in front of it (ColorBrewer's PRGn, its middle grey); its ends are this far away or more.
+SIGNED_RAMP_M = 0.25
+SIGNED_RAMP = ("#762a83", "#9970ab", "#c2a5cf", "#9c9c9c", "#a6dba0", "#5aae61", "#1b7837")
+
 #: Properties of a page by theme: each name is a property of its style sheet, such as --ink.
 THEMES = {
     "light": {
         "ground": "#ffffff", "raised": "#f5f6f8", "ink": "#1b1e24", "soft": "#565d6a", "line": "#d5d9e0",
-        "link": "#005a9c", "focus": "#d55e00", "better": "#0b62b0", "worse": "#b8500a", "blue": BLUE,
+        "link": "#005a9c", "focus": "#8a4fd0",
+        "better": "#1b7837", "worse": "#b3123f", "blue": BLUE, "vermilion": VERMILION,
     },
     "dark": {
         "ground": "#14171c", "raised": "#1e222a", "ink": "#e8eaee", "soft": "#a9b0bc", "line": "#3a404b",
-        "link": "#7cc4f5", "focus": "#e69f00", "better": "#6db3f2", "worse": "#f0994f", "blue": SKY,
+        "link": "#7cc4f5", "focus": "#c9a6ff",
+        "better": "#5fc98b", "worse": "#ff7a9c", "blue": SKY, "vermilion": "#F07030",
     },
 }  # fmt: skip
 
@@ -53,8 +60,8 @@ def of_theme(name: str) -> str:
 
 
 def on_page(colour: str) -> str:
-    """A colour on a page: on black, blue is too dark and becomes sky blue."""
-    return of_theme("blue") if colour == BLUE else colour
+    """A colour on a page: those of the sides are brighter on black."""
+    return {BLUE: of_theme("blue"), VERMILION: of_theme("vermilion")}.get(colour, colour)
 
 
 def clipped(text: str, most: int = 22) -> str:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from urllib.parse import quote, urlencode
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import METRIC
@@ -50,41 +49,61 @@ class Picture:
     bar_m: float
 
 
-def draw_object(
-    low: FloatArray, high: FloatArray, layers: dict[str, FloatArray], title: str, words: str, link: str = ""
-) -> Picture:
-    """A picture of a box from the sensor's side, from above, without perspective; true to scale.
+@dataclass(frozen=True)
+class _Box:
+    """What a picture shows: corners of a box, (3,) each, and its points by kind, (n, 3)."""
 
-    Parameters
-    ----------
-    low, high : corners of the box, (3,)
-    layers : points by kind, (n, 3); evenly over their order where they are too many
-    """
-    centre = (low + high) / 2
-    azimuth = np.arctan2(-centre[1], -centre[0]) + np.radians(_TURN_DEG)
-    elevation = np.radians(VIEW["elev"])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    up = np.array([-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)])
-    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
-    u, v = corners @ right, corners @ up
-    scale = float(((np.array(FRAME) - 2 * _MARGIN) / np.array([np.ptp(u), np.ptp(v)])).min())
-    middle = (u.min() + u.max()) / 2, (v.min() + v.max()) / 2
-    paths = {}
-    for kind, points in layers.items():
-        chosen = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_DOTS)).round().astype(int))]
-        x = FRAME[0] / 2 + (chosen @ right - middle[0]) * scale
-        y = FRAME[1] / 2 - (chosen @ up - middle[1]) * scale
-        paths[kind] = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(x, y, strict=True))
-    bar_m = max((m for m in _BARS_M if m * scale <= FRAME[0] / 3), default=_BARS_M[0])
-    return Picture(title, words, link, paths, bar_m * scale, bar_m)
+    low: FloatArray
+    high: FloatArray
+    layers: dict[str, FloatArray]
+
+    @property
+    def axes(self) -> FloatArray:
+        """Right and up of the picture, (2, 3): from the sensor's side, turned by 25 degrees, and from above."""
+        centre = (self.low + self.high) / 2
+        azimuth = np.arctan2(-centre[1], -centre[0]) + np.radians(_TURN_DEG)
+        elevation = np.radians(VIEW["elev"])
+        up = [-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)]
+        return np.array([[-np.sin(azimuth), np.cos(azimuth), 0.0], up])
+
+    @property
+    def span(self) -> FloatArray:
+        """Lowest and highest place of the points along right and up, (2, 2)."""
+        places = np.concatenate([*self.layers.values()]) @ self.axes.T
+        return np.stack([places.min(axis=0), places.max(axis=0)])
+
+    @property
+    def scale(self) -> float:
+        """The largest scale at which the box fits into a drawing, units per metre."""
+        return float(((np.array(FRAME) - 2 * _MARGIN) / (np.ptp(self.span, axis=0) + _PAD_M)).min())
+
+    def drawn(self, scale: float, title: str, words: str, link: str = "") -> Picture:
+        """A picture without perspective, true to scale; points evenly over their order where they are too many."""
+        middle, paths = self.span.mean(axis=0), {}
+        for kind, points in self.layers.items():
+            n = min(len(points), _MOST_DOTS)
+            chosen = points[np.unique(np.linspace(0, len(points) - 1, n).round().astype(int))]
+            right, up = ((chosen @ self.axes.T - middle) * scale).T
+            dots = zip(FRAME[0] / 2 + right, FRAME[1] / 2 - up, strict=True)
+            paths[kind] = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in dots)
+        bar_m = max((m for m in _BARS_M if m * scale <= FRAME[0] / 3), default=_BARS_M[0])
+        return Picture(title, words, link, paths, bar_m * scale, bar_m)
 
 
-def draw_piece(results: RunResults, piece: Piece) -> Picture:
-    """The box around one of the largest pieces: in colour the points that the other side lacks, others in grey."""
+def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[Picture]:
+    """Pictures of the largest pieces, all to one scale: in colour the piece's points, everything else in grey."""
+    found = [_piece(results, piece) for piece in pieces]
+    scale = min((box.scale for box, _ in found), default=1.0)
+    words = [f"{one.fate_words}; pair {one.pair_id}, {one.n_points:,} points" for one in pieces]
+    return [
+        box.drawn(scale, one.words, text, link) for one, text, (box, link) in zip(pieces, words, found, strict=True)
+    ]
+
+
+def _piece(results: RunResults, piece: Piece) -> tuple[_Box, str]:
+    """The box around a piece, and the address of the object that most of its points belong to."""
     tables = PairFrames(results, piece.pair_id)
     clouds = tables.clouds
-    everything = {side: np.concatenate([clouds[side].points, tables.road[side]]) for side in SIDES}
-    reach_m = float(str(results.run.record.settings["pieces"]["reach_m"]))
     row = next(
         row
         for row in results.run.read_table("pieces", piece.pair_id).to_pylist()
@@ -94,17 +113,19 @@ def draw_piece(results: RunResults, piece: Piece) -> Picture:
     moved = np.array([row[f"moved_{axis}_m"] or 0.0 for axis in "xyz"])
     ends = np.stack([centre, centre + moved])
     low, high = ends.min(axis=0) - extents, ends.max(axis=0) + extents
-    own, alone = clouds[piece.side], {}
-    for side, other in (SIDES, SIDES[::-1]):
-        points = clouds[side].points[inside(clouds[side].points, low, high)]
-        alone[side] = points[KDTree(everything[other]).query(points)[0] > reach_m]
-    low, high = box_around(np.concatenate([*alone.values()]))
+    is_own = {side: tables.is_piece[side] & inside(clouds[side].points, low, high) for side in SIDES}
+    if not moved.any():
+        is_own = {piece.side: is_own[piece.side]}
+    low, high = box_around(np.concatenate([clouds[side].points[own] for side, own in is_own.items()]))
     low, high = low - _AROUND_M, high + _AROUND_M
-    around = np.concatenate([points[inside(points, low, high)] for points in everything.values()])
-    communities = own.community[inside(own.points, *box_around(alone[piece.side]))]
-    words = f"{piece.fate_words}; pair {piece.pair_id}, {piece.n_points:,} points"
-    link = object_address(piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}")
-    return draw_object(low, high, {"others": around, **alone}, piece.words, words, link)
+    around = [
+        *(clouds[side].points[~is_own.get(side, np.zeros(len(clouds[side].points), np.bool_))] for side in SIDES),
+        *tables.road.values(),
+    ]
+    others = np.concatenate([points[inside(points, low, high)] for points in around])
+    layers = {"others": others, **{side: clouds[side].points[own] for side, own in is_own.items()}}
+    communities = clouds[piece.side].community[is_own[piece.side]]
+    return _Box(low, high, layers), object_address(piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}")
 
 
 def draw_change(change: ObjectChange, runs: Sequence[FinishedRun], links: Sequence[str]) -> list[Picture]:
@@ -140,8 +161,8 @@ def draw_change(change: ObjectChange, runs: Sequence[FinishedRun], links: Sequen
     titles = ("real", "simulated, before", "simulated, after")
     for title, text, cloud, own, link in zip(titles, words, clouds, is_own, ("", *links), strict=True):
         others = cloud.points[~own & inside(cloud.points, low, high)]
-        layers = {"others": others, "real" if cloud is real else "sim": cloud.points[own]}
-        pictures.append(draw_object(low, high, layers, title, text, link))
+        box = _Box(low, high, {"others": others, "real" if cloud is real else "sim": cloud.points[own]})
+        pictures.append(box.drawn(box.scale, title, text, link))
     return pictures
 
 

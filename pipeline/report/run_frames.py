@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...stages.arrays import FloatArray, IntArray
+from ...schemas.settings import PieceSettings
+from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.coverage import nearest_distances
 from ...stages.inspect.sensor_description import SensorDescription
 from ...stages.linalg.laplacian import induced_laplacian
 from ...stages.linalg.spectrum import eigenvalues
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
+from ...stages.pieces import CutScan, label_pieces
 from ..engine.pool import one_blas_thread
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
@@ -201,6 +203,23 @@ class PairFrames:
         return dict(zip(SIDES, nearest_distances(real, sim), strict=True))
 
     @cached_property
+    def is_piece(self) -> dict[str, BoolArray]:
+        """Which object points of a side are in a missing (real side) or an invented piece, (n,), by side."""
+        settings = PieceSettings.model_validate(self._run.record.settings["pieces"])
+        scans = {
+            side: CutScan(
+                np.concatenate([self.clouds[side].points, self.road[side]]),
+                np.repeat([False, True], [len(self.clouds[side].points), len(self.road[side])]),
+                np.empty(0),
+            )
+            for side in SIDES
+        }
+        return {
+            side: label_pieces(scans[side], scans[other], settings)[: len(self.clouds[side].points)] >= 0
+            for side, other in (SIDES, SIDES[::-1])
+        }
+
+    @cached_property
     def alignment_moves(self) -> dict[int, FloatArray]:
         """Motion of the simulated object onto the real one, by real id: mean of kept real less simulated nodes, (3,).
 
@@ -220,7 +239,7 @@ class PairFrames:
 
     def spectra(self) -> Iterator[tuple[int, Spectra]]:
         """The spectra of each matched object, by real id; with a reason in their place where they are not drawn."""
-        graphs = {side: self._graphs(side) for side in SIDES}
+        graphs = {side: self._graphs(side, self.matched[:MOST_SPECTRA]) for side in SIDES}
         nodes = dict(iter(self.selection.groupby("real_id")))
         with one_blas_thread():
             for i, row in enumerate(self.matched.to_dict("records")):
@@ -235,14 +254,14 @@ class PairFrames:
                     pair = graphs["real"][row["real_id"]], graphs["sim"][row["sim_id"]]
                     yield row["real_id"], _spectra_of(pair, nodes[row["real_id"]], row["max_eigenvalue_shift"])
 
-    def _graphs(self, side: str) -> dict[int, Subgraph]:
-        """The graph of each matched object of a side, by the object's id."""
+    def _graphs(self, side: str, objects: pd.DataFrame) -> dict[int, Subgraph]:
+        """The graph of each of some matched objects of a side, by the object's id."""
         cloud = self.clouds[side]
         graph = self._columns("graph", side, ["src", "dst", "length_m"])
         src, dst = (np.searchsorted(cloud.point_ids, graph[end].to_numpy()).astype(np.int32) for end in ("src", "dst"))
         edges = Edges(src, dst, graph.length_m.to_numpy())
-        wanted = self.matched[f"{side}_id"].tolist()
-        return split_by_community(cloud.point_ids, cloud.points, edges, cloud.community, wanted)
+        ids = objects[f"{side}_id"].tolist()
+        return split_by_community(cloud.point_ids, cloud.points, edges, cloud.community, ids)
 
     def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:
         rows: pd.DataFrame = self._run.read_table(table, self._pair_id, side, columns).to_pandas()

@@ -18,10 +18,11 @@ from ...schemas.results import Cause
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
 from ..results.overview import over_floor
-from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
-from .pictures import Picture, draw_piece
+from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
+from .aggregates import quadrants
+from .pictures import Picture, draw_pieces
 from .run_frames import RunResults
-from .view import Note, View, number, sentence
+from .view import Note, View, number, percent, sentence
 from .views.answer_view import change_words, headline_scores, pieces_words, surface_words
 from .views.run_view import coverage_table, dataset_table, surface_line, surface_table, unmatched_lines
 
@@ -31,6 +32,21 @@ _SCORES = (
 )
 #: Causes on the first screen.
 _MOST_CAUSES = 6
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A stacked bar.
+
+    name, value : what it is of, and the number that decides
+    note : the floor's number; "" without a floor
+    parts : from good to bad: kind (its look), words, share of the whole
+    """
+
+    name: str
+    value: str
+    note: str
+    parts: list[tuple[str, str, float]]
 
 
 @dataclass(frozen=True)
@@ -50,6 +66,7 @@ class Verdict:
     """The first screen.
 
     sentence, pieces : surface and pieces
+    bars : surface of both sides by distance to the other one, and real objects by quadrant
     causes : most severe first
     is_met, good_enough : True if the acceptance criteria of the last gate are met, None without any; sentences
     warning : that scans seem to lie in another frame, which makes all numbers wrong; "" if none does
@@ -59,6 +76,7 @@ class Verdict:
 
     sentence: str
     pieces: str
+    bars: list[Bar]
     causes: tuple[Cause, ...]
     worst: list[Picture]
     numbers: list[Tile]
@@ -80,8 +98,9 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
     return Verdict(
         sentence=sentence(surface_words(record, excess)),
         pieces=sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
+        bars=_bars(results, excess),
         causes=overview.causes[:_MOST_CAUSES],
-        worst=[draw_piece(results, piece) for piece in overview.pieces],
+        worst=draw_pieces(results, overview.pieces),
         numbers=[_tile(column, record, excess) for column in headline_scores(record)],
         is_met=is_met,
         good_enough=good_enough,
@@ -97,6 +116,28 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
             *map(Note, (*unmatched_lines(record), surface_line(record))),
         ],
     )
+
+
+def _bars(results: RunResults, excess: RunExcess | None) -> list[Bar]:
+    summary, bars = results.run.record.summary, []
+    for side, name, alone in (("real", "Real surface", "missing"), ("sim", "Simulated surface", "invented")):
+        reaches = [f"covered_{side}_{reach}" for reach in ("0p1m", "0p3m", "1m")]
+        ends = [0.0, *(summary[column].mean or 0.0 for column in reaches), 1.0]
+        words = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m", f"{alone}: nothing within 1 m")
+        parts = [
+            (f"{side} step{i}", text, high - low)
+            for i, (text, low, high) in enumerate(zip(words, ends[:-1], ends[1:], strict=True))
+        ]
+        note = f"floor {percent(excess.scores[reaches[1]].floor)}" if excess else ""
+        bars.append(Bar(name, f"{percent(ends[2])} within 0.3 m", note, parts))
+    counted = quadrants(results)
+    n_missing = int((results.unmatched.status == "missing").sum())
+    n_all = max(1, len(results.matched) + n_missing)
+    fates = {**{name: counted[key]["n"] for key, name in {**QUADRANTS, UNKNOWN: UNKNOWN}.items()}, "missing": n_missing}
+    kinds = (*QUADRANTS, "unknown", "real step3")
+    shares = [(kind, name, n / n_all) for kind, (name, n) in zip(kinds, fates.items(), strict=True)]
+    bars.append(Bar("Real objects", f"{percent(shares[0][2])} faithful", "", shares))
+    return bars
 
 
 def limits_in_words() -> str:

@@ -19,7 +19,6 @@ from typer.testing import CliRunner
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.aggregates import (
     along_the_sequence,
-    bearing_bins,
     binned_fates,
     binned_scores,
     histograms,
@@ -459,23 +458,12 @@ def test_far_objects_are_binned_more_coarsely():
     assert len(range_bins(results).names) == 7
 
 
-def test_bearings_go_round_and_one_sector_is_straight_ahead():
-    bins = bearing_bins()
-    places = pd.DataFrame({"bearing_deg": [-14.9, 14.9, 15.0, 90.0, 180.0, -180.0, 170.0, -165.0]})
-    assert [bins.names[i] for i in bins.index(places)] == [
-        *["-15 to 15°"] * 2, "15 to 45°", "75 to 105°", *["165 to 195°"] * 3, "-165 to -135°",
-    ]  # fmt: skip
-
-
 def test_shares_of_missing_and_hallucinated_objects_are_of_the_objects_of_their_own_side():
     results = placed([1.0, 12.0, 15.0, 39.0], [0.0, 10.0, 178.0, 90.0])
     fates = binned_fates(results, range_bins(results))
     assert fates.matched.tolist() == [1, 2, 0, 1]
     assert fates.missing_share.tolist() == pytest.approx([0, 1 / 3, np.nan, 0], nan_ok=True)
     assert fates.hallucinated_share.tolist() == pytest.approx([0, 0, np.nan, 1 / 2], nan_ok=True)
-    around = binned_fates(results, bearing_bins())
-    assert around.loc["165 to 195°", ["matched", "missing", "missing_share"]].tolist() == [1, 1, 0.5]
-    assert around.loc["-15 to 15°", ["matched", "hallucinated"]].tolist() == [2, 1]
 
 
 def test_pairs_are_in_the_order_of_time_only_where_each_has_one():

@@ -65,6 +65,7 @@ def page(browser, opened, page_path):
     for name, value in (("theme", "auto"), ("pair", FIRST_PAIR), ("colour", "side"), ("object", "")):
         choose(browser, name, value)
     browser.execute_script(
+        "document.getElementById('advanced').open = true;"
         "for (const [name, value] of [['lie', 'as_given'], ['object_colour', 'side']])"
         " document.getElementById(name).value = value;"
         "for (const [name, isOn] of [['show_lines', false], ['show_others', false], ['show_road', true]])"
@@ -78,11 +79,22 @@ def page(browser, opened, page_path):
 
 
 def pixels(browser, name):
-    """(h, w, 3) what an element looks like."""
+    """(h, w, 3) what an element looks like; its details are opened."""
     place = by_id(browser, name)
+    browser.execute_script(
+        "for (let at = arguments[0]; at; at = at.parentElement) if (at.tagName === 'DETAILS') at.open = true", place
+    )
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", place)
     settle(browser)
     return np.asarray(Image.open(io.BytesIO(place.screenshot_as_png)).convert("RGB")).astype(int)
+
+
+def see_all(browser):
+    """Looks at every chart, so that all are drawn."""
+    browser.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+    for chart in browser.find_elements("css selector", ".chart"):
+        browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", chart)
+        settle(browser)
 
 
 def near(picture, colour):
@@ -142,8 +154,8 @@ def turn_on(browser, name, is_on=True):
         settle(browser)
 
 
-def shown_numbers(browser):
-    found = browser.find_elements("css selector", "#panel_numbers .value")
+def shown_numbers(browser, place="panel_numbers"):
+    found = browser.find_elements("css selector", f"#{place} .value")
     return {one.get_attribute("data-key"): one.text for one in found}
 
 
@@ -190,7 +202,10 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     ActionChains(page).move_to_element_with_offset(scene, dx, dy).pause(0.5).click().perform()
     wait_for(page, "return !document.getElementById('panel').hidden")
     row = metrics.loc[int(by_id(page, "object").get_attribute("value").removeprefix("real "))]
-    shown = shown_numbers(page)
+    for name in ("all_numbers", "advanced"):
+        page.execute_script("document.getElementById(arguments[0]).open = true", name)
+    pixels(page, "spectrum")
+    shown = shown_numbers(page, "panel_numbers") | shown_numbers(page, "more_numbers")
     for column in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m"):
         assert shown[column] == f"{row[column]:.{2 if column.endswith('_m') else 3}f}", column
     assert shown["n_keep"] == f"{row.n_keep:,}"
@@ -236,9 +251,9 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
 
 @pytest.mark.exhaustive
 def test_the_theme_can_be_chosen(page):
-    before = pixels(page, "hist_cdc")
+    before = pixels(page, "polar")
     choose(page, "theme", "dark")
-    assert pixels(page, "hist_cdc").mean() < before.mean() - 100
+    assert pixels(page, "polar").mean() < before.mean() - 100
 
 
 @pytest.mark.exhaustive
@@ -288,10 +303,12 @@ def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, 
     for path in with_3d:
         open_page(browser, path)
         choose(browser, "object", "real 0")
+        see_all(browser)
         assert browser.execute_script("return Boolean(document.getElementById('overlay').data)")
         assert buttons(browser) == [{"scene": BUTTONS_3D}, [""]], path
     for path in (single, tmp_path / "compare.html", tmp_path / "history.html"):
         open_page(browser, path)
+        see_all(browser)
         assert buttons(browser) == [{}, [""]], path
 
 
@@ -320,6 +337,7 @@ def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, re
 def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
     names = page.execute_script("return JSON.parse(document.getElementById('report').textContent).names")
     for chart in ("quadrants", "polar"):
+        pixels(page, chart)
         point = page.execute_script(
             "const plot = document.getElementById(arguments[0]);"
             "const customdata = plot.data.findLast((trace) => trace.customdata.length).customdata.at(-1);"
@@ -347,6 +365,7 @@ def test_comparison_and_history_draw_their_charts_in_the_theme_and_fit_the_windo
         path.write_text(text, encoding="utf-8")
         complaints(browser), requests(browser)
         open_page(browser, path)
+        see_all(browser)
         assert browser.execute_script("return document.documentElement.scrollWidth") <= width
         picture = pixels(browser, chart).mean(axis=2)
         assert (picture.mean() < 100) == dark
@@ -361,6 +380,7 @@ def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_ref
     """The distances themselves are those of the tables: `test_report_pair`."""
     resize(browser, WIDTHS[0])
     open_page(browser, write_report(by_reference, out=tmp_path).page)
+    choose(browser, "object", "")
     choose(browser, "colour", "distance")
     traces = browser.execute_script(
         "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"
@@ -490,31 +510,77 @@ def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(p
     for row in lone.head(3).itertuples():
         choose(page, "object", f"{row.side} {row.community_id}")
         share = getattr(row, f"road_share_{row.side}")
-        shown = shown_numbers(page)[f"road_share_{row.side}"]
+        page.execute_script("document.getElementById('all_numbers').open = true")
+        shown = shown_numbers(page, "more_numbers")[f"road_share_{row.side}"]
         assert float(shown) == pytest.approx(share, abs=5e-4)
         other = {"real": "simulated", "sim": "real"}[row.side]
-        said = f"{round(100 * share)} % of it is road on the {other} side" in by_id(page, "overlay_note").text
+        said = f"{round(100 * share)} % of it is road on the {other} side" in by_id(page, "panel_sentence").text
         assert said == (share >= 0.005)
         assert not by_id(page, "lie").is_enabled()
         assert len(drawn(page, "overlay", f"own {row.side}")) == row.n_points
 
 
 @pytest.mark.exhaustive
-def test_the_panel_stands_beside_the_view_or_below_it_on_a_phone(page):
+def test_the_scene_is_as_wide_as_the_page_and_the_panel_below_it(page):
     def place(name):
         return page.execute_script(
             "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", name
         )
 
     choose(page, "object", "real 0")
-    page.execute_script("document.getElementById('view').scrollIntoView()")
-    settle(page)
     scene, overlay, numbers = map(place, ("scene", "overlay", "panel_numbers"))
-    assert overlay["left"] >= scene["right"]
-    assert scene["top"] < overlay["bottom"] < numbers["top"] + 120 < 900, "all of it above the fold"
+    assert scene["width"] > 1150
+    assert overlay["top"] > scene["bottom"]
+    assert numbers["left"] >= overlay["right"]
+    assert len(shown_numbers(page)) <= 8
     resize(page, WIDTHS[1])
     settle(page)
-    assert place("panel")["top"] >= place("scene")["bottom"]
+    assert place("panel_numbers")["top"] >= place("overlay")["bottom"]
+
+
+@pytest.mark.exhaustive
+def test_both_scenes_turn_together(page):
+    choose(page, "object", "real 0")
+    pixels(page, "overlay")
+    page.execute_script(
+        "const camera = {eye: {x: 0, y: -2, z: 0.5}, center: {x: 0, y: 0, z: 0}, up: {x: 0, y: 0, z: 1}};"
+        "return Plotly.relayout('scene', {'scene.camera': camera})"
+    )
+    settle(page)
+    eye, center = page.execute_script(
+        "const {eye, center} = document.getElementById('overlay')._fullLayout.scene._scene.getCamera();"
+        "return [[eye.x, eye.y, eye.z], [center.x, center.y, center.z]]"
+    )
+    direction = np.subtract(eye, center) / np.linalg.norm(np.subtract(eye, center))
+    assert direction == pytest.approx(np.array([0, -2, 0.5]) / np.hypot(2, 0.5), abs=1e-6)
+
+
+@pytest.mark.exhaustive
+def test_charts_are_drawn_when_they_come_into_view(browser, page_path):
+    resize(browser, WIDTHS[0])
+    browser.get("about:blank")
+    open_page(browser, page_path)
+    is_drawn = "return Boolean(document.getElementById(arguments[0]).data)"
+    assert not browser.execute_script(is_drawn, "quadrants")
+    pixels(browser, "quadrants")
+    assert browser.execute_script(is_drawn, "quadrants")
+    assert not browser.execute_script(is_drawn, "times"), "folded"
+
+
+@pytest.mark.exhaustive
+def test_pieces_are_a_layer_with_as_many_points_as_their_table_has(browser, by_reference, tmp_path):
+    resize(browser, WIDTHS[0])
+    open_page(browser, write_report(by_reference, out=tmp_path).page)
+    pair = by_id(browser, "pair").get_attribute("value")
+    pieces = pd.read_parquet(by_reference / "pieces")
+    pieces = pieces[pieces.pair_id == pair]
+    for side, name in (("real", "missing"), ("sim", "invented")):
+        n = pieces[pieces.side == side].n_points.sum()
+        assert len(drawn(browser, "scene", name)) == n
+    assert pieces.n_points.sum() > 0
+    turn_on(browser, "show_missing", False)
+    visible = "return document.getElementById('scene').data.find(({name}) => name === 'missing').visible"
+    assert browser.execute_script(visible) is False
 
 
 def filtered(browser, wanted):
@@ -593,7 +659,7 @@ def test_every_chart_has_a_text_alternative(page):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_no_label_of_a_chart_is_cut(page, width):
     resize(page, width)
-    settle(page)
+    see_all(page)
     script = """return [...document.querySelectorAll('.chart[aria-label] .main-svg text')].flatMap((text) => {
       const [own, all] = [text.getBoundingClientRect(), text.closest('.chart').getBoundingClientRect()];
       const isIn = own.left >= all.left - 1 && own.right <= all.right + 1 && own.bottom <= all.bottom + 1;
@@ -623,7 +689,7 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
     assert printed["widest"] - 1 <= printed["page"] <= 1048, "A4 across, less its margins"
     sizes = {tuple(map(float, box.split())) for box in re.findall(rb"/MediaBox \[([\d. ]+)\]", pdf)}
     assert all(right > bottom for _, _, right, bottom in sizes), "all pages lie across"
-    assert 5 < len(re.findall(rb"/Type /Page\b", pdf)) < 40
+    assert 5 < len(re.findall(rb"/Type /Page\b", pdf)) <= 12
     page.execute_cdp_cmd(
         "Emulation.setEmulatedMedia",
         {"media": "print", "features": [{"name": "prefers-color-scheme", "value": "light"}]},

@@ -14,11 +14,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from ...terminal import shown
 from ..charts import TEMPLATE
-from ..look import THEMES, clipped
+from ..look import QUADRANT_COLOURS, THEMES, clipped
 from ..view import sentence
 
 
@@ -50,8 +49,14 @@ def _environment() -> Environment:
         "fixed": _fixed,
         "plain": _in_words,
     }
-    environment.globals |= {"themes": THEMES, "asset": _asset, "code": _code, "plotly": lambda: Markup(get_plotlyjs())}
+    environment.globals |= {"quadrant_colours": QUADRANT_COLOURS}
+    environment.globals |= {"themes": THEMES, "asset": _asset, "code": _code, "plotly": lambda: Markup(plotly_js())}
     return environment
+
+
+def plotly_js() -> str:
+    """The text of plotly.js as installed, without the rest of plotly, which takes half a second to import."""
+    return resources.files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
 
 
 def _asset(name: str) -> Markup:

@@ -16,6 +16,7 @@ import numpy as np
 from ....schemas.columns import SIDES
 from ....stages.arrays import BoolArray, FloatArray, IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
+from ....stages.surface import signed_distances
 from ..aggregates import plain_rows
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, Spectra
 
@@ -24,6 +25,11 @@ FACTS = (
     *("cdc", "r_lambda", "r_gap", "quadrant", *OBJECT_COVERAGE, *OBJECT_ROAD, "centroid_distance_m", "alignment_rms_m"),
     *("n_points", "n_real", "n_sim", "n_keep", "range_m", "bearing_deg", "group", "status", "reason"),
     *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
+)
+#: Those at first sight; an object shows the ones that it has.
+FIRST_FACTS = (
+    *("range_m", "cdc", "r_lambda", *OBJECT_COVERAGE, "centroid_distance_m", "n_real", "n_sim", "bearing_deg"),
+    "n_points",
 )
 _PLACE = ("cx", "cy", "cz")
 #: Columns of the objects, in the order of their rows in the page.
@@ -35,6 +41,9 @@ UNMATCHED_COLUMNS = (
 #: The distance of a point to the other side is a byte, the largest for this many metres and more.
 FAR_M = COVERAGE_DISTANCES_M[-1]
 _FAR = 255
+#: The signed distance to the planes of the real side is a byte from -SIGNED_M to SIGNED_M, the last one for none.
+SIGNED_M = 0.5
+_NO_SIGN = 255
 #: Largest number of object points of a page; of an object at most `_MOST_OF_OBJECT`, at least `_FEWEST`.
 MOST_POINTS = 1_000_000
 _MOST_OF_OBJECT, _FEWEST = 20_000, 80
@@ -119,8 +128,9 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
     aligned = _aligned_distances(tables)
     lines = np.ones(len(tables.selection), dtype=bool)
     places = {}
+    real = np.concatenate([tables.clouds["real"].points, tables.road["real"]])
     for side, own in shown.items():
-        cloud = tables.clouds[side]
+        cloud, road = tables.clouds[side], _some_road(tables.road[side])
         place = np.full(len(cloud.points), -1)
         place[own] = np.arange(len(own))
         nodes = np.searchsorted(cloud.point_ids, tables.selection[f"{side}_point_id"])
@@ -130,7 +140,11 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
         columns[f"{side}_distance"] = _as_bytes(tables.distances_m[side][own])
         columns[f"{side}_aligned"] = _as_bytes(aligned[side][own])
         columns[f"{side}_kept"] = _marked(len(place), nodes)[own].astype(np.uint8)
-        columns |= _in_steps(f"{side}_road", _some_road(tables.road[side]), step_m)
+        columns[f"{side}_piece"] = tables.is_piece[side][own].astype(np.uint8)
+        columns |= _in_steps(f"{side}_road", road, step_m)
+        if side == "sim":
+            signed = signed_distances(np.concatenate([cloud.points[own], road]), real, SIGNED_M)
+            columns["sim_signed"], columns["sim_road_signed"] = np.split(_signed_bytes(signed), [len(own)])
     order = np.argsort(places["real"][lines], kind="stable")
     return columns | {f"{side}_line": places[side][lines][order].astype(np.int32) for side in SIDES}
 
@@ -173,6 +187,11 @@ def _as_bytes(distance_m: FloatArray) -> Any:
     return np.rint(np.minimum(distance_m / FAR_M, 1) * _FAR).astype(np.uint8)
 
 
+def _signed_bytes(distance_m: FloatArray) -> Any:
+    steps = np.rint((np.clip(distance_m / SIGNED_M, -1, 1) + 1) / 2 * (_NO_SIGN - 1))
+    return np.where(np.isnan(steps), _NO_SIGN, steps).astype(np.uint8)
+
+
 def _packed(columns: dict[str, Any]) -> dict[str, Any]:
     """Columns of bytes as they are, of wider integers as differences (modulo their width), low bytes first."""
     content, parts = b"", []
@@ -181,7 +200,7 @@ def _packed(columns: dict[str, Any]) -> dict[str, Any]:
         steps = values if width == 1 else np.diff(values, prepend=values.dtype.type(0)).astype(f"<i{width}")
         content += np.ascontiguousarray(steps).view(np.uint8).reshape(-1, width).T.tobytes()
         parts.append([name, width, len(values)])
-    return {"parts": parts, "deflated": base64.b64encode(zlib.compress(content, 9)).decode("ascii")}
+    return {"parts": parts, "deflated": base64.b64encode(zlib.compress(content, 6)).decode("ascii")}
 
 
 def _curve(spectra: Spectra) -> dict[str, Any]:

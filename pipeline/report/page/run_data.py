@@ -12,6 +12,7 @@ from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC, metric_of
 from ....stages.inspect.sensor_description import differences, sensor_lines
 from ...results.compare import recorded_times_s
+from ...results.diagnosis import gain_words, read_diagnosis
 from ...results.floor import RunExcess
 from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits
@@ -24,6 +25,8 @@ from ..look import (
     QUADRANT_COLOURS,
     RAMPS,
     SIDE_COLOURS,
+    SIGNED_RAMP,
+    SIGNED_RAMP_M,
     on_page,
 )
 from ..pictures import FRAME
@@ -31,7 +34,7 @@ from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
 from ..verdict import limits_in_words, verdict_of
 from ..views.floor_view import excess_view
 from ..views.run_view import preset_line
-from .pair_data import FACTS, FAR_M, MATCHED_COLUMNS, UNMATCHED_COLUMNS
+from .pair_data import FACTS, FAR_M, FIRST_FACTS, MATCHED_COLUMNS, SIGNED_M, UNMATCHED_COLUMNS
 
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
@@ -76,6 +79,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
             "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
             "ramps": RAMPS,
+            "signed": SIGNED_RAMP,
             "quadrants": {key: on_page(colour) for key, colour in QUADRANT_COLOURS.items()},
             "outcomes": {
                 name: {"colour": on_page(colour), "words": OUTCOME_WORDS[name]}
@@ -84,6 +88,8 @@ def page_data(results: RunResults) -> dict[str, Any]:
             "none": GREY,
         },
         "far_m": FAR_M,
+        "signed_m": SIGNED_M,
+        "signed_ramp_m": SIGNED_RAMP_M,
         "scores": {
             score: {"name": METRIC[score].label, "low": low, "high": high}
             for score, (low, high) in score_limits(results).items()
@@ -91,6 +97,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
         "pairs": _table(results, results.pairs, _PAIR_COLUMNS, pairs_note),
         "objects": _objects(results),
         "facts": _facts(results),
+        "first_facts": FIRST_FACTS,
         "matched_columns": MATCHED_COLUMNS,
         "unmatched_columns": UNMATCHED_COLUMNS,
     }
@@ -104,6 +111,8 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "preset": preset_line(record),
         "verdict": verdict_of(results, excess),
         "frame": FRAME,
+        "class_is": results.class_is,
+        **_diagnosis(results),
         "n_failures": len(results.failures),
         "failures": list(results.failures.items())[:_MOST_FAILURES],
         "notes": _notes(results),
@@ -117,6 +126,17 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             "library": record.libraries,
             "machine": record.machine.as_dict(),
         },
+    }
+
+
+def _diagnosis(results: RunResults) -> dict[str, Any]:
+    """The run's diagnosis, None without one, and by cause its gain as text and the curves of its evidence."""
+    found = read_diagnosis(results.run.folder, results.run.record)
+    causes = found.causes if found else ()
+    return {
+        "diagnosis": found,
+        "gains": {cause.name: gain_words(cause) for cause in causes},
+        "evidence": {},
     }
 
 
@@ -201,7 +221,6 @@ def _notes(results: RunResults) -> dict[str, str]:
         "box_scan": f"By scan, {chosen}. {whiskers}",
         "box_class": f"By {kind}, the most frequent first. {whiskers}",
         "scores_range": f"Matched objects by the distance of the real one. {binned}",
-        "scores_bearing": f"Matched objects by the direction of the real one, in twelve sectors. {binned}",
         "sequence": f"Match rate and the mean scores of each pair, {order}.",
         "fates": "Shares of all pairs together, below of how many objects: of few a share says little.",
     }

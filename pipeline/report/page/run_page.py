@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from plotly.offline import get_plotlyjs
-
 from ...engine.progress import Reporter
 from ...results.floor import excess_over
 from ...storage.files import remove_stale, write_whole
 from ...storage.table_files import file_stem
 from ..run_frames import read_results
-from .page_templates import render
+from .page_templates import plotly_js, render
 from .pair_data import MOST_POINTS, pair_data
 from .run_data import page_data, page_words
 
@@ -89,7 +87,7 @@ def write_report(
         note = f"The 3D views of {len(chosen)} pairs are on separate pages: choose one in the tables."
         pages[folder / PAGES / _INDEX] = ([], note)
         plotly_source = _PLOTLY
-        write_whole(folder / PAGES / _PLOTLY, get_plotlyjs().encode())
+        write_whole(folder / PAGES / _PLOTLY, plotly_js().encode())
     show = reporter or Reporter()
     show.start(len(shown), len(shown))
     for page, (names, note) in pages.items():

@@ -35,46 +35,86 @@ export function draw(id, { data, layout }, config = {}) {
   const { offsetWidth: width, offsetHeight: height } = byId(id);
   const size = isPrinting() ? { width, height } : {};
   Plotly.react(id, data, { ...layout, ...size, template: themed(report.template) }, { ...shared, ...config });
-  resizes.observe(byId(id));
+  const place = byId(id);
+  resizes.observe(place);
+  if (place.dataset.clicks) return;
+  place.dataset.clicks = "yes";
+  place.on("plotly_click", ({ points: [{ customdata: detail }] }) =>
+    place.dispatchEvent(new CustomEvent("dot", { detail })),
+  );
 }
 
-export function drawCharts() {
-  for (const [id, chart] of Object.entries(report.charts)) draw(id, themed(chart));
+// What is drawn when its place comes into view, by the id of that place, and what has been.
+const waiting = new Map();
+const drawn = new Map();
+const views = new IntersectionObserver(
+  (changes) => {
+    for (const { target, isIntersecting } of changes) if (isIntersecting) drawNow(target.id);
+  },
+  { rootMargin: "200px" },
+);
+
+function drawNow(id) {
+  const job = waiting.get(id);
+  if (!job) return;
+  waiting.delete(id);
+  views.unobserve(byId(id));
+  drawn.set(id, job);
+  job();
 }
 
-// Lets the browser show what is drawn, and hear its user, before more is drawn.
-export const pause = () => new Promise((done) => setTimeout(done));
-
-// redraw: what else has the colours of the theme
-export async function startCharts(redraw = () => {}) {
-  for (const [id, chart] of Object.entries(report.charts)) {
-    draw(id, themed(chart));
-    await pause();
+// Draws into a place now if it is in view or has been, else when it comes into view.
+export function drawInView(id, job) {
+  if (drawn.has(id)) {
+    drawn.set(id, job);
+    job();
+    return;
   }
-  darkSystem.addEventListener("change", () => {
-    drawCharts();
-    redraw();
-  });
-  startPrinting(redraw);
-  document.documentElement.dataset.ready = "yes";
+  waiting.set(id, job);
+  views.observe(byId(id));
 }
+
+// Draws everything, also what nobody has looked at yet.
+export function drawAll() {
+  for (const id of [...waiting.keys()]) if (byId(id).offsetWidth) drawNow(id);
+  redrawAll();
+}
+
+// Draws again what has been drawn, in the colours of now.
+export function redrawAll() {
+  for (const job of drawn.values()) job();
+}
+
+export function startCharts() {
+  for (const [id, chart] of Object.entries(report.charts)) drawInView(id, () => draw(id, themed(chart)));
+  darkSystem.addEventListener("change", redrawAll);
+  startPrinting();
+  const choice = byId("theme");
+  choice?.addEventListener("change", () => {
+    if (choice.value === "auto") delete document.documentElement.dataset.theme;
+    else document.documentElement.dataset.theme = choice.value;
+    redrawAll();
+  });
+}
+
+export const ready = () => {
+  document.documentElement.dataset.ready = "yes";
+};
 
 // On paper all is light, and as wide as the paper.
-function startPrinting(redraw) {
+function startPrinting() {
   const { dataset } = document.documentElement;
   let theme;
   window.addEventListener("beforeprint", () => {
     theme = dataset.theme;
     dataset.theme = "light";
     dataset.printing = "yes";
-    drawCharts();
-    redraw();
+    drawAll();
   });
   window.addEventListener("afterprint", () => {
     if (theme) dataset.theme = theme;
     else delete dataset.theme;
     delete dataset.printing;
-    drawCharts();
-    redraw();
+    redrawAll();
   });
 }

@@ -1,6 +1,6 @@
 // The panel of a chosen object: both sides in one box, as given or aligned, its numbers, its spectra.
 
-import { byId, draw, paint, report } from "./draw.js";
+import { byId, draw, drawInView, paint, report } from "./draw.js";
 import {
   at,
   cameraAt,
@@ -27,6 +27,7 @@ import { counted, element, NULL_SIGN, number, shorten } from "./tables.js";
 const PLACE = "%{x:.2f}, %{y:.2f}, %{z:.2f} m";
 const MOST_LINES = 1500;
 const MARGIN_M = 0.3;
+const MOST_FIRST = 8;
 const panel = { key: null, draw: () => {} };
 
 // pair: {name, view, objects, points}; place: of the object among them; link: the address of both
@@ -34,23 +35,56 @@ export function drawPanel(pair, place, link) {
   const object = pair.objects[place];
   say("panel_title", `Pair ${shorten(pair.name, 60)}, ${objectTitle(object)}`);
   byId("object_link").href = link;
-  const isTold = (key) => key in object && (object[key] !== null || !(object.side || key === "reason"));
-  const facts = Object.entries(report.facts)
-    .filter(([key]) => isTold(key))
-    .map(([key, { title, digits }]) => {
-      const value = object[key];
-      const text = typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN);
-      const cells = [
-        element("span", title, { class: "name" }),
-        element("span", text, { class: "value", "data-key": key, title: value ?? "no value" }),
-      ];
-      return element("div", null, {}, ...cells);
-    });
-  byId("panel_numbers").replaceChildren(...facts);
+  say("panel_sentence", judged(object));
+  const isKnown = (key) => key in object && (object[key] !== null || !(object.side || key === "reason"));
+  const known = Object.keys(report.facts).filter(isKnown);
+  const first = report.first_facts.filter((key) => known.includes(key)).slice(0, MOST_FIRST);
+  byId("panel_numbers").replaceChildren(...first.map((key) => factOf(object, key)));
+  const rest = known.filter((key) => !first.includes(key));
+  byId("more_numbers").replaceChildren(...rest.map((key) => factOf(object, key)));
   for (const id of ["lie", "show_lines"]) byId(id).disabled = !object.move;
   panel.draw = () => drawOverlay(pair, place);
-  panel.draw();
-  drawSpectrum(pair, object);
+  drawInView("spectrum", () => drawSpectrum(pair, object));
+}
+
+export const redrawPanel = () => panel.draw();
+
+function factOf(object, key) {
+  const { title, digits } = report.facts[key];
+  const value = object[key];
+  const text = typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN);
+  const shownValue = element("span", text, { class: "value", "data-key": key, title: value ?? "no value" });
+  return element("div", null, {}, element("span", title, { class: "name" }), shownValue);
+}
+
+// What is wrong with an object, as a sentence.
+function judged(object) {
+  const percent = (value) => `${Math.round(100 * value)} %`;
+  if (object.side) {
+    const covered = object[`covered_${object.side}_0p3m`];
+    const verdict = object.side === "real" ? "Missing in the simulation" : "Invented by the simulation";
+    const road = roadWords(object);
+    return `${verdict}: ${percent(covered)} of its points have one of the other side within 0.3 m${road ? `; ${road}` : ""}.`;
+  }
+  const words = {
+    faithful: "Faithful",
+    "structure lost": `Structure lost (r_lambda ${number(object.r_lambda, 2)}), shape right`,
+    displaced: `Displaced or misshapen (CDC ${number(object.cdc, 2)}), structure right`,
+    failed: `Shape and structure differ (CDC ${number(object.cdc, 2)}, r_lambda ${number(object.r_lambda, 2)})`,
+  };
+  const least = Math.min(object.covered_real_0p3m, object.covered_sim_0p3m);
+  if (object.quadrant === "faithful" && least < 0.6)
+    words.faithful = "Faithful by CDC and r_lambda, but its surface differs";
+  const judgement = words[object.quadrant] ?? `Without a spectral score (${object.reason ?? object.status})`;
+  const [real, sim] = [object.covered_real_0p3m, object.covered_sim_0p3m].map(percent);
+  const unsure =
+    object.alignment_rms_m > 1
+      ? ` Its r_lambda is unreliable: the nodes were aligned ${number(object.alignment_rms_m, 1)} m apart.`
+      : "";
+  return (
+    `${judgement}: ${real} of the real surface is simulated within 0.3 m, ${sim} of the simulated one is real; ` +
+    `centroids ${number(object.centroid_distance_m, 2)} m apart.${unsure}`
+  );
 }
 
 export function startPanel() {

@@ -65,8 +65,9 @@ export function objectsOf(view) {
 }
 
 // By side the points, each with the place of its object among the objects (`object`), whether it is a kept node, its
-// distance to the other side (`distance`) and to its aligned partner (`aligned`), and by place where the points of an
-// object are (`ranges`); the road points; and between which points lines of alignment are. Where the real side fixes
+// distance to the other side (`distance`) and to its aligned partner (`aligned`), whether a piece that only one side has
+// holds it (`piece`), if simulated its signed distance to the planes of the real side (`signed`), and by place where the
+// points of an object are (`ranges`); the road points; and between which points lines of alignment are. Where the real side fixes
 // the objects, the few simulated points of a missing one bear its number and belong to it.
 export async function pointsOf(view, objects) {
   const columns = await inflate(view.packed);
@@ -95,10 +96,12 @@ export async function pointsOf(view, objects) {
       object.fill(owner.get(id), from, from + counts[k]);
       from += counts[k];
     });
-    const [kept, distance, aligned] = ["kept", "distance", "aligned"].map((name) => columns[`${side}_${name}`]);
-    points[side] = { ...inSpace(side), object, ranges, kept, distance, aligned };
+    const own = ["kept", "distance", "aligned", "piece", "signed"].map((name) => [name, columns[`${side}_${name}`]]);
+    points[side] = { ...inSpace(side), object, ranges, ...Object.fromEntries(own) };
   }
-  const road = Object.fromEntries(SIDES.map((side) => [side, inSpace(`${side}_road`)]));
+  const road = Object.fromEntries(
+    SIDES.map((side) => [side, { ...inSpace(`${side}_road`), signed: columns[`${side}_road_signed`] }]),
+  );
   return { ...points, road, rays: columns.rays, lines: { real: columns.real_line, sim: columns.sim_line } };
 }
 
@@ -147,8 +150,7 @@ export function roadWords(object) {
 export const plotText = (text) =>
   shorten(shown(text), 80).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
-export function rampColour(share) {
-  const stops = ramp();
+export function rampColour(share, stops = ramp()) {
   const along = Math.min(0.9999, Math.max(0, share)) * (stops.length - 1);
   const [a, b] = [stops[Math.floor(along)], stops[Math.floor(along) + 1]];
   const mix = (k) =>
@@ -158,11 +160,24 @@ export function rampColour(share) {
   return `rgb(${mix(1)},${mix(3)},${mix(5)})`;
 }
 
-export const rampBar = () =>
-  element("span", null, { class: "ramp", style: `background: linear-gradient(to right, ${ramp().join(",")})` });
+export const rampBar = (stops = ramp()) =>
+  element("span", null, { class: "ramp", style: `background: linear-gradient(to right, ${stops.join(",")})` });
 
 // The colour of each distance that a byte can be.
 export const distanceShades = () => Array.from({ length: FAR + 1 }, (_, step) => rampColour(step / FAR));
+
+// The signed distance to the real side is a byte from -report.signed_m to report.signed_m, FAR for none.
+export const signedMetres = (step) => ((2 * step) / (FAR - 1) - 1) * report.signed_m;
+export const signedShades = () =>
+  Array.from({ length: FAR + 1 }, (_, step) =>
+    step === FAR
+      ? paint("var(--line)")
+      : rampColour((signedMetres(step) / report.signed_ramp_m + 1) / 2, report.colours.signed),
+  );
+export const signedWords = (step) =>
+  step === FAR
+    ? "no real plane next to it"
+    : `${number(Math.abs(signedMetres(step)), 2)} m ${signedMetres(step) < 0 ? "behind" : "in front of"} the real surface`;
 
 export const distanceWords = (step) =>
   step === FAR ? `${report.far_m} m or more` : `${number((step / FAR) * report.far_m, 2)} m`;
@@ -173,9 +188,9 @@ export function dots(name, color, size, { symbol = "circle", opacity = 1, ...mor
 }
 
 // Road points of a side, all or some of them, as a context that nothing is asked of.
-export function roadDots(side, road, size, places = null) {
-  const set = places ? at(road, places) : road;
-  return dots(`road ${side}`, paint("var(--line)"), size, { ...set, hoverinfo: "skip" });
+export function roadDots(side, road, size, places = null, colour = paint("var(--line)")) {
+  const set = places ? at(road, places) : { x: road.x, y: road.y, z: road.z };
+  return dots(`road ${side}`, colour, size, { ...set, hoverinfo: "skip" });
 }
 
 // Lines between pairs of points: ends [a, b, a, b ...] of which each two are one.
@@ -205,6 +220,38 @@ export function boxEdges({ x, y, z }, margin_m = 0) {
   const ends = [];
   for (let i = 0; i < 8; i += 1) for (const bit of [1, 2, 4]) if (!(i & bit)) ends.push(corner(i), corner(i | bit));
   return ends;
+}
+
+// The same direction of view at a place's own distance, for two places that turn together.
+export function turnTogether(ids) {
+  let isTurning = false;
+  const turned = (from) => () => {
+    const own = byId(from)._fullLayout.scene._scene.getCamera();
+    if (isTurning) return;
+    isTurning = true;
+    const away = ({ eye, center }) => ["x", "y", "z"].map((axis) => eye[axis] - center[axis]);
+    const direction = away(own);
+    const length = Math.hypot(...direction);
+    const others = ids.filter((id) => id !== from && byId(id)?.data);
+    Promise.all(
+      others.map((id) => {
+        const camera = byId(id)._fullLayout.scene._scene.getCamera();
+        const far = Math.hypot(...away(camera));
+        const eye = Object.fromEntries(
+          ["x", "y", "z"].map((axis, k) => [axis, camera.center[axis] + (direction[k] / length) * far]),
+        );
+        return Plotly.relayout(id, { "scene.camera": { ...camera, eye, up: own.up } });
+      }),
+    ).finally(() => {
+      isTurning = false;
+    });
+  };
+  for (const id of ids) {
+    const place = byId(id);
+    if (place.dataset.turns || !place.on) continue;
+    place.dataset.turns = "yes";
+    for (const name of ["plotly_relayout", "plotly_relayouting"]) place.on(name, turned(id));
+  }
 }
 
 // Draws points in space. ranges: by axis from where to where; the box has their proportions.

@@ -1,7 +1,7 @@
 // The 3D view of a pair: its points, the road, the sensor, which object is chosen, and the address of that object.
 
-import { byId, paint, report } from "./draw.js";
-import { closePanel, drawPanel, startPanel } from "./object.js";
+import { byId, draw, drawInView, paint, report } from "./draw.js";
+import { closePanel, drawPanel, redrawPanel, startPanel } from "./object.js";
 import {
   at,
   boxEdges,
@@ -11,6 +11,7 @@ import {
   dots,
   drawInSpace,
   extent,
+  FAR,
   objectsOf,
   objectTitle,
   ownPlaces,
@@ -24,7 +25,11 @@ import {
   SIDES,
   say,
   sideColour,
+  signedMetres,
+  signedShades,
+  signedWords,
   strokes,
+  turnTogether,
 } from "./points.js";
 import { counted, element, number, shorten, shown } from "./tables.js";
 
@@ -68,8 +73,51 @@ async function openPair(name) {
   suggest();
   setChosen(null);
   drawRays();
-  drawScene(wholePair());
+  drawInView("signed", drawSigned);
+  look(wholePair());
   return true;
+}
+
+// Draws the pair when it is in view, seen by a camera; later by the one that its user has turned.
+function look(camera) {
+  scene.camera = camera;
+  drawInView("scene", () => {
+    drawScene(scene.camera ?? byId("scene").layout?.scene.camera);
+    if (!byId("scene").dataset.wired) wireScene();
+    scene.camera = null;
+  });
+}
+
+// How far the simulated points are in front of the real planes next to them, and behind.
+function drawSigned() {
+  const { points } = scene.pair;
+  const sets = { road: points.road.sim.signed, objects: points.sim.signed };
+  const n = 50;
+  const width = (2 * report.signed_m) / n;
+  const x = Array.from({ length: n }, (_, k) => -report.signed_m + (k + 0.5) * width);
+  const said = [];
+  const data = Object.entries(sets).map(([name, steps]) => {
+    const metres = Array.from(
+      steps.filter((step) => step !== FAR),
+      signedMetres,
+    ).sort((a, b) => a - b);
+    const counts = new Array(n).fill(0);
+    for (const value of metres) counts[Math.min(n - 1, Math.floor((value + report.signed_m) / width))] += 1;
+    const middle = metres[Math.floor(metres.length / 2)];
+    if (metres.length)
+      said.push(
+        `${name}: median ${number(Math.abs(100 * middle), 1)} cm ${middle < 0 ? "behind" : "in front"}, ` +
+          `${Math.round((100 * metres.length) / steps.length)} % of the points have a real plane within ${report.signed_m} m`,
+      );
+    const y = counts.map((count) => (100 * count) / Math.max(1, metres.length));
+    const color = name === "road" ? paint("var(--soft)") : sideColour("sim");
+    return { type: "scatter", mode: "lines", name, x, y, line: { shape: "hvh", width: 2, color } };
+  });
+  const line = { type: "line", x0: 0, x1: 0, y0: 0, y1: 1, yref: "paper", line: { width: 1, dash: "dash" } };
+  const xaxis = { title: { text: "simulated behind (−) or in front of (+) the real surface (m)" } };
+  draw("signed", { data, layout: { xaxis, yaxis: { title: { text: "%" }, rangemode: "tozero" }, shapes: [line] } });
+  const words = said.length ? `${said.join("; ")}.` : "no simulated point has a real plane next to it.";
+  say("signed_note", `Signed distance of the simulated points to the real planes next to them. ${words}`);
 }
 
 // The range image of the outcomes: a byte a ray, row by row from the highest beam; 255 for a ray that returned nothing.
@@ -135,16 +183,38 @@ function pointColours({ objects, points, drawn }, by) {
     const shades = distanceShades();
     return (side) => drawn[side].map((i) => shades[points[side].distance[i]]);
   }
+  if (by === "signed") {
+    const shades = signedShades();
+    return (side) => (side === "real" ? paint("var(--line)") : drawn.sim.map((i) => shades[points.sim.signed[i]]));
+  }
   const colours = objects.map((object, i) => objectColour(object, i, by));
   return (side) => drawn[side].map((i) => colours[points[side].object[i]]);
 }
 
-function contextTraces({ points }) {
+// The points of the pieces that only one side has, on top of all others.
+const PIECES = { real: "missing", sim: "invented" };
+function pieceTraces({ points }) {
+  return SIDES.map((side) => {
+    const places = Array.from(points[side].piece.keys()).filter((i) => points[side].piece[i]);
+    return dots(PIECES[side], sideColour(side), 4, {
+      ...at(points[side], places),
+      visible: byId(`show_${PIECES[side]}`).checked,
+      hoverinfo: "skip",
+    });
+  });
+}
+
+function contextTraces({ points }, by) {
   const isRoadShown = byId("show_road").checked;
-  const road = SIDES.map((side) => ({
-    ...roadDots(side, points.road[side], 1.5),
-    visible: isRoadShown && byId(`show_${side}`).checked,
-  }));
+  const shades = by === "signed" ? signedShades() : null;
+  const road = SIDES.map((side) => {
+    const own = points.road[side];
+    const colour = shades && side === "sim" ? Array.from(own.signed, (step) => shades[step]) : undefined;
+    return {
+      ...roadDots(side, own, colour ? 2 : 1.5, null, colour),
+      visible: isRoadShown && byId(`show_${side}`).checked,
+    };
+  });
   const ink = paint("var(--ink)");
   const [sensor, ahead] = [0, SENSOR_AXIS_M].map((x) => ({ x, y: 0, z: 0 }));
   const axis = strokes("forward", ink, [sensor, ahead], 5);
@@ -153,8 +223,7 @@ function contextTraces({ points }) {
   return [...road, axis, { ...mark, ...text, hovertemplate: "sensor; the line points ahead<extra></extra>" }];
 }
 
-// Draws the pair; without a camera, as it is looked at now.
-function drawScene(camera = byId("scene").layout.scene.camera) {
+function drawScene(camera) {
   const { pair } = scene;
   const by = byId("colour").value;
   const titles = pair.objects.map((object) =>
@@ -163,7 +232,10 @@ function drawScene(camera = byId("scene").layout.scene.camera) {
   const coloursOf = pointColours(pair, by);
   const traces = SIDES.map((side) => {
     const own = pair.points[side];
-    const more = (i) => (by === "distance" ? `<br>${distanceWords(own.distance[i])} to the other side` : "");
+    const more = (i) => {
+      if (by === "distance") return `<br>${distanceWords(own.distance[i])} to the other side`;
+      return by === "signed" && side === "sim" ? `<br>${signedWords(own.signed[i])}` : "";
+    };
     return dots(side, coloursOf(side), 1.8, {
       ...at(own, pair.drawn[side]),
       visible: byId(`show_${side}`).checked,
@@ -171,7 +243,7 @@ function drawScene(camera = byId("scene").layout.scene.camera) {
       hovertemplate: `${SIDE_WORDS[side]}: %{text}<extra></extra>`,
     });
   });
-  traces.push(strokes("chosen", paint("var(--ink)"), chosenBox(), 4), ...contextTraces(pair));
+  traces.push(...pieceTraces(pair), strokes("chosen", paint("var(--ink)"), chosenBox(), 4), ...contextTraces(pair, by));
   const modeBarButtons = [["toImage", "zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]];
   const config = { displayModeBar: true, modeBarButtons };
   drawInSpace("scene", traces, camera, pair.ranges, config);
@@ -180,14 +252,8 @@ function drawScene(camera = byId("scene").layout.scene.camera) {
 
 function redrawPair() {
   if (scene.pair === null) return;
-  drawScene();
+  look(undefined);
   drawRays();
-}
-
-// Redraws pair and object in the colours of the theme.
-export function redrawScene() {
-  redrawPair();
-  if (scene.chosen !== null) drawPanel(scene.pair, placeOf(scene.chosen), linkWithin(scene.pair.name, scene.chosen));
 }
 
 function drawLegend(by) {
@@ -206,6 +272,17 @@ function drawLegend(by) {
     community: () => [
       element("span", "One colour per object; matched objects have the same on both sides."),
       entry(none, "unmatched"),
+    ],
+    signed: () => [
+      element(
+        "span",
+        null,
+        {},
+        `${report.signed_ramp_m} m or more behind`,
+        rampBar(report.colours.signed),
+        `${report.signed_ramp_m} m or more in front of the real surface, seen from the sensor`,
+      ),
+      entry("var(--line)", "real, or no real plane next to it"),
     ],
     distance: () => [
       element("span", null, {}, "0", bar, `${report.far_m} m or more to the nearest point of the other side`),
@@ -258,6 +335,7 @@ function wireScene() {
   plot.on("plotly_unhover", () => {
     scene.hovered = null;
   });
+  plot.dataset.wired = "yes";
   let from = null;
   plot.addEventListener(
     "pointerdown",
@@ -290,16 +368,21 @@ function setChosen(name) {
 }
 
 // Shows an object, or none, in list, table, address and panel; looksAt: whether the camera goes there too.
-function chooseObject(name, looksAt = false) {
+function chooseObject(name, looksAt = false, isAsked = true) {
   const { pair } = scene;
   setChosen(name);
   const link = linkWithin(pair.name, name);
-  window.history.replaceState(null, "", link);
+  if (isAsked) window.history.replaceState(null, "", link);
   say("asked", "");
   if (name === null) closePanel();
-  else drawPanel(pair, placeOf(name), link);
-  const camera = looksAt ? (name === null ? wholePair() : cameraOn(placeOf(name))) : undefined;
-  drawScene(camera);
+  else {
+    drawPanel(pair, placeOf(name), link);
+    drawInView("overlay", () => {
+      redrawPanel();
+      turnTogether(["scene", "overlay"]);
+    });
+  }
+  look(looksAt ? (name === null ? wholePair() : cameraOn(placeOf(name))) : undefined);
 }
 
 // Marks the row of the chosen object in the table of objects, if that shows it now.
@@ -379,6 +462,11 @@ export async function startScene() {
     if (link && link.getAttribute("href") === window.location.hash) showAsked();
   });
   window.addEventListener("hashchange", showAsked);
+  for (const id of ["quadrants", "polar"])
+    byId(id).addEventListener("dot", ({ detail: [pair, name] }) => {
+      const link = linkTo(report.names[pair], name);
+      if (link !== null) window.location.href = link;
+    });
   if (pairs.length) {
     byId("viewer").hidden = false;
     byId("pair").append(...pairs.map((pair) => element("option", shorten(pair, 60), { value: pair, title: pair })));
@@ -386,12 +474,15 @@ export async function startScene() {
       if (await openPair(byId("pair").value)) chooseObject(null, true);
     });
     byId("object").addEventListener("change", () => chooseObject(byId("object").value || null, true));
-    for (const id of ["colour", "show_real", "show_sim", "show_road"]) byId(id).addEventListener("change", redrawPair);
+    for (const id of ["colour", "show_real", "show_sim", "show_road", "show_missing", "show_invented"])
+      byId(id).addEventListener("change", redrawPair);
     byId("previous").addEventListener("click", () => stepObject(-1));
     byId("next").addEventListener("click", () => stepObject(1));
     startPanel();
-    await openPair(pairs[0]);
-    wireScene();
+    const worst = new URLSearchParams(document.querySelector("#worst a")?.getAttribute("href").slice(1));
+    await openPair(pairs.includes(worst.get("pair")) ? worst.get("pair") : pairs[0]);
+    const first = scene.pair.objects.find(({ name }) => name === worst.get("object"));
+    if (first) chooseObject(first.name, true, false);
   }
   await showAsked();
 }

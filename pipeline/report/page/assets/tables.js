@@ -135,10 +135,28 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
     state.n = ROWS_AT_ONCE;
     fill();
   });
+  const clear = element("button", "Nothing matches: clear the filter", { type: "button" });
+  clear.addEventListener("click", () => {
+    filter.value = "";
+    fill();
+    filter.focus();
+  });
+  const box = element(
+    "div",
+    null,
+    { class: "box", tabindex: 0, role: "region", "aria-label": `Table of ${what}` },
+    table,
+  );
+  const hint = element("p", "more columns on the right: scroll \u2192", { class: "note scroll" });
+  const isWider = () => hint.classList.toggle("needed", box.scrollWidth - box.clientWidth - box.scrollLeft > 2);
+  box.addEventListener("scroll", isWider);
+  new ResizeObserver(isWider).observe(box);
   place.append(
     element("div", null, { class: "controls" }, element("label", "Filter ", {}, filter)),
     count,
-    element("div", null, { class: "box", tabindex: 0, role: "region", "aria-label": `Table of ${what}` }, table),
+    hint,
+    box,
+    clear,
     more,
   );
 
@@ -170,6 +188,7 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
     const part = first.length < chosen.length ? `, the first ${first.length} shown` : "";
     count.textContent = `${problem ? `${shown(problem)} ` : ""}${counted(chosen.length)} of ${counted(rows.length)} ${what}${part}. ${state.sort === null ? note : ""}`;
     more.hidden = first.length === chosen.length;
+    clear.hidden = chosen.length > 0 || filter.value === "";
   }
   fill();
 }
