@@ -109,7 +109,7 @@ def signed_distances(points: FloatArray, other: FloatArray, reach_m: float) -> F
     """Signed distance of each point to the plane of the other side next to it, for pictures.
 
     The plane is that of the 10 points q of the other side that are nearest to p, n its unit normal towards the sensor:
-    n . (p - mean(q)), positive in front of the surface, negative behind it. Planes are told from lines and clouds as in
+    n . (p - mean(q)), positive in front of the surface, negative behind it. A neighbourhood is a plane by the rule of
     `describe_surface`; of each cell of 0.2 m the other side has one point here, because the nearest points of a scan
     lie on one line of the sensor. Accuracy: a KITTI twin lowered by 12 cm has a road that is lower by 11.8 cm.
 
@@ -121,7 +121,7 @@ def signed_distances(points: FloatArray, other: FloatArray, reach_m: float) -> F
 
     Returns
     -------
-    (n,) float64, metres; NaN where nothing is within reach, or the neighbours form no plane.
+    (n,) float64, metres; NaN if nothing is within reach, or the neighbours form no plane.
 
     Examples
     --------

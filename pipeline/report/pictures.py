@@ -51,7 +51,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class _Box:
-    """What a picture shows: corners of a box, (3,) each, and its points by kind, (n, 3)."""
+    """Content of a picture: corners of a box, (3,) each, and its points by kind, (n, 3)."""
 
     low: FloatArray
     high: FloatArray

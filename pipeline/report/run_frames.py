@@ -204,7 +204,7 @@ class PairFrames:
 
     @cached_property
     def is_piece(self) -> dict[str, BoolArray]:
-        """Which object points of a side are in a missing (real side) or an invented piece, (n,), by side."""
+        """Mask of the object points of a side that are in a missing (real side) or an invented piece, (n,), by side."""
         settings = PieceSettings.model_validate(self._run.record.settings["pieces"])
         scans = {
             side: CutScan(

@@ -74,7 +74,7 @@ export function drawInView(id, job) {
   views.observe(byId(id));
 }
 
-// Draws everything, also what nobody has looked at yet.
+// Draws everything, also what was not in view yet.
 export function drawAll() {
   for (const id of [...waiting.keys()]) if (byId(id).offsetWidth) drawNow(id);
   redrawAll();
