@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import BASELINE_NAMES
+from ...schemas.metric_catalogue import BASELINES, METRIC
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
@@ -47,40 +48,27 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
     The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds` is the time of the
     method; if the method computes several baselines, the first one has it.
     """
-    finished = list(records)
-    summary = []
-    for level in (OF_OBJECTS, OF_SCAN):
-        for method in settings.metrics.baselines:
-            seconds = [dict(record.steps).get(_step(method, level)) for record in finished]
-            timed = [s for s in seconds if s is not None]
-            names = {
-                mean["baseline"]: mean["unit"]
-                for record in finished
-                for mean in record.metadata["means"]
-                if mean["level"] == level and _method(mean["baseline"]) == method
-            }
-            for i, (name, unit) in enumerate(names.items()):
-                pairs = [
-                    mean
-                    for record in finished
-                    for mean in record.metadata["means"]
-                    if (mean["level"], mean["baseline"]) == (level, name)
-                ]
-                values = [np.nan if pair["mean"] is None else pair["mean"] for pair in pairs]
-                mean, std = mean_and_std(np.array(values, dtype=np.float64))
-                summary.append(
-                    {
-                        "baseline": name,
-                        "level": level,
-                        "unit": unit,
-                        "mean": mean,
-                        "std": std,
-                        "n": sum(pair["n"] for pair in pairs),
-                        "n_null": sum(pair["n_null"] for pair in pairs),
-                        "seconds": sum(timed) / len(timed) if timed and i == 0 else None,
-                    }
-                )
+    finished, groups = list(records), dict[tuple[str, str], list[Row]]()
+    for record in finished:
+        for mean in record.metadata["means"]:
+            groups.setdefault((mean["level"], mean["baseline"]), []).append(mean)
+    summary, timed = [], set[str]()
+    for level, metric in product((OF_OBJECTS, OF_SCAN), BASELINES):
+        if pairs := groups.get((level, metric.column)):
+            n, n_null = (sum(pair[name] for pair in pairs) for name in ("n", "n_null"))
+            step = _step(metric.method, level)
+            seconds = [own[step] for record in finished if step in (own := dict(record.steps)) and step not in timed]
+            timed.add(step)
+            row = summary_row(metric.column, level, [pair["mean"] for pair in pairs], n, n_null)
+            summary.append(row | {"seconds": sum(seconds) / len(seconds) if seconds else None})
     return {"baselines": summary}
+
+
+def summary_row(name: str, level: str, of_pairs: list[float | None], n: int, n_null: int) -> Row:
+    """A row of the record, as `BaselineSummary` has it, from the values of the pairs."""
+    mean, std = mean_and_std(np.array(of_pairs, dtype=np.float64))
+    both = {"baseline": name, "level": level, "unit": METRIC[name].unit, "mean": mean, "std": std}
+    return both | {"n": n, "n_null": n_null, "seconds": None}
 
 
 def baseline_libraries(settings: Settings) -> tuple[str, ...]:
@@ -93,16 +81,9 @@ def _is_wanted(settings: Settings) -> bool:
     return bool(settings.metrics.baselines)
 
 
-def _row(own: Inputs, baseline: Baseline, real_id: int | None, sim_id: int | None) -> Row:
-    return {
-        "pair_id": own.pair_id,
-        "real_id": real_id,
-        "sim_id": sim_id,
-        "baseline": baseline.name,
-        "value": baseline.value,
-        "unit": baseline.unit,
-        "reason": baseline.reason,
-    }
+def _row(own: Inputs, value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
+    named = {"pair_id": own.pair_id, "real_id": real_id, "sim_id": sim_id, "baseline": value.name}
+    return named | {"value": value.value, "unit": value.unit, "reason": value.reason}
 
 
 def _means(rows: list[Row]) -> list[Row]:
@@ -114,27 +95,15 @@ def _means(rows: list[Row]) -> list[Row]:
     means = []
     for (level, name), own in groups.items():
         known = [row["value"] for row in own if row["value"] is not None]
-        means.append(
-            {
-                "level": level,
-                "baseline": name,
-                "unit": own[0]["unit"],
-                "mean": sum(known) / len(known) if known else None,
-                "n": len(known),
-                "n_null": len(own) - len(known),
-            }
-        )
+        mean, n_null = sum(known) / len(known) if known else None, len(own) - len(known)
+        named = {"level": level, "baseline": name, "unit": own[0]["unit"]}
+        means.append(named | {"mean": mean, "n": len(known), "n_null": n_null})
     return means
 
 
 def _step(method: str, level: str) -> str:
     """Name of the step in `timings`."""
     return method if level == OF_OBJECTS else f"{method}, whole scan"
-
-
-def _method(baseline: str) -> str:
-    """The method that computes a baseline: its name begins with the method's."""
-    return next(name for name in BASELINE_NAMES if baseline.startswith(name))
 
 
 STAGE = Stage(

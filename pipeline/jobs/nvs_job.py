@@ -11,15 +11,15 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, METRIC, NVS_SCORES
+from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, NVS_SCORES
 from ...schemas.record import OF_DATASET, OF_SCAN
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages import nvs
 from ...stages.arrays import FloatArray
-from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
+from .baselines_job import summary_row
 from .points_job import column
 
 #: More scans than this are represented by that many, evenly spaced, in the discrepancy of all.
@@ -47,10 +47,8 @@ def summarise_nvs(records: Iterable[JobRecord], settings: Settings) -> dict[str,
     summary = []
     for name in (metric.column for metric in NVS_SCORES):
         values = [record.metadata["values"][name] for record in finished]
-        known = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-        mean, std = mean_and_std(known)
         n_null = values.count(None)
-        summary.append(_row(name, OF_SCAN, mean, std, len(values) - n_null, n_null))
+        summary.append(summary_row(name, OF_SCAN, values, len(values) - n_null, n_null))
     return {"nvs": [*summary, *(_of_dataset(finished) if finished else ())]}
 
 
@@ -74,13 +72,7 @@ def _of_dataset(records: Sequence[JobRecord]) -> Iterator[Row]:
     ):
         known = None if isinstance(value, str) else value
         n_null = size if known is None else 0
-        yield _row(metric.column, OF_DATASET, known, None, size - n_null, n_null)
-
-
-def _row(name: str, level: str, mean: float | None, std: float | None, n: int, n_null: int) -> Row:
-    """A row of the record, as `BaselineSummary` has it."""
-    both = {"baseline": name, "level": level, "unit": METRIC[name].unit}
-    return both | {"mean": mean, "std": std, "n": n, "n_null": n_null, "seconds": None}
+        yield summary_row(metric.column, OF_DATASET, [known], size - n_null, n_null)
 
 
 def _intensity(table: pa.Table) -> FloatArray | None:
