@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -58,8 +58,8 @@ class InputSettings(_Group):
     sim_columns: tuple[str, ...] | None = Field(
         None, description="the same for the simulated side only", examples=[_COLUMNS]
     )
-    min_range_m: Annotated[float, Field(ge=0, description="nearer points are dropped (3-D range, own frame)")] = 2.5
-    max_range_m: Annotated[float, Field(gt=0, le=FARTHEST_M, description="farther points are dropped")] = 100.0
+    min_range_m: float = Field(2.5, ge=0, description="nearer points are dropped (3-D range, own frame)")
+    max_range_m: float = Field(100.0, gt=0, le=FARTHEST_M, description="farther points are dropped")
     exclude_box: Box | None = Field(
         None,
         description="xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)",
@@ -162,10 +162,8 @@ class GroundSettings(_Group):
     method: Literal["pca", "patchwork", "none"] = Field(
         "pca", description='PCA Z-cut, patchwork++ (needs `pip install "fidpipe[patchwork]"`), or no cut'
     )
-    prior_m: Annotated[float, Field(ge=0, le=5, description="a-priori threshold above the road's peak")] = 0.30
-    max_variance_loss: Annotated[
-        float, Field(ge=0, le=1, description="the threshold is lowered while the loss is above")
-    ] = 0.01
+    prior_m: float = Field(0.30, ge=0, le=5, description="a-priori threshold above the road's peak")
+    max_variance_loss: float = Field(0.01, ge=0, le=1, description="the threshold is lowered while the loss is above")
     loss: Literal["removed", "total"] = Field(
         "removed", description="scatter of the removed points along the axis, or relative change of the total variance"
     )
@@ -186,8 +184,8 @@ class GroundSettings(_Group):
 class GraphSettings(_Group):
     """Edges between points."""
 
-    k: Annotated[int, Field(ge=1, le=2000, description="nearest neighbours of each point")] = 90
-    tau_m: Annotated[float, Field(ge=0, le=10, description="all points within this distance are connected")] = 0.2
+    k: int = Field(90, ge=1, le=2000, description="nearest neighbours of each point")
+    tau_m: float = Field(0.2, ge=0, le=10, description="all points within this distance are connected")
     edges: Literal["union", "intersection"] = Field("union", description="kNN or tau pairs, or kNN pairs within tau")
     ties: Literal["point_id", "coordinates"] = Field(
         "point_id",
@@ -199,7 +197,7 @@ class CommunitySettings(_Group):
     """Partition of the graph into objects."""
 
     backend: Literal["scikit-network", "python-louvain"] = Field("scikit-network", description="Louvain implementation")
-    seed: Annotated[int, Field(ge=0, lt=2**31, description="seed of the node order")] = 0
+    seed: int = Field(0, ge=0, lt=2**31, description="seed of the node order")
     objects: Literal["independent", "reference"] = Field(
         "independent",
         description="each side partitioned independently, or the simulated one by the real objects",
@@ -214,16 +212,12 @@ class CommunitySettings(_Group):
         "in any case (by number if labels.toml has no name); unlabelled also stands for points without a label",
         examples=[["0", "unlabelled", "road"]],
     )
-    reach_m: Annotated[
-        float,
-        Field(
-            gt=0,
-            description="largest distance of a simulated point to its object; longest edge in a labelled component",
-        ),
-    ] = 1.0
-    min_points: Annotated[
-        int, Field(ge=1, description="fewest points of a simulated object, or of a component of one label")
-    ] = 8
+    reach_m: float = Field(
+        1.0,
+        gt=0,
+        description="largest distance of a simulated point to its object; longest edge in a labelled component",
+    )
+    min_points: int = Field(8, ge=1, description="fewest points of a simulated object, or of a component of one label")
 
     @field_validator("leave_out", mode="before", json_schema_input_type=tuple[str, ...] | str)
     @classmethod
@@ -247,7 +241,7 @@ class CommunitySettings(_Group):
 class MatchingSettings(_Group):
     """Matching of real and simulated objects."""
 
-    delta_m: Annotated[float, Field(gt=0, description="centroids at this distance or farther do not match")] = 5.0
+    delta_m: float = Field(5.0, gt=0, description="centroids at this distance or farther do not match")
     method: Literal["greedy", "optimal"] = Field(
         "greedy", description="Algorithm 1, or most matches at least total distance"
     )
@@ -256,22 +250,21 @@ class MatchingSettings(_Group):
 class PieceSettings(_Group):
     """Definition of a missing or invented piece of surface."""
 
-    reach_m: Annotated[
-        float, Field(gt=0, description="object points with no point of the other side within this distance form pieces")
-    ] = 1.0
-    link_m: Annotated[
-        float,
-        Field(
-            gt=0, description="points within this distance belong to the same piece, or to the same hallucinated object"
-        ),
-    ] = 0.6
-    min_points: Annotated[int, Field(ge=1, description="fewest points of a piece")] = 10
+    reach_m: float = Field(
+        1.0, gt=0, description="object points with no point of the other side within this distance form pieces"
+    )
+    link_m: float = Field(
+        0.6,
+        gt=0,
+        description="points within this distance belong to the same piece, or to the same hallucinated object",
+    )
+    min_points: int = Field(10, ge=1, description="fewest points of a piece")
 
 
 class SelectionSettings(_Group):
     """Selection of the nodes that represent an object."""
 
-    t: Annotated[float, Field(gt=0, le=100, description="diffusion time of the heat kernel")] = 1.0
+    t: float = Field(1.0, gt=0, le=100, description="diffusion time of the heat kernel")
 
 
 if TYPE_CHECKING:
@@ -288,26 +281,24 @@ class MetricsSettings(_Group):
     baselines: tuple[BaselineName, ...] = Field(
         (), description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none'
     )
-    f_score_distance_m: Annotated[float, Field(gt=0, description="F-score: nearer points count as found")] = 0.2
-    dcd_alpha: Annotated[
-        float, Field(gt=0, description="DCD: weight of the squared distance, objects of unit size")
-    ] = 1000.0
-    emd_max_points: Annotated[
-        int, Field(ge=2, description="EMD of all points: larger objects are left out, one may take over a minute")
-    ] = 8000
-    projections: Annotated[int, Field(ge=1, le=10_000, description="sliced Wasserstein: random directions")] = 200
-    histogram_points: Annotated[
-        int, Field(ge=2, le=10_000, description="histogram: points sampled per side, all pairs of which are measured")
-    ] = 2000
-    histogram_bins: Annotated[int, Field(ge=2, le=10_000, description="histogram: equal bins from 0 to 1")] = 100
-    histogram_order: Annotated[float, Field(ge=1, description="histogram: order of the Minkowski distance")] = 2.0
-    icp_distance_m: Annotated[float, Field(gt=0, description="ICP: largest distance of corresponding points")] = 1.0
-    heat_times: Annotated[int, Field(ge=2, le=10_000, description="NetLSD: number of times, log-spaced")] = 250
-    heat_time_min: Annotated[float, Field(gt=0, description="NetLSD: first time")] = 0.01
-    heat_time_max: Annotated[float, Field(gt=0, description="NetLSD: last time")] = 100.0
-    heat_max_nodes: Annotated[
-        int, Field(ge=2, description="NetLSD: larger objects are left out, their dense matrices would not fit")
-    ] = 8000
+    f_score_distance_m: float = Field(0.2, gt=0, description="F-score: nearer points count as found")
+    dcd_alpha: float = Field(1000.0, gt=0, description="DCD: weight of the squared distance, objects of unit size")
+    emd_max_points: int = Field(
+        8000, ge=2, description="EMD of all points: larger objects are left out, one may take over a minute"
+    )
+    projections: int = Field(200, ge=1, le=10_000, description="sliced Wasserstein: random directions")
+    histogram_points: int = Field(
+        2000, ge=2, le=10_000, description="histogram: points sampled per side, all pairs of which are measured"
+    )
+    histogram_bins: int = Field(100, ge=2, le=10_000, description="histogram: equal bins from 0 to 1")
+    histogram_order: float = Field(2.0, ge=1, description="histogram: order of the Minkowski distance")
+    icp_distance_m: float = Field(1.0, gt=0, description="ICP: largest distance of corresponding points")
+    heat_times: int = Field(250, ge=2, le=10_000, description="NetLSD: number of times, log-spaced")
+    heat_time_min: float = Field(0.01, gt=0, description="NetLSD: first time")
+    heat_time_max: float = Field(100.0, gt=0, description="NetLSD: last time")
+    heat_max_nodes: int = Field(
+        8000, ge=2, description="NetLSD: larger objects are left out, their dense matrices would not fit"
+    )
 
     @field_validator("baselines", mode="before", json_schema_input_type=tuple[BaselineName, ...] | str)
     @classmethod
@@ -335,14 +326,9 @@ class MetricsSettings(_Group):
 class StabilitySettings(_Group):
     """Repetition of each pair with other seeds."""
 
-    seeds: Annotated[
-        int,
-        Field(
-            ge=1,
-            le=1000,
-            description="number of seeds of the communities: the configured seed and those that follow it",
-        ),
-    ] = 1
+    seeds: int = Field(
+        1, ge=1, le=1000, description="number of seeds of the communities: the configured seed and those that follow it"
+    )
 
 
 class NvsSettings(_Group):

@@ -18,6 +18,7 @@ from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Grain, Inputs, Jo
 from .points_job import column
 
 _LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
+_MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
 
 def make_ground(own: Inputs) -> JobResult:
@@ -76,7 +77,7 @@ def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: 
     )
     n_ground = int(np.count_nonzero(cut.is_ground))
     counts = {N_RAW: len(scan.points), "n_clean": len(x), "n_points": len(x) - n_ground}
-    measures = {name: getattr(cut, name) for name in ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")}
+    measures = {name: getattr(cut, name) for name in _MEASURES}
     measures["removed_share"] = n_ground / len(x)
     of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}
     of_pair |= {f"ground_{side}_{name}": value for name, value in measures.items()}
@@ -96,16 +97,8 @@ def _takes_real(settings: Settings) -> Columns:
 
 def _cut(metadata: Metadata) -> GroundResult:
     """The real side's cut, for the simulated side."""
-    return GroundResult(
-        is_ground=np.empty(0, dtype=np.bool_),
-        height_m=np.empty(0),
-        axis=np.array(metadata["axis"]),
-        tilt_deg=metadata["tilt_deg"],
-        peak_m=metadata["peak_m"],
-        threshold_m=metadata["threshold_m"],
-        loss=metadata["loss"],
-        iterations=metadata["iterations"],
-    )
+    measures = {name: metadata[name] for name in _MEASURES}
+    return GroundResult(np.empty(0, dtype=np.bool_), np.empty(0), np.array(metadata["axis"]), **measures)
 
 
 STAGE = Stage(
