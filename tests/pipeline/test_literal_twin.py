@@ -1,6 +1,7 @@
 """Whole runs under every setting that matters, each number computed again by the literal twin."""
 
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,7 @@ def test_objects_of_the_real_side_under_one_setting_after_the_other(dataset, tmp
     agree(dataset, tmp_path / "run", load(None, [word], preset="reference"))
 
 
-@pytest.mark.parametrize("seed", some_of(range(12), range(2)))
+@pytest.mark.parametrize("seed", some_of(range(12), [0]))
 def test_settings_drawn_at_random_together(dataset, tmp_path, seed):
     rng = np.random.default_rng(seed)
     words = [f"{name}={rng.choice(values)}" for name, values in CHOICES.items()]
@@ -128,7 +129,8 @@ def test_scans_with_many_equal_distances(tmp_path, word):
 
 
 @pytest.mark.parametrize(
-    ("preset", "every"), some_of([("paper", 1), ("reference", 3), ("reference", 1)], [("paper", 1), ("reference", 3)])
+    ("preset", "every"),
+    some_of(list(product(["paper", "reference"], [1, 4])), [("paper", 4), ("reference", 4)]),
 )
 def test_scenes_of_which_hardly_anything_can_be_said(tmp_path, preset, every):
     for i, scans in enumerate(list(degenerate().values())[::every]):

@@ -27,6 +27,7 @@ from fidpipe.pipeline.report.aggregates import (
     score_limits,
 )
 from fidpipe.pipeline.report.charts import run_charts
+from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.figures.run_figures import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.run_data import page_data, page_words
@@ -407,7 +408,8 @@ def test_charts_have_every_object_once_and_no_name_as_markup(report_run):
     assert "<img" not in json.dumps(charts)
 
 
-def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objects(tmp_path):
+def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objects(tmp_path, monkeypatch):
+    monkeypatch.setattr(style, "KINDS", {"png": style.KINDS["png"]})
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
     made = write_report(tmp_path / "run", with_figures=True)
