@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from .readers.frame_address import address_of
 from .readers.scan import Scan
 
 Columns = dict[str, NDArray[Any]]
-_PLY_NAMES = {"f4": "float", "f8": "double", "i4": "int"}
+_PLY_NAMES = {"f4": "float", "f8": "double", "i4": "int", "u1": "uchar"}
 
 
 def convert(
@@ -117,14 +117,18 @@ def _parquet(columns: Columns) -> bytes:
     return content.getvalue()
 
 
+def ply_content(rows: NDArray[Any], comments: Iterable[str] = ()) -> bytes:
+    """A PLY file with a vertex per row of a structured array; by our own hand, since trimesh rounds to float32."""
+    properties = [f"property {_PLY_NAMES[rows[name].dtype.str[1:]]} {name}" for name in rows.dtype.names or ()]
+    head = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    return "\n".join([*head, f"element vertex {len(rows)}", *properties, "end_header\n"]).encode() + rows.tobytes()
+
+
 def _ply(columns: Columns) -> bytes:
-    """Binary; by our own hand, since trimesh rounds coordinates to float32."""
     rows = np.empty(len(columns["x"]), [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
     for name, column in columns.items():
         rows[name] = column
-    properties = [f"property {_PLY_NAMES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *properties, "end_header", ""]
-    return "\n".join(head).encode() + rows.tobytes()
+    return ply_content(rows)
 
 
 def _pcd(columns: Columns) -> bytes:

@@ -1,7 +1,7 @@
 """A finished run for the viewers of others: points and objects with their scores, as MCAP and as PLY.
 
 MCAP: messages of sensor_msgs/PointCloud2 by ROS 2's names, written by rosbags. PLY: binary, with scalar fields as
-CloudCompare names them; written here, because trimesh would round coordinates to 32 bits. All numbers keep 64.
+CloudCompare names them. All numbers keep 64 bits.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, FidpipeError, RunError, ScanError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
+from ..datasets.writers import ply_content
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
 
@@ -69,7 +70,6 @@ FRAME = "real_sensor"
 LEGEND = ", ".join(f"{status.value} {status.name.lower()}" for status in Status)
 _CLOUD, _TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 _POINT_FIELDS = {"<i4": 5, "|u1": 2, "<f8": 8}  # PointField.INT32, UINT8, FLOAT64
-_PLY_TYPES = {"<i4": "int", "|u1": "uchar", "<f8": "double"}
 _PLY_START = b"ply\nformat binary_little_endian 1.0\ncomment fidpipe export"
 _NS = 1_000_000_000
 _LATEST_S = 2**31  # seconds of a ROS stamp are int32
@@ -259,23 +259,16 @@ def _is_ours(path: Path) -> bool:
     return bool(known) and all(topic.startswith(f"{TOPIC}/") for topic in known)
 
 
-def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> Iterator[bytes | memoryview]:
-    """A PLY file in parts: the header, then the rows as they are in memory."""
-    fields = [
-        f"property {_PLY_TYPES[POINT[name].str]} {name if name in 'xyz' else f'scalar_{name}'}"
-        for name in POINT.names or ()
+def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> bytes:
+    of = f"{json.dumps(run.folder.resolve().name)}, pair {json.dumps(pair_id)}, side {side}, preset {run.preset}"
+    comments = [
+        f"fidpipe export of {of}",
+        "metres in the real sensor's frame; community -1 is ground; NaN without a score",
+        f"status {LEGEND}",
     ]
-    lines = [
-        f" of {json.dumps(run.folder.resolve().name)}, pair {json.dumps(pair_id)}, side {side}, preset {run.preset}",
-        "comment metres in the real sensor's frame; community -1 is ground; NaN without a score",
-        f"comment status {LEGEND}",
-        f"element vertex {len(points)}",
-        *fields,
-        "end_header\n",
-    ]
-    yield _PLY_START
-    yield "\n".join(lines).encode("ascii")
-    yield points.tobytes()
+    return ply_content(
+        points.view([(n if n in "xyz" else f"scalar_{n}", POINT[n]) for n in POINT.names or ()]), comments
+    )
 
 
 def _cloud(rows: NDArray[np.void]) -> dict[str, Any]:
