@@ -21,10 +21,15 @@ author = "the fidpipe developers"
 version = release = fidpipe.__version__
 
 sys.path.insert(0, str(Path(__file__).with_name("_ext")))
-extensions = ["myst_nb", "sphinxcontrib.typer", "generated"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinxcontrib.typer", "docstrings", "generated"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 nitpicky = True
+nitpick_ignore_regex = [("py:.*", ".*")]  # types in signatures
+default_role = "literal"  # of docstrings
+autodoc_member_order = "bysource"
+autodoc_inherit_docstrings = False
+add_module_names = False
 highlight_language = "none"
 
 # The tutorial runs at each build, in a temporary folder, with the fidpipe of the interpreter that runs Sphinx.
