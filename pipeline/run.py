@@ -15,7 +15,6 @@ from time import perf_counter
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
@@ -87,8 +86,8 @@ class RunOutcome:
     @property
     def failures(self) -> dict[str, str]:
         """Reason of each failed pair, and of each scored pair with a failed extra."""
-        failed = self.pairs.filter(pc.equal(self.pairs.column("status"), "failed")).select(["pair_id", "reason"])
-        return {row["pair_id"]: row["reason"] for row in failed.to_pylist()} | self.failed_extras
+        rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
+        return {row["pair_id"]: row["reason"] for row in rows if row["status"] == "failed"} | self.failed_extras
 
     def as_dict(self) -> JsonObject:
         """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""

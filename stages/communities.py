@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
 
 from ..schemas.settings import CommunitySettings
 from .arrays import IntArray
@@ -130,7 +130,7 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
     return shuffled[place]
 
 
-def _shuffled_adjacency(n_nodes: int, edges: Edges, order: IntArray, place: IntArray) -> sparse.csr_matrix:
+def _shuffled_adjacency(n_nodes: int, edges: Edges, order: IntArray, place: IntArray) -> scipy.sparse.csr_matrix:
     """Adjacency matrix with node order[i] in row i = place[order[i]]; a transposition sorts it in linear time."""
     half = upper_half(n_nodes, edges)[order]
     half.indices = place[half.indices]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..schemas.errors import StageError
 from ..schemas.settings import GraphSettings
@@ -53,7 +53,7 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     near_m = settings.tau_m if settings.edges == "union" else 0.0
     if np.linalg.norm(np.ptp(points, axis=0)) <= near_m:  # a tree would compare all with all
         _reject_crowd(points, near_m, settings)
-    tree = cKDTree(points, leafsize=_LEAF_SIZE)
+    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
     precedence = np.arange(n) if settings.ties == "point_id" else np.argsort(np.lexsort(points.T[::-1]))
     distance, nearest = tree.query(points, k=min(k + 2, n))
@@ -78,7 +78,7 @@ def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) ->
     n = len(points)
     if n * (n - 1) // 2 <= MAX_CLOSE_PAIRS:
         return
-    tree = cKDTree(points, leafsize=_LEAF_SIZE)
+    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
     n_pairs = (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
     if n_pairs > MAX_CLOSE_PAIRS:
         raise StageError(
@@ -88,7 +88,12 @@ def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) ->
 
 
 def _nearest(
-    tree: cKDTree, points: FloatArray, k: int, distance: FloatArray, nearest: IndexArray, precedence: IndexArray
+    tree: scipy.spatial.cKDTree,
+    points: FloatArray,
+    k: int,
+    distance: FloatArray,
+    nearest: IndexArray,
+    precedence: IndexArray,
 ) -> IntArray:
     """The k nearest neighbours of each point, (n, k), ties by smaller precedence, from the answer of the tree."""
     neighbours = nearest[:, 1 : k + 1].astype(np.int32)
@@ -101,7 +106,7 @@ def _nearest(
 
 
 def _nearest_of_one(
-    tree: cKDTree, points: FloatArray, i: int, radius: float, k: int, precedence: IndexArray
+    tree: scipy.spatial.cKDTree, points: FloatArray, i: int, radius: float, k: int, precedence: IndexArray
 ) -> IndexArray:
     """The k nearest neighbours of point i, (k,), ties by smaller precedence, from all points within the radius."""
     ball = np.array(tree.query_ball_point(points[i], radius * (1 + _SLACK)), dtype=np.intp)
@@ -115,7 +120,7 @@ def _within(points: FloatArray, tau_m: float) -> IndexArray:
     """Pairs of points at most tau apart, (2, m)."""
     if len(points) < 2:
         return np.empty((2, 0), dtype=np.intp)
-    src, dst = cKDTree(points).query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
+    src, dst = scipy.spatial.cKDTree(points).query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
     inside = _distance(points, src, dst) <= tau_m
     return np.array([src[inside], dst[inside]])
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
+import scipy
 
 from ..schemas.settings import MatchingSettings
 from .arrays import FloatArray, IndexArray, IntArray
@@ -109,7 +108,7 @@ def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArr
     is_taken = np.zeros(len(sim), dtype=np.bool_)
     pairs, distance_m = [], []
     for real_id in range(len(real)):
-        distance = np.where(is_taken, np.inf, cdist(real[real_id : real_id + 1], sim)[0])
+        distance = np.where(is_taken, np.inf, scipy.spatial.distance.cdist(real[real_id : real_id + 1], sim)[0])
         sim_id = int(np.argmin(distance))
         if distance[sim_id] < delta_m:
             pairs.append((real_id, sim_id))
@@ -121,10 +120,10 @@ def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArr
 
 def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Ids of the largest number of pairs at the smallest total distance, and their distances, by real id."""
-    distance = cdist(real, sim)
+    distance = scipy.spatial.distance.cdist(real, sim)
     # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.
     forbidden = delta_m * (min(distance.shape) + 1)
-    real_ids, sim_ids = linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))
+    real_ids, sim_ids = scipy.optimize.linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))
     distance_m = distance[real_ids, sim_ids]
     allowed = distance_m < delta_m
     return real_ids[allowed], sim_ids[allowed], distance_m[allowed]

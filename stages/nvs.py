@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
-from scipy.spatial.distance import jensenshannon
+import scipy
 
 from ..schemas.metric_catalogue import METRIC, NVS_SCORES
 from .arrays import BoolArray, FloatArray, Watch, unwatched
@@ -183,7 +183,7 @@ def map_distance(real: FloatArray, sim: FloatArray) -> float | str:
     if not (real.any() and sim.any()):
         return _EMPTY_MAP
     with np.errstate(invalid="ignore"):  # rounding may leave a divergence just below 0
-        return float(np.nan_to_num(jensenshannon(real.ravel(), sim.ravel())))
+        return float(np.nan_to_num(scipy.spatial.distance.jensenshannon(real.ravel(), sim.ravel())))
 
 
 def map_discrepancy(real: FloatArray, sim: FloatArray) -> float | str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ..schemas.results import Number
 from ..schemas.settings import PieceSettings
@@ -109,7 +109,7 @@ def label_pieces(own: CutScan, other: CutScan, settings: PieceSettings) -> IntAr
     """Piece of each clean point of a side, (n,) int32, -1 for none."""
     labels = np.full(len(own.points), -1, dtype=np.int32)
     objects = np.flatnonzero(~own.is_ground)
-    distance_m, _ = cKDTree(other.points).query(own.points[objects])
+    distance_m, _ = scipy.spatial.cKDTree(other.points).query(own.points[objects])
     uncovered = objects[distance_m > settings.reach_m]
     uncovered = uncovered[np.lexsort(own.points[uncovered].T[::-1])]
     ids = canonical_ids(connected_points(own.points[uncovered], settings.link_m))
@@ -129,7 +129,7 @@ def _describe(own: CutScan, labels: IntArray) -> Objects:
 
 def _match_moved(missing: Objects, invented: Objects) -> tuple[IndexArray, IndexArray]:
     """Ids, (m,) and (m,), of missing and invented pieces that are each other's nearest of similar size."""
-    trees = (cKDTree(own.centroid) for own in (missing, invented))
+    trees = (scipy.spatial.cKDTree(own.centroid) for own in (missing, invented))
     near = next(trees).sparse_distance_matrix(next(trees), MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray")
     i, j, apart_m = near["i"], near["j"], np.round(near["v"], _ROUNDED_DIGITS)
     a, b = missing.extent[i], invented.extent[j]

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
@@ -182,7 +182,7 @@ def _merge_small(points: FloatArray, components: IndexArray, codes: IndexArray, 
 
 def nearest_points(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
     """Index and distance of each point's nearest reference point, (n,); for equal distances the first by x, y, z."""
-    tree = cKDTree(reference)
+    tree = scipy.spatial.cKDTree(reference)
     distance_m, nearest = tree.query(points, k=min(2, len(reference)))
     if len(reference) == 1:
         return nearest, distance_m

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IntArray
@@ -46,7 +46,7 @@ class Surface:
 
     points: FloatArray
     rows: IntArray
-    tree: cKDTree
+    tree: scipy.spatial.cKDTree
     normal: FloatArray
     roughness_m: FloatArray
     is_plane: BoolArray
@@ -94,7 +94,7 @@ def describe_surface(points: FloatArray, seed: int = 0) -> Surface:
     """
     rows = visiting_order(points, seed)
     ordered = points[rows]
-    tree = cKDTree(ordered)
+    tree = scipy.spatial.cKDTree(ordered)
     sample = ordered[:SAMPLE_POINTS] if len(points) >= NEIGHBOURS else ordered[:0]
     _, near = tree.query(sample, k=NEIGHBOURS)
     off = ordered[near] - sample[:, None]

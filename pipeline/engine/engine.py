@@ -24,7 +24,6 @@ from ..storage.files import megabytes
 from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
 from ..storage.table_files import JobName, JobRecord
-from .cluster import start_pool
 from .plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
@@ -132,6 +131,8 @@ class RunEngine:
             reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
             some_scan = [file for pair in pairs for path in pair.paths[:1] for file in files_of(path)][:1]
             libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries(self.settings))
+            from .cluster import start_pool
+
             self._pool = start_pool(
                 self._machines.workers,
                 self._machines.scheduler,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..terminal import Terminal, shown
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 SECONDS_BETWEEN_LINES = 5.0
 _PACE_OVER_S = 600.0  # the time left follows the pace of this period
@@ -43,6 +47,8 @@ class Reporter:
 
     def start(self, n_pairs: int, n_jobs: int) -> None:
         """Begin to show progress over the jobs of all pairs."""
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
         self._n_pairs, self._n_ended, self._n_failed, self._last_line = n_pairs, 0, 0, self.console.get_time()
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
@@ -62,7 +68,7 @@ class Reporter:
         self._n_ended += n_pairs
         if self._bar is None:
             return
-        self._bar.update(TaskID(0), advance=n_jobs, description=self._counts())
+        self._bar.update(self._bar.tasks[0].id, advance=n_jobs, description=self._counts())
         now = self.console.get_time()
         if self._bar.disable and now - self._last_line >= self._between:
             self._last_line = now

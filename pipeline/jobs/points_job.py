@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
@@ -48,7 +47,7 @@ def object_points(own: Inputs, side: str) -> tuple[IntArray, FloatArray]:
 def annotation(own: Inputs, side: str) -> Annotation:
     """Labels and instances of the object points of a side, where the input has them."""
     ground = own.table("ground", side).select(("is_ground", "label", "instance"))
-    ground = ground.filter(pc.invert(ground.column("is_ground")))
+    ground = ground.filter(pa.array(~column(ground, "is_ground")))
     labels, instances = ground.column("label"), ground.column("instance")
     return Annotation(
         None if labels.null_count == len(labels) else labels.to_numpy(zero_copy_only=False),
@@ -64,9 +63,9 @@ def graph_edges(own: Inputs, side: str) -> Edges:
 def matched_rows(own: Inputs) -> list[dict[str, Any]]:
     """The rows of `matching` of the objects that the job is about: of grain OBJECT its own, else all matched ones."""
     matching = own.table("matching")
-    matched = matching.filter(pc.equal(matching.column("status"), "matched"))
+    matched = _matched(matching)
     if own.objects:
-        matched = matched.filter(pc.is_in(matched.column("real_id"), pa.array(own.objects, pa.int32())))
+        matched = matched.filter(pa.array(np.isin(column(matched, "real_id"), own.objects)))
     rows: list[dict[str, Any]] = matched.to_pylist()
     return rows
 
@@ -80,7 +79,8 @@ def matched_subgraphs(own: Inputs, side: str) -> dict[int, Subgraph]:
 
 def points_in(ground: pa.Table) -> tuple[IntArray, FloatArray]:
     """See `object_points`."""
-    ground = ground.select(POINT_COLUMNS).filter(pc.invert(ground.column("is_ground")))
+    ground = ground.select(POINT_COLUMNS)
+    ground = ground.filter(pa.array(~column(ground, "is_ground")))
     return column(ground, "point_id"), np.column_stack([column(ground, axis) for axis in "xyz"])
 
 
@@ -96,8 +96,12 @@ def _matched_subgraphs(
 ) -> dict[int, Subgraph]:
     point_ids, points = points_in(ground)
     edges, labels = edges_in(point_ids, graph), column(communities, "community_id")
-    matched = matching.filter(pc.equal(matching.column("status"), "matched"))
+    matched = _matched(matching)
     return split_by_community(point_ids, points, edges, labels, column(matched, id_column).tolist())
+
+
+def _matched(matching: pa.Table) -> pa.Table:
+    return matching.filter(pa.array(column(matching, "status") == "matched"))
 
 
 def kept_nodes(selection: pa.Table, real_id: int, real: Subgraph, sim: Subgraph) -> Selection:

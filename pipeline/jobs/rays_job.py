@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
@@ -48,6 +47,8 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
     ground : the table of each side, whose rows the returns are
     settings : of input, for the scale of intensities
     """
+    import pyarrow.compute as pc
+
     of_pair: Metadata = {metric.column: None for metric in (*RAY_SCORES, *INTENSITY_SCORES)}
     of_pair |= {"rays_reason": None, "intensity_note": None}
     if isinstance(rays, str):
@@ -88,6 +89,8 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
 
 def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:
     """Kind and name of each group of rays that has any, and which rays it has."""
+    import pyarrow.compute as pc
+
     yield "all", "", np.ones(len(rays.beam), dtype=np.bool_)
     range_m = np.where(np.isnan(rays.real_range_m), rays.sim_range_m, rays.real_range_m)
     for by, values, edges, unit in (

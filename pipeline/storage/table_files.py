@@ -252,9 +252,11 @@ class TableFolder:
                 raise self.damaged(name)
             same = [] if is_plain else [column for column in schema.same if column in wanted.names]
             rows = read_content(content, columns, read_dictionary=same)
-            if columns is None:
-                return schema.check(rows if is_plain else rows.cast(wanted))
-            return rows.cast(plain_strings(wanted) if is_plain else wanted)
+            if not (is_plain and columns is None):
+                wanted = plain_strings(wanted) if is_plain else wanted
+                is_same = rows.schema.equals(wanted)  # but for the metadata; a cast imports all of pyarrow.compute
+                rows = pa.Table.from_arrays(rows.columns, schema=wanted) if is_same else rows.cast(wanted)
+            return schema.check(rows) if columns is None else rows
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise self.damaged(name, getattr(error, "strerror", None) or str(error)) from error
 

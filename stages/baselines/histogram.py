@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.distance import pdist
+import scipy
 
 from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
@@ -47,7 +47,7 @@ def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins:
 
 def _distance_shares(points: FloatArray, n_bins: int) -> FloatArray | None:
     """Share of the pairwise distances in each bin, (n_bins,); None if all points coincide."""
-    distance = pdist(points)
+    distance = scipy.spatial.distance.pdist(points)
     largest = distance.max(initial=0.0)
     if largest == 0:
         return None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
@@ -82,7 +82,7 @@ def register(real: FloatArray, sim: FloatArray, distance_m: float) -> Registrati
         max_iterations=_ITERATIONS,
     )
     T_real_sim: FloatArray = result.T_target_source
-    apart, _ = cKDTree(target).query(source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3])
+    apart, _ = scipy.spatial.cKDTree(target).query(source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3])
     near = apart[apart <= distance_m]
     return Registration(
         fitness=len(near) / len(apart),

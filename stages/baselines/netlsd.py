@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray
@@ -24,7 +24,7 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
     return (Baseline("netlsd", None, heat_trace_distance(*laplacians, times)),)
 
 
-def heat_trace_distance(real: sparse.csr_matrix, sim: sparse.csr_matrix, times: FloatArray) -> float:
+def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, times: FloatArray) -> float:
     """|h(real) - h(sim)|_2, h(t) = tr exp(-tL) / n at the given times; 0 for isospectral graphs.
 
     Tsitsulin, Mottin, Karras, Bronstein and Mueller, NetLSD: hearing the shape of a graph, KDD 2018, section 4, heat
@@ -39,8 +39,7 @@ def heat_trace_distance(real: sparse.csr_matrix, sim: sparse.csr_matrix, times: 
     Examples
     --------
     >>> import numpy as np
-    >>> from scipy import sparse
-    >>> edge, apart = sparse.csr_matrix([[1.0, -1], [-1, 1]]), sparse.csr_matrix((2, 2))
+    >>> edge, apart = scipy.sparse.csr_matrix([[1.0, -1], [-1, 1]]), scipy.sparse.csr_matrix((2, 2))
     >>> round(heat_trace_distance(edge, apart, np.array([0.5])), 6)  # 1 - (1 + 1 / e) / 2
     0.31606
     """

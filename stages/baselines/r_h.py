@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy import sparse
+import scipy
 
 from ...schemas.settings import MetricsSettings
 from ..linalg.heat import heat_change
@@ -21,7 +21,9 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
     return (Baseline("r_h", None, diffusion_change(*laplacians, matched.t, IDENTICAL_CHANGE)),)
 
 
-def diffusion_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float, identical_change: float) -> float:
+def diffusion_change(
+    real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float, identical_change: float
+) -> float:
     """r_H = |dH_t|_2 / (t |dL|_2), dH_t = exp(-t L_sim) - exp(-t L_real), 0 to 1.
 
     "Bounded diffusion change" in the source of the paper (equation "rH", commented out there). The bound holds because

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+import scipy
 
 from ...schemas.sensor_models import SENSORS, SensorModel
 from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
@@ -349,7 +349,9 @@ def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     from scipy.signal import find_peaks
 
     sigma = width_deg / _BIN_DEG
-    smooth = gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
+    smooth = (
+        scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
+    )
     peaks, shape = find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
     standing: IndexArray = peaks[shape["prominences"] > 0.5 * smooth[peaks]]
     return standing

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ...schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from ..arrays import BoolArray, FloatArray, IndexArray
@@ -128,7 +128,7 @@ class _Side:
         self.points = points
         self.ground_m = ground_height(points)
         self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < GROUND_BAND_M
-        self.tree = cKDTree(points)
+        self.tree = scipy.spatial.cKDTree(points)
         # random, as a regular sample would follow the rings of the scan
         self.sample: IndexArray = np.sort(np.random.default_rng(0).permutation(len(points))[:MAX_POINTS])
 
@@ -247,7 +247,7 @@ def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate
     """Candidate with the ground at the height of the real one; None if that changes little or does not converge."""
     placed = _placed(source.points, candidate.M)
     ground = target.points[target.is_ground]
-    tree = cKDTree(ground[:, :2])
+    tree = scipy.spatial.cKDTree(ground[:, :2])
     step_m = 0.0 if candidate.lift_m else target.ground_m - ground_height(placed)
     change_m = 0.0
     for _ in range(_LIFT_STEPS):
@@ -311,7 +311,7 @@ def _coverage(target: _Side, source: _Side, candidate: _Candidate, box: Box | No
     return float(np.mean(shares)) if shares else 0.0
 
 
-def _shares(tree: cKDTree, points: FloatArray, is_ground: BoolArray) -> Iterator[float]:
+def _shares(tree: scipy.spatial.cKDTree, points: FloatArray, is_ground: BoolArray) -> Iterator[float]:
     apart, _ = tree.query(points, distance_upper_bound=NEAR_M)
     is_near: BoolArray = np.isfinite(apart)
     for chosen in (is_ground, ~is_ground):

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import gaussian_filter1d
 
 from ...schemas.settings import FARTHEST_M
 from ..arrays import FloatArray, IndexArray, IntArray
@@ -382,7 +382,7 @@ def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
     if len(gap) < _MIN_POINTS:
         return None, "too few neighbouring returns"
     count = np.bincount((gap / bin_deg).astype(np.intp), minlength=int(most_deg / bin_deg)).astype(np.float64)
-    density = gaussian_filter1d(count, 3.0)
+    density = scipy.ndimage.gaussian_filter1d(count, 3.0)
     peaks, _ = find_peaks(density, height=0.4 * density.max())
     step = (peaks[0] + 0.5) * bin_deg
     near = gap[np.abs(gap / step - 1.0) < 0.15]

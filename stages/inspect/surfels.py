@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from ..arrays import FloatArray, IndexArray
 
@@ -58,7 +58,7 @@ def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: flo
     if not len(places) or not n_most:
         normal = np.broadcast_to([0.0, 0.0, 1.0], places.shape).copy()
         return LocalPlanes(places.copy(), normal, np.zeros_like(places), np.zeros(len(places), dtype=np.intp))
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     parts = []
     for start in range(0, len(places), _ROWS_AT_ONCE):
         asked = places[start : start + _ROWS_AT_ONCE]

@@ -11,9 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import sparse
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
+import scipy
 
 from ...schemas.errors import StageError
 from ..arrays import FloatArray, IndexArray
@@ -72,7 +70,7 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
     if offset.any():  # far from the origin (UTM) single precision would not distinguish the candidates
         a, b = a - offset, b - offset
     if len(a) <= _DENSE_NODES:
-        sim_of_real: IndexArray = linear_sum_assignment(cdist(a, b))[1]
+        sim_of_real: IndexArray = scipy.optimize.linear_sum_assignment(scipy.spatial.distance.cdist(a, b))[1]
         return sim_of_real
     arcs = _candidate_arcs(a, b, _coarse_prices(a, b, arcs_per_node), arcs_per_node)
     is_first = True
@@ -108,7 +106,7 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray, arcs_per_
     n = len(a)
     from_a, price_a = _cheapest(a, b, price_b, arcs_per_node)
     from_b, _ = _cheapest(b, a, price_a, arcs_per_node)
-    arcs = from_a + from_b.T + sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
+    arcs = from_a + from_b.T + scipy.sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
     arcs.sort_indices()
     codes: IndexArray = np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
     return codes
@@ -116,7 +114,7 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray, arcs_per_
 
 def _cheapest(
     nodes: FloatArray, others: FloatArray, price: FloatArray, arcs_per_node: int
-) -> tuple[sparse.csr_array, FloatArray]:
+) -> tuple[scipy.sparse.csr_array, FloatArray]:
     """Cheapest arcs to the others for each node, (n, n), and the smallest cost, (n,); in single precision."""
     x, y, price_y = (array.astype(np.float32) for array in (nodes, others, price))
     columns, counts, least = [], [], []
@@ -132,14 +130,14 @@ def _cheapest(
         least.append(cost.min(axis=1))
     ends = np.concatenate(columns)
     starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-    arcs = sparse.csr_array((np.ones(len(ends), np.int8), ends, starts), (len(x), len(y)))
+    arcs = scipy.sparse.csr_array((np.ones(len(ends), np.int8), ends, starts), (len(x), len(y)))
     return arcs, np.concatenate(least).astype(np.float64)
 
 
 def _least(nodes: FloatArray, others: FloatArray, price: FloatArray) -> FloatArray:
     """min_j (|x_i - y_j| - price_j) for each node i."""
     blocks = _blocks(len(nodes), len(others))
-    return np.concatenate([(cdist(nodes[rows], others) - price).min(axis=1) for rows in blocks])
+    return np.concatenate([(scipy.spatial.distance.cdist(nodes[rows], others) - price).min(axis=1) for rows in blocks])
 
 
 def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, Prices]:
@@ -152,7 +150,7 @@ def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, 
     plan, log = ot.emd(
         np.ones(n),
         np.ones(n),
-        sparse.coo_array((cost, (i, j)), (n, n)),
+        scipy.sparse.coo_array((cost, (i, j)), (n, n)),
         numItermax=np.iinfo(np.int64).max // 2,
         log=True,
         center_dual=False,
@@ -183,7 +181,7 @@ def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
     price_a, price_b = prices
     codes = []
     for rows in _blocks(n, n):
-        slack = cdist(a[rows], b)
+        slack = scipy.spatial.distance.cdist(a[rows], b)
         slack -= price_b
         codes.append(rows[0] * n + np.flatnonzero(slack < (price_a[rows] - _SLACK_M)[:, None]))
     return np.concatenate(codes)

@@ -15,8 +15,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, reverse_cuthill_mckee
+import scipy
 
 from ..arrays import FloatArray, IndexArray
 
@@ -33,7 +32,7 @@ _FACTORS = np.array([0.0, 1.0, -1.0, -0.5])
 _ZERO, _ONE, _MINUS, _MINUS_HALF = (_FACTORS.ctypes.data + _FACTORS.itemsize * i for i in range(len(_FACTORS)))
 
 
-def reduce_to_band(symmetric: sparse.csr_matrix, width: int, kernels: Kernels) -> FloatArray:
+def reduce_to_band(symmetric: scipy.sparse.csr_matrix, width: int, kernels: Kernels) -> FloatArray:
     """Band matrix with the eigenvalues of a symmetric one, in LAPACK's lower band storage, (width + 1, n) float64.
 
     For each block of `width` columns, the QR factorisation of the part below the target band is
@@ -220,36 +219,36 @@ def _eliminate(work: _Work, block: _Block) -> None:
         dgemm(_N, _T, others, rows, k, _MINUS, x, b, v, b, _ONE, below, ld)
 
 
-def _numbered(symmetric: sparse.csr_matrix) -> tuple[sparse.coo_matrix, IndexArray]:
+def _numbered(symmetric: scipy.sparse.csr_matrix) -> tuple[scipy.sparse.coo_matrix, IndexArray]:
     """Lower triangle with nodes numbered from end to end, and the last row of each column.
 
     Of two numberings the one of the narrower band, in the mean.
     """
     pairs = symmetric.tocoo()
-    orders = reverse_cuthill_mckee(symmetric, symmetric_mode=True), _from_end(symmetric)
+    orders = scipy.sparse.csgraph.reverse_cuthill_mckee(symmetric, symmetric_mode=True), _from_end(symmetric)
     numberings = [_renumbered(pairs, order) for order in orders]
     return min(numberings, key=lambda numbering: int(numbering[1].sum()))
 
 
-def _renumbered(pairs: sparse.coo_matrix, order: IndexArray) -> tuple[sparse.coo_matrix, IndexArray]:
+def _renumbered(pairs: scipy.sparse.coo_matrix, order: IndexArray) -> tuple[scipy.sparse.coo_matrix, IndexArray]:
     """Lower triangle with nodes in this order, and the last row of an element in each column or one before it."""
     place = np.empty(len(order), dtype=np.intp)
     place[order] = np.arange(len(order))
     row, column = place[pairs.row], place[pairs.col]
     is_lower = row >= column
-    lower = sparse.coo_matrix((pairs.data[is_lower], (row[is_lower], column[is_lower])), pairs.shape)
+    lower = scipy.sparse.coo_matrix((pairs.data[is_lower], (row[is_lower], column[is_lower])), pairs.shape)
     reach = np.arange(len(order))
     np.maximum.at(reach, lower.col, lower.row)
     return lower, np.maximum.accumulate(reach)
 
 
-def _from_end(symmetric: sparse.csr_matrix) -> IndexArray:
+def _from_end(symmetric: scipy.sparse.csr_matrix) -> IndexArray:
     """Nodes in breadth-first order from a peripheral node; connected components one after the other."""
     start = 0
     for _ in range(_SWEEPS):
-        order = breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
+        order = scipy.sparse.csgraph.breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
         start = int(order[-1])
-    order = breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
+    order = scipy.sparse.csgraph.breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
     others = np.setdiff1d(np.arange(symmetric.shape[0]), order)
     whole_order: IndexArray = np.concatenate([order, others]).astype(np.intp)
     return whole_order

@@ -7,9 +7,7 @@ than 1, so that no term outgrows its weight; the exponential itself, a dense mat
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import eigh
-from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
+import scipy
 
 from ..arrays import FloatArray
 from .spectrum import eigenvalues
@@ -17,7 +15,7 @@ from .spectrum import eigenvalues
 _DENSE_NODES = 64  # up to here the dense kernel is the faster one
 
 
-def heat_row_sums(laplacian: sparse.csr_matrix, t: float) -> FloatArray:
+def heat_row_sums(laplacian: scipy.sparse.csr_matrix, t: float) -> FloatArray:
     """Row sums exp(-tL) 1 of the heat kernel, (n,) float64 (paper, equations "heat" and "influence").
 
     S has no negative entry and neither has the vector of ones, so that no term of the series cancels another; terms
@@ -30,12 +28,11 @@ def heat_row_sums(laplacian: sparse.csr_matrix, t: float) -> FloatArray:
 
     Examples
     --------
-    >>> from scipy import sparse
-    >>> heat_row_sums(sparse.csr_matrix([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]]), 1.0).round(12).tolist()
+    >>> heat_row_sums(scipy.sparse.csr_matrix([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]]), 1.0).round(12).tolist()
     [1.0, 1.0, 1.0]
     """
     n = laplacian.shape[0]
-    similarity = sparse.eye_array(n, format="csr") - laplacian
+    similarity = scipy.sparse.eye_array(n, format="csr") - laplacian
     term = np.full(n, np.exp(-t))
     total = term.copy()
     k = 0
@@ -46,7 +43,7 @@ def heat_row_sums(laplacian: sparse.csr_matrix, t: float) -> FloatArray:
     return total
 
 
-def heat_trace(laplacian: sparse.csr_matrix, times: FloatArray) -> FloatArray:
+def heat_trace(laplacian: scipy.sparse.csr_matrix, times: FloatArray) -> FloatArray:
     """Trace of exp(-tL) over n at each time, (k,) float64: the mean of exp(-t l) over all eigenvalues l.
 
     Parameters
@@ -58,7 +55,7 @@ def heat_trace(laplacian: sparse.csr_matrix, times: FloatArray) -> FloatArray:
     return np.array([np.exp(-t * spectrum).mean() for t in times])
 
 
-def heat_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float) -> float:
+def heat_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:
     """|exp(-t L_sim) - exp(-t L_real)|_2, the spectral norm of the change of the heat kernel.
 
     The largest absolute eigenvalue by Lanczos iteration, the change being applied to vectors; up to 64 nodes, and
@@ -72,7 +69,7 @@ def heat_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float) -> fl
     n = real.shape[0]
     if n <= _DENSE_NODES:
         return _dense_change(real, sim, t)
-    similarities = [sparse.eye_array(n, format="csr") - laplacian for laplacian in (real, sim)]
+    similarities = [scipy.sparse.eye_array(n, format="csr") - laplacian for laplacian in (real, sim)]
     n_terms = _n_terms(t)
 
     def apply(vector: FloatArray) -> FloatArray:
@@ -80,14 +77,14 @@ def heat_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float) -> fl
         return heat_sim - heat_real
 
     start = np.random.default_rng(0).standard_normal(n)
-    operator = LinearOperator((n, n), matvec=apply, dtype=np.float64)
+    operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=apply, dtype=np.float64)
     try:
-        return float(abs(eigsh(operator, k=1, which="LM", v0=start, return_eigenvectors=False)[0]))
-    except ArpackNoConvergence:  # a crowded edge of the spectrum; the dense solver always converges
+        return float(abs(scipy.sparse.linalg.eigsh(operator, k=1, which="LM", v0=start, return_eigenvectors=False)[0]))
+    except scipy.sparse.linalg.ArpackNoConvergence:  # a crowded edge of the spectrum; the dense solver always converges
         return _dense_change(real, sim, t)
 
 
-def _heat(similarity: sparse.csr_matrix, vector: FloatArray, t: float, n_terms: int) -> FloatArray:
+def _heat(similarity: scipy.sparse.csr_matrix, vector: FloatArray, t: float, n_terms: int) -> FloatArray:
     """exp(-tL) v with S = I - L, from the first terms of the series."""
     term = vector * np.exp(-t)
     total = term.copy()
@@ -106,11 +103,11 @@ def _n_terms(t: float) -> int:
     return k
 
 
-def _dense_change(real: sparse.csr_matrix, sim: sparse.csr_matrix, t: float) -> float:
+def _dense_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:
     return float(np.linalg.norm(_dense_heat(sim, t) - _dense_heat(real, t), 2))
 
 
-def _dense_heat(laplacian: sparse.csr_matrix, t: float) -> FloatArray:
-    values, vectors = eigh(laplacian.toarray(), check_finite=False)
+def _dense_heat(laplacian: scipy.sparse.csr_matrix, t: float) -> FloatArray:
+    values, vectors = scipy.linalg.eigh(laplacian.toarray(), check_finite=False)
     heat: FloatArray = (vectors * np.exp(-t * values)) @ vectors.T
     return heat

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ..arrays import IndexArray
 from .subgraph import Subgraph
 
 
-def normalised_laplacian(weights: sparse.csr_matrix) -> sparse.csr_matrix:
+def normalised_laplacian(weights: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
     """L = I - D^-1/2 A D^-1/2 of a symmetric adjacency matrix, (n, n) CSR (paper, equation "norm_lap").
 
     A node without edges has a zero row and 0 on the diagonal (Chung, Spectral Graph Theory, 1997).
@@ -20,8 +20,7 @@ def normalised_laplacian(weights: sparse.csr_matrix) -> sparse.csr_matrix:
 
     Examples
     --------
-    >>> from scipy import sparse
-    >>> normalised_laplacian(sparse.csr_matrix([[0.0, 4, 0], [4, 0, 0], [0, 0, 0]])).toarray().tolist()
+    >>> normalised_laplacian(scipy.sparse.csr_matrix([[0.0, 4, 0], [4, 0, 0], [0, 0, 0]])).toarray().tolist()
     [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
     """
     degree = np.asarray(weights.sum(axis=1)).ravel()
@@ -31,10 +30,10 @@ def normalised_laplacian(weights: sparse.csr_matrix) -> sparse.csr_matrix:
     scaled = weights.copy()
     scaled.data *= np.repeat(scale, np.diff(weights.indptr))
     scaled.data *= scale[weights.indices]
-    return sparse.diags_array(joined.astype(np.float64)).tocsr() - scaled
+    return scipy.sparse.diags_array(joined.astype(np.float64)).tocsr() - scaled
 
 
-def induced_laplacian(graph: Subgraph, nodes: IndexArray) -> sparse.csr_matrix:
+def induced_laplacian(graph: Subgraph, nodes: IndexArray) -> scipy.sparse.csr_matrix:
     """Normalised Laplacian of the subgraph on some nodes, (k, k) CSR float64.
 
     Degrees are those of the subgraph, so that a node whose neighbours were all left out is isolated.

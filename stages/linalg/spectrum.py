@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import sparse
-from scipy.linalg import eigvals_banded, eigvalsh
-from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+import scipy
 
 from ..arrays import FloatArray
 from .band_reduction import Kernels, reduce_to_band, scipy_kernels
@@ -19,7 +17,7 @@ _DENSE_NORM_NODES = 64
 
 
 def eigenvalues(
-    symmetric: sparse.csr_matrix,
+    symmetric: scipy.sparse.csr_matrix,
     *,
     banded_from_nodes: int = BANDED_FROM_NODES,
     band_width: int = BAND_WIDTH,
@@ -39,14 +37,14 @@ def eigenvalues(
     """
     kernels = find_kernels() if symmetric.shape[0] >= banded_from_nodes else None
     if kernels is None:
-        values: FloatArray = eigvalsh(symmetric.toarray(order="F"), overwrite_a=True, check_finite=False)
+        values: FloatArray = scipy.linalg.eigvalsh(symmetric.toarray(order="F"), overwrite_a=True, check_finite=False)
     else:
         band = reduce_to_band(symmetric, band_width, kernels)
-        values = eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
+        values = scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
     return values
 
 
-def spectral_norm(symmetric: sparse.csr_matrix) -> float:
+def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:
     """Largest absolute eigenvalue, by Lanczos iteration to machine precision; 0 for a matrix of zeros.
 
     ARPACK treats eigenvalues below eps^(2/3) as if they were of that size. So the matrix is scaled by the power of two
@@ -65,8 +63,8 @@ def spectral_norm(symmetric: sparse.csr_matrix) -> float:
         scaled = symmetric.copy()
         scaled.data = np.ldexp(scaled.data, -exponent)
         try:
-            largest = eigsh(scaled, k=1, which="LM", v0=start, return_eigenvectors=False)[0]
+            largest = scipy.sparse.linalg.eigsh(scaled, k=1, which="LM", v0=start, return_eigenvectors=False)[0]
             return float(np.ldexp(abs(largest), exponent))
-        except ArpackNoConvergence:
+        except scipy.sparse.linalg.ArpackNoConvergence:
             pass  # a crowded edge of the spectrum; the dense solver always converges
-    return float(np.max(np.abs(eigvalsh(symmetric.toarray(), check_finite=False))))
+    return float(np.max(np.abs(scipy.linalg.eigvalsh(symmetric.toarray(), check_finite=False))))

@@ -6,10 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
-from scipy.spatial import cKDTree
 
 from ..arrays import Float32Array, FloatArray, IndexArray, IntArray
 
@@ -40,19 +38,19 @@ class Subgraph:
 
     point_ids: IntArray
     points: FloatArray
-    adjacency: sparse.csr_matrix
+    adjacency: scipy.sparse.csr_matrix
 
 
-def adjacency(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
+def adjacency(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     """Symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices; all zero without edges."""
     half = upper_half(n_nodes, edges)
     return half + half.T.tocsr()
 
 
-def upper_half(n_nodes: int, edges: Edges) -> sparse.csr_matrix:
+def upper_half(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     """Part of the adjacency matrix above its diagonal, (n, n) CSR float64."""
     starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
-    return sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
+    return scipy.sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
 
 
 def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
@@ -91,7 +89,7 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
         return np.empty(0, dtype=np.intp)
     bound = link_m * (1 + 1e-9)  # scipy's is exclusive
     k = np.arange(1, min(n, _NEAREST + 1) + 1)  # the point itself is the first
-    distance_m, nearest = cKDTree(points).query(points, k, distance_upper_bound=bound)
+    distance_m, nearest = scipy.spatial.cKDTree(points).query(points, k, distance_upper_bound=bound)
     is_linked = distance_m <= link_m
     labels = _components(n, np.nonzero(is_linked)[0], nearest[is_linked])
     dense = np.flatnonzero(is_linked[:, -1])
@@ -100,7 +98,9 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
         n_before, numbers = n_now, np.unique(labels[dense], return_inverse=True)[1]
         for bit in range((n_now - 1).bit_length()):
             ones = (numbers >> bit) % 2 == 1
-            distance_m, nearest = cKDTree(points[dense[ones]]).query(points[dense[~ones]], distance_upper_bound=bound)
+            distance_m, nearest = scipy.spatial.cKDTree(points[dense[ones]]).query(
+                points[dense[~ones]], distance_upper_bound=bound
+            )
             is_linked = distance_m <= link_m
             ends = dense[~ones][is_linked], dense[ones][nearest[is_linked]]
             labels = _components(n, *(labels[end] for end in ends))[labels]
@@ -110,8 +110,8 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
 def _components(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:
     """The connected component of each node, (n,), numbered from 0."""
     joined = np.ones(len(src), dtype=np.bool_)
-    graph = sparse.coo_matrix((joined, (src, dst)), shape=(n_nodes, n_nodes))
-    components: IndexArray = csgraph.connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_matrix((joined, (src, dst)), shape=(n_nodes, n_nodes))
+    components: IndexArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
     return components
 
 

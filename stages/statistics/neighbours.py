@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft2, next_fast_len, rfft2
 
 from ..arrays import FloatArray
 
@@ -17,7 +17,7 @@ from ..arrays import FloatArray
 SAME_PLACE = 0.45
 _CELL_M, _REACH_M = 1.0, 50.0
 _CELLS = int(2 * _REACH_M / _CELL_M)
-_PADDED = next_fast_len(2 * _CELLS, real=True)
+_PADDED = 2 * _CELLS  #: of small prime factors, as a fast Fourier transform needs
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def map_place(points: FloatArray) -> PlaceMap:
     cells = cells[((cells >= 0) & (cells < _CELLS)).all(axis=1)]
     occupied = np.zeros((_CELLS, _CELLS), dtype=np.float32)
     occupied[cells[:, 0], cells[:, 1]] = 1.0
-    return PlaceMap(rfft2(occupied, (_PADDED, _PADDED)), int(occupied.sum()))
+    return PlaceMap(scipy.fft.rfft2(occupied, (_PADDED, _PADDED)), int(occupied.sum()))
 
 
 def overlap(a: PlaceMap, b: PlaceMap) -> float:
@@ -53,7 +53,7 @@ def overlap(a: PlaceMap, b: PlaceMap) -> float:
     """
     if not a.n_occupied or not b.n_occupied:
         return 0.0
-    shared = irfft2(a.spectrum * np.conj(b.spectrum), (_PADDED, _PADDED)).max()
+    shared = scipy.fft.irfft2(a.spectrum * np.conj(b.spectrum), (_PADDED, _PADDED)).max()
     return float(shared / np.sqrt(a.n_occupied * b.n_occupied))
 
 

@@ -143,5 +143,22 @@ def test_help_imports_nothing_heavy():
     assert found.stdout.strip() == "[]"
 
 
+def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, tmp_path):
+    streets, folder = scenario("plain") / "streets", shutil.copytree(scenario("plain") / "run", tmp_path / "run")
+    assert command("run", streets, "--out", folder).returncode == 0  # the first repetition rewrites the table timings
+    heavy = ("scipy.sparse", "scipy.spatial", "sklearn", "pandas", "dask", "matplotlib", "plotly", "pyarrow.compute")
+    words = [["status", str(folder)], ["show", str(folder)], ["run", str(streets), "--out", str(folder)]]
+    code = (
+        "import sys; from fidpipe.pipeline.cli.main import app\n"
+        f"for words in {words}:\n"
+        "    try: app(words, standalone_mode=False)\n"
+        "    except SystemExit as end: assert not end.code\n"
+        f"print('loaded', [name for name in {heavy} if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "0 jobs done" in found.stdout, found.stderr
+    assert found.stdout.splitlines()[-1] == "loaded []"
+
+
 def test_the_version_is_told():
     assert re.fullmatch(r"fidpipe \d+\.\d+\.\d+\n", command("--version").stdout)
