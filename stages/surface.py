@@ -134,7 +134,7 @@ def signed_distances(points: FloatArray, other: FloatArray, reach_m: float) -> F
     other = other[np.unique(np.floor(other / _PLANE_CELL_M), axis=0, return_index=True)[1]]
     if len(other) < _PLANE_POINTS:
         return signed
-    apart_m, near = cKDTree(other).query(points, k=_PLANE_POINTS)
+    apart_m, near = scipy.spatial.cKDTree(other).query(points, k=_PLANE_POINTS)
     rows = np.flatnonzero(apart_m[:, 0] <= reach_m)
     neighbours = other[near[rows]]
     middle = neighbours.mean(axis=1)
