@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from fidpipe.pipeline.engine import prefork
+from fidpipe.pipeline.engine import cluster, prefork
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
@@ -19,7 +19,8 @@ from runs import command, contents, marks, own_process, run
 NO_CLUSTER = "tcp://127.0.0.1:9"
 
 
-def test_a_run_without_its_cluster_removes_nothing(again, dataset):
+def test_a_run_without_its_cluster_removes_nothing(again, dataset, monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT_S", 1)
     before = contents(again)
     with pytest.raises(RunError, match="no cluster with a worker could be reached"):
         run(dataset, again, load(None, ["communities.seed=3"]), workers=None, scheduler=NO_CLUSTER)
