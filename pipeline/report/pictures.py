@@ -39,6 +39,7 @@ class Picture:
     link : address of the object in a report; "" if there is none
     layers : SVG paths of points: "others" in grey, then those of the sides
     bar, bar_m : a bar of some metres as the scale
+    points : the same dots in metres by layer: lists of x, y and z
     """
 
     title: str
@@ -47,6 +48,7 @@ class Picture:
     layers: dict[str, str]
     bar: float
     bar_m: float
+    points: dict[str, list[list[float]]]
 
 
 @dataclass(frozen=True)
@@ -79,15 +81,16 @@ class _Box:
 
     def drawn(self, scale: float, title: str, words: str, link: str = "") -> Picture:
         """A picture without perspective, true to scale; points evenly over their order where they are too many."""
-        middle, paths = self.span.mean(axis=0), {}
+        middle, paths, kept = self.span.mean(axis=0), {}, {}
         for kind, points in self.layers.items():
             n = min(len(points), _MOST_DOTS)
             chosen = points[np.unique(np.linspace(0, len(points) - 1, n).round().astype(int))]
+            kept[kind] = chosen.T.round(2).tolist()
             right, up = ((chosen @ self.axes.T - middle) * scale).T
             dots = zip(FRAME[0] / 2 + right, FRAME[1] / 2 - up, strict=True)
             paths[kind] = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in dots)
         bar_m = max((m for m in _BARS_M if m * scale <= FRAME[0] / 3), default=_BARS_M[0])
-        return Picture(title, words, link, paths, bar_m * scale, bar_m)
+        return Picture(title, words, link, paths, bar_m * scale, bar_m, kept)
 
 
 def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[Picture]:

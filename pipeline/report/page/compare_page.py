@@ -14,7 +14,9 @@ from ...results.finished import FinishedRun
 from ...results.followed import ObjectChange, worst_changes
 from ...results.history import History
 from ...storage.table_files import file_stem
+from ...terminal import STEERING
 from ..charts import change_chart, history_chart
+from ..look import SIDE_COLOURS, on_page
 from ..pictures import FRAME, draw_change, object_address
 from ..view import Table, shortened, signed
 from ..views.compare_view import (
@@ -35,6 +37,8 @@ from .page_templates import render
 from .run_page import PAGE, PAGES
 
 MOST_OBJECTS, MOST_PAIRS = 300, 200
+#: Verdicts that decide.
+DECIDED = ("worse", "mixed", "better")
 
 
 def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str:
@@ -54,11 +58,19 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
         "(Student's t). Verdicts: exact sign-flip test per family (maxT over its scores), Holm over the families. "
         f"{OBJECTS_NOTE}"
     )
-    charts = {f"changes_{i}": change_chart(one.scores) for i, one in enumerate(comparisons)}
+    sections = [_section(one, start) for one in comparisons]
+    data = {
+        "charts": {f"changes_{i}": change_chart(section["by_effect"]) for i, section in enumerate(sections)},
+        "steering": STEERING,
+        "colours": {"sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()}},
+        "places": [
+            [[picture.points for picture in pictures] for _, pictures in section["pictures"]] for section in sections
+        ],
+    }
     return render(
         "compare.html",
-        {"charts": charts},
-        sections=[_section(one, start) for one in comparisons],
+        data,
+        sections=sections,
         method=method,
         arrows=MARKS_NOTE,
         frame=FRAME,
@@ -82,6 +94,12 @@ def history_page(history: History) -> str:
 def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
     """One run against the base: `comparison` itself, its tables, pictures of the worst changes, and links."""
     objects = changed(comparison)
+    by_effect = sorted(comparison.scores, key=lambda score: (score.verdict not in DECIDED, -abs(score.clarity)))
+    families = {
+        is_decided: [family for family in comparison.families if (family.verdict in DECIDED) == is_decided]
+        for is_decided in (True, False)
+    }
+    n_decided = sum(score.verdict in DECIDED for score in by_effect)
     leading = [family.scores[0] for family in comparison.families]
     pairs = comparison.pairs[:MOST_PAIRS]
     runs = [FinishedRun(folder) for folder in (comparison.base, comparison.other)]
@@ -95,9 +113,11 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
         "comparison": comparison,
         "decision": decision(comparison),
         "chance": chance(comparison),
-        "families": family_table(comparison),
+        "by_effect": by_effect,
+        "families": [family_table(comparison, families[True]), score_table(comparison, by_effect[:n_decided])],
+        "undecided": [family_table(comparison, families[False]), score_table(comparison, by_effect[n_decided:])],
+        "n_decided": (len(families[True]), len(families[False])),
         "causes": [cause_table(comparison)] if comparison.causes else [],
-        "scores": score_table(comparison),
         "remarks": remarks(comparison),
         "pictures": [
             (one, draw_change(one, runs, [_report_link(run.folder, one, start) for run in runs])) for one in worst

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, overall
+from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
 from ...results.sectors import N_SECTORS
 from ..view import Note, Part, Table, View, number, percent, signed
@@ -161,10 +161,10 @@ def changed(comparison: Comparison) -> list[ObjectChange]:
     )
 
 
-def family_table(comparison: Comparison) -> Table:
-    """One row per family: verdict, and its clearest score before and after."""
+def family_table(comparison: Comparison, families: Sequence[FamilyChange] | None = None) -> Table:
+    """One row per family, or per family chosen: verdict, and its clearest score before and after."""
     rows = []
-    for family in comparison.families:
+    for family in comparison.families if families is None else families:
         score, own = family.scores[0], family.scores[0].difference
         verdict = f"({family.verdict})" if family.why else family.verdict
         numbers = (own.before, own.after, _interval(own), _p(family.p))
@@ -184,8 +184,8 @@ def cause_table(comparison: Comparison) -> Table:
     return Table("Causes that changed: simulated minus real", headings, rows, words=(0, 4))
 
 
-def score_table(comparison: Comparison) -> Table:
-    """One row per score, with an arrow to where it is better: before, after, change, its p, and the verdict.
+def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = None) -> Table:
+    """One row per score, or per score chosen, with its numbers, and an arrow to where it is better.
 
     Not in a terminal: the pairs if all have each score; if both runs were repeated under other seeds, whether the
     change is more than they alone make; with a floor, whether it is more than a second measurement makes.
@@ -201,8 +201,9 @@ def score_table(comparison: Comparison) -> Table:
             *[beyond[score.beyond_seeds].format(number(score.seed_noise))] * with_seeds,
             *[beyond[score.beyond_floor].format(number(score.floor))] * with_floor,
         )
+        for score in (comparison.scores if chosen is None else chosen)
         for family in comparison.families
-        for score in family.scores
+        if score in family.scores
     ]
     have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in comparison.scores)
     headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
