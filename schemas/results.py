@@ -336,6 +336,21 @@ class CauseEstimate(Result):
     values: dict[str, float]
 
 
+class Evidence(Result):
+    """Curves behind a cause, means over pairs, at the middles of the bins `x`.
+
+    real, sim : both sides; `real` is null for a displacement
+    corrected : the simulated side without its displacement; null for other causes
+    """
+
+    x_label: str
+    y_label: str
+    x: tuple[float, ...]
+    real: tuple[float, ...] | None
+    sim: tuple[float, ...]
+    corrected: tuple[float, ...] | None
+
+
 class DiagnosedCause(Result):
     """A flaw that a diagnosis names.
 
@@ -346,6 +361,7 @@ class DiagnosedCause(Result):
     gain : the same as a share of the distance over the floor; null if there is hardly any
     is_upper_bound : real returns were restored, so that the gain is at most this
     limbs : identifiers of PerCollECT's LidarLimbs cause tree
+    evidence : curves to look at; null if the cause has none
     """
 
     name: str
@@ -360,6 +376,7 @@ class DiagnosedCause(Result):
     is_upper_bound: bool
     setting: str
     limbs: tuple[int, ...]
+    evidence: Evidence | None = None
 
 
 class Diagnosis(Result):

@@ -1,4 +1,4 @@
-"""Renew the pictures of the report: python tools/screenshots.py RUN (after fidpipe report RUN)."""
+"""Renew the pictures of the report: python tools/screenshots.py RUN (after fidpipe diagnose RUN and fidpipe report RUN)."""
 
 import sys
 import tempfile
@@ -33,12 +33,13 @@ def main(run):
         resize(browser, 1280)
         open_page(browser, page)
         take(browser, "report", "header")
-        by_id(browser, "next").click()
+        choose(browser, "colour", "signed")
         take(browser, "report-3d", "#view")
-        choose(browser, "lie", "aligned")
-        by_id(browser, "show_lines").click()
+        choose(browser, "colour", "side")
+        place = by_id(browser, "panel")
+        browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", place)
         settle(browser)
-        by_id(browser, "panel").screenshot(str(DOCS / "report-object.png"))
+        place.screenshot(str(DOCS / "report-object.png"))
         browser.quit()
 
 

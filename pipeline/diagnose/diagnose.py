@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +12,9 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis
-from ...stages.arrays import IntArray
+from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidence
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.diagnose.curves import AXES, KINDS, curves
 from ...stages.diagnose.evidence import PairEstimates, PairScans, estimate
 from ...stages.diagnose.gain import RESTORED, corrections, shares, surface_distance
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, blocks_of
@@ -39,12 +40,16 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Gains:
-    """Distances of a pair, metres: before and after all corrections, that of the floor, and the part of each cause."""
+    """Distances of a pair, metres: before and after all corrections, that of the floor, and the part of each cause.
+
+    curves : by kind of evidence
+    """
 
     before_m: float
     after_m: float
     floor_m: float
     by_cause: dict[str, float]
+    curves: dict[str, Mapping[str, FloatArray]]
 
 
 def diagnose_run(
@@ -92,7 +97,7 @@ def diagnose_run(
     show.stop()
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
     excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
-    causes = [_cause(own, [pair.by_cause for pair in gains], excess_m) for own in named]
+    causes = [_cause(own, gains, excess_m) for own in named]
     diagnosis = Diagnosis(
         of=results_identity(run.record),
         floor=None if floor is None else str(floor),
@@ -161,7 +166,9 @@ def _gains(
     made = corrections(scans, found, {own.model.name: own.mean for own in named}, rng)
     before_m, after_m, by_cause = shares(scans, made, rng)
     floor = read_pair(base, pair_id) if base else None
-    return Gains(before_m, after_m, surface_distance(floor.real, floor.sim) if floor else 0.0, by_cause)
+    floor_m = surface_distance(floor.real, floor.sim) if floor else 0.0
+    kinds = {KINDS[own.model.name] for own in named if own.model.name in KINDS}
+    return Gains(before_m, after_m, floor_m, by_cause, {kind: curves(scans, found, kind) for kind in kinds})
 
 
 def _blocks(run: FinishedRun, names: Sequence[str]) -> tuple[IntArray, str]:
@@ -173,9 +180,10 @@ def _blocks(run: FinishedRun, names: Sequence[str]) -> tuple[IntArray, str]:
     return blocks, "blocks of pairs" if len(np.unique(blocks)) < len(names) else "pairs"
 
 
-def _cause(own: NamedCause, gains: Sequence[dict[str, float]], excess_m: float | None) -> DiagnosedCause:
+def _cause(own: NamedCause, gains: Sequence[Gains], excess_m: float | None) -> DiagnosedCause:
     model = own.model
-    gain_m = float(np.mean([pair[model.name] for pair in gains])) if model.name in gains[0] else None
+    parts = [pair.by_cause[model.name] for pair in gains if model.name in pair.by_cause]
+    gain_m = float(np.mean(parts)) if parts else None
     return DiagnosedCause(
         name=model.name,
         words=own.sentence,
@@ -189,6 +197,24 @@ def _cause(own: NamedCause, gains: Sequence[dict[str, float]], excess_m: float |
         is_upper_bound=model.name in RESTORED,
         setting=model.setting,
         limbs=model.limbs,
+        evidence=_evidence(KINDS[model.name], gains) if model.name in KINDS else None,
+    )
+
+
+def _evidence(kind: str, gains: Sequence[Gains]) -> Evidence:
+    """Mean curves over the pairs."""
+    axis = AXES[kind]
+    mean = {
+        name: tuple(np.mean([pair.curves[kind][name] for pair in gains], axis=0).round(4).tolist())
+        for name in gains[0].curves[kind]
+    }
+    return Evidence(
+        x_label=axis.label,
+        y_label=axis.values,
+        x=tuple(((axis.edges[:-1] + axis.edges[1:]) / 2).round(4).tolist()),
+        real=mean.get("real"),
+        sim=mean["sim"],
+        corrected=mean.get("corrected"),
     )
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from ...schemas.results import DiagnosedCause, Diagnosis
+from ...schemas.results import Diagnosis
 from ..report.view import Note, Table, View, percent
-from ..results.causes import size_words
-from ..results.diagnosis import gain_words
+from ..results.diagnosis import gain_words, interval_words
 
 _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
 
@@ -18,7 +17,7 @@ def diagnosis_records(found: Diagnosis) -> Table:
 def diagnosis_view(found: Diagnosis) -> View:
     """A row per cause, most important first, and notes on the base, the intervals and the pairs left out."""
     rows = [
-        (i, own.words, _interval(own), gain_words(own).removeprefix("gain ") or "not in the distance", own.setting)
+        (i, own.words, interval_words(own), gain_words(own).removeprefix("gain ") or "not in the distance", own.setting)
         for i, own in enumerate(found.causes, 1)
     ]
     over = f" (floor {100 * found.floor_m:.1f} cm)" if found.floor else ""
@@ -41,8 +40,3 @@ def diagnosis_view(found: Diagnosis) -> View:
         Table(title, ("", "cause", "95 % interval", "gain if corrected", "setting"), rows, words=(1, 2, 3, 4)),
         *map(Note, notes),
     ]
-
-
-def _interval(own: DiagnosedCause) -> str:
-    low, high = (f"{'-' * (value < 0)}{size_words(value, own.unit)}" for value in (own.low, own.high))
-    return f"{low} to {high}"

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 from urllib.parse import quote, urlencode
 
 import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import METRIC
-from ...schemas.results import Piece
+from ...schemas.results import Evidence, Piece
 from ...stages.arrays import BoolArray, FloatArray
 from ..results.finished import FinishedRun
 from ..results.followed import SHARED_SCORES, ObjectChange
@@ -53,11 +54,17 @@ class Picture:
 
 @dataclass(frozen=True)
 class _Box:
-    """Content of a picture: corners of a box, (3,) each, and its points by kind, (n, 3)."""
+    """Content of a picture.
+
+    low, high : corners of a box, (3,) each, whose middle the camera looks at
+    layers : points by kind, (n, 3)
+    framed : points that the picture is as wide and as high as, (n, 3)
+    """
 
     low: FloatArray
     high: FloatArray
     layers: dict[str, FloatArray]
+    framed: FloatArray
 
     @property
     def axes(self) -> FloatArray:
@@ -71,7 +78,7 @@ class _Box:
     @property
     def span(self) -> FloatArray:
         """Lowest and highest place of the points along right and up, (2, 2)."""
-        places = np.concatenate([*self.layers.values()]) @ self.axes.T
+        places = self.framed @ self.axes.T
         return np.stack([places.min(axis=0), places.max(axis=0)])
 
     @property
@@ -128,7 +135,9 @@ def _piece(results: RunResults, piece: Piece) -> tuple[_Box, str]:
     others = np.concatenate([points[inside(points, low, high)] for points in around])
     layers = {"others": others, **{side: clouds[side].points[own] for side, own in is_own.items()}}
     communities = clouds[piece.side].community[is_own[piece.side]]
-    return _Box(low, high, layers), object_address(piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}")
+    return _Box(low, high, layers, np.concatenate([*layers.values()])), object_address(
+        piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}"
+    )
 
 
 def draw_change(change: ObjectChange, runs: Sequence[FinishedRun], links: Sequence[str]) -> list[Picture]:
@@ -151,6 +160,7 @@ def draw_change(change: ObjectChange, runs: Sequence[FinishedRun], links: Sequen
         for cloud, own in zip(clouds, (change.real_id, change.sim_before, change.sim_after), strict=True)
     ]
     low, high = box_around(np.concatenate([cloud.points[own] for cloud, own in zip(clouds, is_own, strict=True)]))
+    framed = np.concatenate([cloud.points[inside(cloud.points, low, high)] for cloud in clouds])
     words = [f"{change.n_points:,} points"]
     for cloud, own, when in zip(clouds[1:], is_own[1:], ("before", "after"), strict=True):
         scores = [f"{METRIC[score].label} {number(getattr(change, f'{score}_{when}'))}" for score in SHARED_SCORES]
@@ -164,9 +174,25 @@ def draw_change(change: ObjectChange, runs: Sequence[FinishedRun], links: Sequen
     titles = ("real", "simulated, before", "simulated, after")
     for title, text, cloud, own, link in zip(titles, words, clouds, is_own, ("", *links), strict=True):
         others = cloud.points[~own & inside(cloud.points, low, high)]
-        box = _Box(low, high, {"others": others, "real" if cloud is real else "sim": cloud.points[own]})
+        box = _Box(low, high, {"others": others, "real" if cloud is real else "sim": cloud.points[own]}, framed)
         pictures.append(box.drawn(box.scale, title, text, link))
     return pictures
+
+
+def draw_evidence(evidence: Evidence) -> dict[str, Any]:
+    """Curves of the evidence of a cause in the frame of a drawing, with labels and the ends of the axis."""
+    sides = {"real": evidence.real, "corrected": evidence.corrected, "sim": evidence.sim}
+    known = {side: np.array(values) for side, values in sides.items() if values is not None}
+    shown = np.flatnonzero(np.max([*known.values()], axis=0))
+    own = slice(max(0, shown[0] - 1), shown[-1] + 2) if len(shown) else slice(None)
+    x, highest = np.array(evidence.x)[own], max(values.max() for values in known.values()) or 1.0
+    across = 24 + 268 * (x - x[0]) / (np.ptp(x) or 1.0)
+    paths = {}
+    for side, values in known.items():
+        dots = zip(across, 180 - 150 * values[own] / highest, strict=True)
+        paths[side] = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in dots)
+    ends = [f"{end:.4g}" for end in (x[0], x[-1])]
+    return {"paths": paths, "ends": ends, "x_label": evidence.x_label, "y_label": evidence.y_label}
 
 
 def box_around(points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ import orjson
 
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, DiagnosedCause, Diagnosis, Overview
-from .causes import CLASS, FAR
+from .causes import CLASS, FAR, size_words
 
 DIAGNOSIS = "diagnosis.json"
 
@@ -54,6 +54,12 @@ def gain_words(cause: DiagnosedCause) -> str:
     if cause.gain_m <= 0:
         return "no gain alone"
     return f"gain {least}{100 * cause.gain_m:.1f} cm" if cause.gain is None else f"gain {least}{100 * cause.gain:.0f} %"
+
+
+def interval_words(cause: DiagnosedCause) -> str:
+    """The 95 % interval of an estimate, as text."""
+    low, high = (f"{'-' * (value < 0)}{size_words(value, cause.unit)}" for value in (cause.low, cause.high))
+    return f"{low} to {high}"
 
 
 def _cause(found: DiagnosedCause) -> Cause:

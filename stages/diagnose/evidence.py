@@ -107,6 +107,11 @@ class PairScans:
     sim_is_ground: BoolArray
     sensors: tuple[Sensor, Sensor]
 
+    @property
+    def by_side(self) -> dict[str, FloatArray]:
+        """The points of both sides."""
+        return {"real": self.real, "sim": self.sim}
+
 
 @dataclass(frozen=True)
 class PairEstimates:

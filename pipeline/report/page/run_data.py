@@ -12,7 +12,7 @@ from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC, metric_of
 from ....stages.inspect.sensor_description import differences, sensor_lines
 from ...results.compare import recorded_times_s
-from ...results.diagnosis import gain_words, read_diagnosis
+from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
 from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits
@@ -29,7 +29,7 @@ from ..look import (
     SIGNED_RAMP_M,
     on_page,
 )
-from ..pictures import FRAME
+from ..pictures import FRAME, draw_evidence
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
 from ..verdict import limits_in_words, verdict_of
 from ..views.floor_view import excess_view
@@ -135,8 +135,8 @@ def _diagnosis(results: RunResults) -> dict[str, Any]:
     causes = found.causes if found else ()
     return {
         "diagnosis": found,
-        "gains": {cause.name: gain_words(cause) for cause in causes},
-        "evidence": {},
+        "amounts": {cause.name: f"{interval_words(cause)}; {gain_words(cause)}".removesuffix("; ") for cause in causes},
+        "evidence": {cause.name: draw_evidence(cause.evidence) for cause in causes if cause.evidence},
     }
 
 
