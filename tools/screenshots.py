@@ -1,4 +1,4 @@
-"""Renew the pictures of the report: python tools/screenshots.py RUN (after fidpipe diagnose RUN and fidpipe report RUN)."""
+"""Renew the pictures of the report: python tools/screenshots.py RUN, of a diagnosed run with a report."""
 
 import sys
 import tempfile
