@@ -54,7 +54,8 @@ def test_the_flaw_is_the_first_cause_everywhere(runs):
     shown = command("diagnose", low, "--floor", good, "--json")
     assert shown.returncode == 0, shown.stderr
     found = Diagnosis.from_dict(json.loads(shown.stdout))
-    assert (first := found.causes[0]).name == "height"
+    first = found.causes[0]
+    assert first.name == "height"
     assert first.estimate == pytest.approx(-TOO_LOW_M, abs=0.02)
     assert first.low < first.estimate < first.high
     assert 0.8 < first.gain <= 1.05
