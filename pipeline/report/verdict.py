@@ -123,7 +123,7 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[Bar]:
     for side, name, alone in (("real", "Real surface", "missing"), ("sim", "Simulated surface", "invented")):
         reaches = [f"covered_{side}_{reach}" for reach in ("0p1m", "0p3m", "1m")]
         ends = [0.0, *(summary[column].mean or 0.0 for column in reaches), 1.0]
-        words = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m", f"{alone}: nothing within 1 m")
+        words = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m", alone)
         parts = [
             (f"{side} step{i}", text, high - low)
             for i, (text, low, high) in enumerate(zip(words, ends[:-1], ends[1:], strict=True))

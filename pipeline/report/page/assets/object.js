@@ -138,7 +138,7 @@ function drawOverlay(pair, place) {
   const before = panel.key === key ? byId("overlay").layout?.scene?.camera : null;
   panel.key = key;
   const { offsetWidth, offsetHeight } = byId("overlay");
-  const farther = Math.max(1.08, (1.3 * offsetHeight) / offsetWidth); // where the window is narrow
+  const farther = Math.max(1.25, (1.3 * offsetHeight) / offsetWidth); // where the window is narrow
   drawInSpace("overlay", data, before ?? cameraAt(ranges, ranges, farther * size_m), ranges);
   sayOverlay(object, places, lines, isAligned);
 }

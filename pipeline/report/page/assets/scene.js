@@ -196,7 +196,7 @@ const PIECES = { real: "missing", sim: "invented" };
 function pieceTraces({ points }) {
   return SIDES.map((side) => {
     const places = Array.from(points[side].piece.keys()).filter((i) => points[side].piece[i]);
-    return dots(PIECES[side], sideColour(side), 4, {
+    return dots(PIECES[side], sideColour(side), 3, {
       ...at(points[side], places),
       visible: byId(`show_${PIECES[side]}`).checked,
       hoverinfo: "skip",
