@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from pygments.lexers.special import TextLexer
 
 import fidpipe
 
@@ -69,5 +70,6 @@ def mathml(node: nodes.math | nodes.math_block, *, as_block: bool) -> str:
 
 
 def setup(app: Sphinx) -> None:
-    """Registers the writer of formulas."""
+    """Registers the writer of formulas, and lines of CSV as plain text."""
+    app.add_lexer("csv", TextLexer)
     app.add_html_math_renderer("mathml", (inline_math, None), (block_math, None))

@@ -1,6 +1,7 @@
 """The snippets of the pages, run on small data."""
 
 import re
+import shlex
 from pathlib import Path
 
 import duckdb
@@ -8,16 +9,18 @@ import pandas as pd
 import pytest
 
 import fidpipe
+from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.writers import convert
+from runs import command
 from scenes import drifted, street, write_bin
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-def blocks(page, language):
-    """The code blocks of a page in one language."""
-    return re.findall(
-        rf"^```{language}\n(.*?)^```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
-    )
+def blocks(page, languages):
+    """Language and text of the code blocks of a page in some languages, separated by |."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return re.findall(rf"^ *```({languages})\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE)
 
 
 def test_the_snippets_of_results_run(report_run, tmp_path, monkeypatch, capsys):
@@ -28,15 +31,41 @@ def test_the_snippets_of_results_run(report_run, tmp_path, monkeypatch, capsys):
     write_bin(tmp_path / "streets" / "sim" / "0000.bin", drifted(street()))
     names = {}
     first = fidpipe.open_run(report_run).scored[0]["pair_id"]
-    for code in blocks("results.md", "python"):
+    for _, code in blocks("results.md", "python"):
         exec(code.replace('"0000"', ascii(first)), names)
     assert "r_lambda" in capsys.readouterr().out
     assert (tmp_path / "object.png").stat().st_size > 10_000 < (tmp_path / "pieces.png").stat().st_size
     assert names["result"].summary["status"] == "scored"
-    (query,) = blocks("results.md", "sql")
+    ((_, query),) = blocks("results.md", "sql")
     found = duckdb.sql(query).df().set_index("label")
     expected = names["both"].groupby("label").cdc.agg(["size", "mean"])
     pd.testing.assert_series_equal(
         found.objects, expected["size"], check_like=True, check_names=False, check_dtype=False
     )
     assert found.cdc.to_dict() == pytest.approx(expected["mean"].round(2).to_dict())
+
+
+def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(tmp_path, monkeypatch):
+    for i in range(8):
+        real = street(seed=10 * i)
+        sim = drifted(real, seed=i)
+        write_bin(tmp_path / "drive" / f"{20 * i}.000.bin", real)
+        for build, up_m in (("build41", 0.0), ("build42", -0.12)):
+            write_bin(tmp_path / "scan.bin", sim + [0, 0, up_m])
+            (tmp_path / build).mkdir(exist_ok=True)
+            convert(tmp_path / "scan.bin", tmp_path / build / f"{20 * i}.000.pcd", "pcd")
+    monkeypatch.chdir(tmp_path)
+    output, n_commands = "", 0
+    for language, text in blocks("decision.md", "sh|text"):
+        if language == "sh":
+            ended = command(*shlex.split(text)[1:])
+            assert ended.returncode == 0, ended.stderr
+            output, n_commands = " ".join((ended.stdout + ended.stderr).split()), n_commands + 1
+        else:
+            for line in text.splitlines():
+                assert " ".join(line.split()) in output
+    assert n_commands == 3
+    assert (tmp_path / "compare.html").exists()
+    times = read_dataset(tmp_path / "runs" / "datasets" / "build42").pairs
+    assert {pair.pair_id: pair.timestamp_s for pair in times} == {f"{20 * i}.000": 20.0 * i for i in range(8)}
+    assert "0 jobs done" in command("run", "drive", "build42", "--preset", "reference").stdout

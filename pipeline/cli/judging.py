@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import EXIT_GATE_FAILED, AsJson, Floor, RunFolder, criterion_option, format_of, out_option
+from .options import (
+    EXIT_GATE_FAILED,
+    AsJson,
+    Floor,
+    RunFolder,
+    criterion_option,
+    format_of,
+    out_option,
+    paired,
+    run_folder,
+)
 from .output import print_as, print_json, print_view
 
 
@@ -68,8 +78,9 @@ def compare(
     runs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RUN_A RUN_B [RUN_C]...",
-            help="Folders of runs, up to eight; the first is the base. A dataset is evaluated first, preset reference.",
+            metavar="RUN_A RUN_B [RUN_C]... | REAL SIM_A SIM_B [SIM_C]...",
+            help="Folders of runs, up to eight; the first is the base. Datasets, or folders of simulated scans after "
+            "one of real scans, are evaluated first, preset reference.",
             show_default=False,
             autocompletion=completion.run_folders,
         ),
@@ -128,6 +139,8 @@ def compare(
 
     fidpipe compare build41/ build42/    two datasets: evaluates both, then compares runs/build41 and runs/build42
 
+    fidpipe compare drive/ build41/lidar/ build42/lidar/    the same with one folder of real scans
+
     fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
 
     fidpipe compare runs/build41 runs/build42 --floor runs/build41-floor    says which differences are smaller than it
@@ -158,7 +171,7 @@ def compare(
     if by_date and not history:
         raise typer.BadParameter("--by-date orders the runs of --history; give it as well")
     page = html or (out and out / "compare.html")
-    runs = [_evaluated(folder) for folder in runs]
+    runs = _evaluated(runs)
     if history:
         options = {"by_date": by_date, "allow_different_settings": allow_different_settings, "independent": independent}
         _history(runs, page, output, **options)
@@ -236,21 +249,36 @@ def _history(runs: list[Path], page: Path | None, output: str, **options: bool) 
     print_as(output, lambda: history_view(history), lambda: history_records(history), history.as_dict)
 
 
-def _evaluated(folder: Path) -> Path:
-    """The folder of a run; a dataset is evaluated first, as far as it is not yet, under the preset `reference`."""
+def _evaluated(folders: list[Path]) -> list[Path]:
+    """Folders of runs; datasets, or several simulated sides after a real one, are evaluated first (`reference`)."""
     from ...schemas.settings import load
+    from ..datasets.readers import holds_frames
+    from ..datasets.sequences import scans_in
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..run import run_dataset
     from ..storage.files import path_exists
 
-    is_dataset = any(path_exists(folder / name) for name in ("real", "pairs.csv"))
-    if path_exists(folder / "run.json") or not is_dataset:
-        return folder
-    out, reporter = Path("runs") / folder.resolve().name, Reporter()
-    reporter.say(f"{folder}: a dataset; its run is {out}")
-    run_dataset(folder, out, load(None, [], preset="reference"), reporter, machines=Machines())
-    return out
+    def has(folder: Path, *names: str) -> bool:
+        return any(path_exists(folder / name) for name in names)
+
+    real, reporter, found = folders[0], Reporter(), []
+    is_known = has(real, "run.json", "pairs.parquet", "real", "pairs.csv")
+    is_side = holds_frames(real) or (real.is_dir() and not is_known and bool(scans_in(real)))
+    if is_side and len(folders) < 3:
+        raise typer.BadParameter(f"{real} holds real scans; expected two or more simulated folders after it")
+    names = [run_folder(folder) for folder in folders]
+    for folder, name in list(zip(folders, names, strict=True))[is_side:]:
+        if not is_side and (has(folder, "run.json") or not has(folder, "real", "pairs.csv")):
+            found.append(folder)
+            continue
+        is_unique = names.count(name) == 1
+        out = name if is_unique else name.with_name(f"{folder.resolve().parent.name}-{name.name}")
+        reporter.say(f"{folder}: its run is {out}")
+        dataset = paired(real, folder, out) if is_side else folder
+        run_dataset(dataset, out, load(None, [], preset="reference"), reporter, machines=Machines())
+        found.append(out)
+    return found
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,6 +35,14 @@ Preset = Annotated[
 ]
 DatasetFolder = Annotated[
     Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
+]
+SimFolder = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[SIM]",
+        help="With the folder of the real scans before it: that of the simulated ones; paired by name or by time.",
+        show_default=False,
+    ),
 ]
 RunFolder = Annotated[
     Path,
@@ -117,3 +126,20 @@ def check_machines(workers: int | None, scheduler: str | None) -> None:
     """Raise `typer.BadParameter` if both a number of workers and a cluster are given."""
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")
+
+
+def run_folder(dataset: Path) -> Path:
+    """Default folder of the run of a dataset, or of the simulated side of one."""
+    path = Path(os.path.realpath(dataset))
+    return Path("runs") / ((path.parent if path.name == "sim" else path).name or "dataset")
+
+
+def paired(real: Path, sim: Path, out: Path) -> Path:
+    """Folder of the dataset of two sides; its manifest, if it needs one, is in `datasets` next to the run."""
+    from ..datasets.pairing import dataset_of
+    from ..engine.progress import Reporter
+
+    dataset, how = dataset_of(real, sim, out.parent / "datasets" / out.name)
+    if how:
+        Reporter().say(how)
+    return dataset

@@ -21,9 +21,12 @@ from .options import (
     RunFolder,
     Scheduler,
     SettingsFile,
+    SimFolder,
     Workers,
     check_machines,
     out_option,
+    paired,
+    run_folder,
 )
 from .output import print_json, print_outcome, print_text, print_view
 
@@ -102,6 +105,7 @@ def check(
 
 def run(
     dataset: DatasetFolder,
+    sim: SimFolder = None,
     out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME_OF_DATASET")] = None,
     preset: Preset = None,
     settings: SettingsFile = None,
@@ -140,6 +144,8 @@ def run(
     --------
     fidpipe run dataset/                         results go to runs/dataset
 
+    fidpipe run drive/ build42/lidar/            real and simulated scans (or bags), paired by name or by time
+
     fidpipe run dataset/ --set matching.delta_m=3 --out runs/delta3
 
     fidpipe run dataset/ --set matching.delta_m=3 --replace    recompute matching and later stages only
@@ -162,7 +168,9 @@ def run(
     check_machines(workers, scheduler)
     repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
     in_force = load(settings, [*(assignments or []), *repeats], preset=preset)
-    out = out or Path("runs") / (Path(os.path.realpath(dataset)).name or "dataset")
+    out = out or run_folder(sim or dataset)
+    if sim is not None:
+        dataset = paired(dataset, sim, out)
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
         prefork.start(["fidpipe.pipeline.jobs"])  # a new run needs workers as soon as all else is imported
 

@@ -1,4 +1,4 @@
-"""A dataset of the frames of two recordings that were taken at the same time; its manifest points into them."""
+"""A dataset of two recordings or folders of scans, paired by name or by time; its manifest points into them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,12 +17,14 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import write_whole
-from .pairs import MANIFEST, UNPAIRED
+from .pairs import MANIFEST, UNPAIRED, read_manifest
 from .readers import frames_of, holds_frames, stem_of
 from .readers.frame_address import address_of
 from .sequences import read_numbers, scans_in
 
 _TIMES = ("times.txt", "poses.tum")
+#: Largest time between the two frames of a pair, seconds.
+TOLERANCE_S = 0.05
 _SECONDS = re.compile(r"\d+\.\d+")
 
 
@@ -31,7 +34,7 @@ class Timeline:
 
     source : what the user named
     frames : scan files, or what names a frame in one; in the order of time
-    times_s : (n,) float64, seconds, rising
+    times_s : (n,) float64, seconds, rising; NaN if unknown, where names pair the frames
     """
 
     source: Path
@@ -47,6 +50,7 @@ class Pairing:
     gaps_s : (n,) float64, time of the simulated frame plus the offset, minus that of the real one
     offset_s : added to simulated times
     others_s : offsets by which as many frames pair as well; a choice of one of them is arbitrary
+    by_name : True if the names of the files pair them; gaps and offset are 0 then
     """
 
     real_ids: IntArray
@@ -54,6 +58,41 @@ class Pairing:
     gaps_s: FloatArray
     offset_s: float
     others_s: tuple[float, ...] = ()
+    by_name: bool = False
+
+
+def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
+    """Folder of the dataset of two sides, and one line on how they were paired; "" if it was a dataset before.
+
+    Files of two folders are paired by equal names, else by equal numbers in their names, else by time, as recordings
+    are. The manifest of an earlier call for the same two sides is replaced.
+
+    Parameters
+    ----------
+    real, sim : folders of scans, or recordings
+    out : folder for the manifest, if one is needed
+
+    Raises
+    ------
+    FidpipeError
+        A side cannot be read, nothing pairs them, or `out` has the pairs of other sides.
+    """
+    if (real.resolve().name, sim.resolve().name) == SIDES and real.resolve().parent == sim.resolve().parent:
+        return real.parent, ""
+    for source in (real, sim):
+        if not (source.is_dir() or holds_frames(source)):
+            raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+    is_recording = holds_frames(real) or holds_frames(sim)
+    lines, pairing = (None if is_recording else _paired_by_name(real, sim)) or _paired_by_time(real, sim)
+    before = read_manifest(out / MANIFEST, []) if (out / MANIFEST).exists() else []
+    for source, path in ((real, before[0].real), (sim, before[0].sim)) if before else ():
+        file = address_of(path).file.resolve() if path else out
+        if address_of(source).file.resolve() not in (file, file.parent):
+            raise DatasetError(f"{out}: has the pairs of other scans ({file.parent}); give another --out")
+    n_unpaired = write_dataset(out, *lines, pairing, np.arange(len(pairing.real_ids), dtype=np.int32), replace=True)
+    others = f"; {len(pairing.others_s)} other offsets pair as many, see fidpipe pair" if pairing.others_s else ""
+    how = "name" if pairing.by_name else f"time (simulated times {pairing.offset_s:+.4f} s{others})"
+    return out, f"{len(pairing.real_ids)} pairs by {how}, {n_unpaired} frames without a partner: {out / MANIFEST}"
 
 
 def read_timeline(source: Path) -> Timeline:
@@ -94,6 +133,35 @@ def _in_order(source: Path, frames: Sequence[Path], times_s: FloatArray) -> Time
         raise DatasetError(f"{source}: no frames found; expected at least one")
     order = np.argsort(times_s, kind="stable")
     return Timeline(source, tuple(frames[i] for i in order), times_s[order])
+
+
+def _paired_by_name(real: Path, sim: Path) -> tuple[tuple[Timeline, Timeline], Pairing] | None:
+    """The files of two folders that have the same name, or the same number in it; None without any."""
+    frames = scans_in(real), scans_in(sim)
+    for name_of in (stem_of, _only_number):
+        names, others = ([name_of(frame) for frame in own] for own in frames)
+        place = {name: i for i, name in enumerate(others) if name and others.count(name) == 1}
+        ids = np.array([(i, place[name]) for i, name in enumerate(names) if name in place and names.count(name) == 1])
+        if len(ids):
+            times_s = [np.full(len(own), np.nan) for own in frames]
+            with suppress(DatasetError):
+                line = read_timeline(real)
+                time_of = dict(zip(line.frames, line.times_s.tolist(), strict=True))
+                times_s[0] = np.array([time_of[frame] for frame in frames[0]])
+            lines = Timeline(real, tuple(frames[0]), times_s[0]), Timeline(sim, tuple(frames[1]), times_s[1])
+            return lines, Pairing(ids[:, 0], ids[:, 1], np.zeros(len(ids)), 0.0, by_name=True)
+    return None
+
+
+def _only_number(frame: Path) -> str:
+    """The number in the name of a file, without leading zeros; "" if it has none or several."""
+    numbers = re.findall("[0-9]+", stem_of(frame))
+    return str(int(numbers[0])) if len(numbers) == 1 else ""
+
+
+def _paired_by_time(real: Path, sim: Path) -> tuple[tuple[Timeline, Timeline], Pairing]:
+    lines = read_timeline(real), read_timeline(sim)
+    return lines, pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
 
 
 def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset_s: float | None = None) -> Pairing:
@@ -171,22 +239,22 @@ def write_dataset(
             f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, simulated "
             f"{_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or --tolerance"
         )
-    rows = [
-        (
-            f"{number:06}",
-            _relative(real.frames[pairing.real_ids[i]], out),
-            _relative(sim.frames[pairing.sim_ids[i]], out),
-            f"{real.times_s[pairing.real_ids[i]]:.6f}",
-        )
-        for number, i in enumerate(kept.tolist())
-    ]
+    rows = []
+    for number, i in enumerate(kept.tolist()):
+        frame, time_s = real.frames[pairing.real_ids[i]], real.times_s[pairing.real_ids[i]]
+        name = stem_of(frame) if pairing.by_name else f"{number:06}"
+        rows.append((name, _relative(frame, out), _relative(sim.frames[pairing.sim_ids[i]], out), _seconds(time_s)))
     lonely = []
     for side, line, ids in zip(SIDES, (real, sim), (pairing.real_ids, pairing.sim_ids), strict=True):
         without = np.setdiff1d(np.arange(len(line.frames)), ids)
-        lonely += [(side, _relative(line.frames[i], out), f"{line.times_s[i]:.6f}") for i in without.tolist()]
+        lonely += [(side, _relative(line.frames[i], out), _seconds(line.times_s[i])) for i in without.tolist()]
     write_whole(out / UNPAIRED, _csv(("side", "frame", "timestamp_s"), lonely), advice="")
     write_whole(manifest, _csv(("pair_id", *SIDES, "timestamp_s"), rows), advice="")
     return len(lonely)
+
+
+def _seconds(time_s: float) -> str:
+    return "" if np.isnan(time_s) else f"{time_s:.6f}"
 
 
 def _relative(frame: Path, folder: Path) -> str:

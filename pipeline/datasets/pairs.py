@@ -8,6 +8,7 @@ A scan of a manifest may be one frame of a recording, named as in `readers/frame
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, ScanError, nearest
 from ...schemas.settings import FARTHEST_M, parse_toml
 from ...stages.arrays import FloatArray
-from .readers import formats, is_scan_path, stem_of, suffix_of
+from .readers import formats, holds_frames, is_scan_path, stem_of, suffix_of
 from .readers.scan import LONGEST_LABEL
 
 MANIFEST = "pairs.csv"
@@ -128,7 +129,15 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
             near = next((name for name in folders if name.lower().startswith(side)), None) or nearest(side, folders)
             inner = next((path for path in sorted(folder.iterdir()) if (path / "real").is_dir()), None)
             hint = f"; did you mean {near}/? rename it {side}/" if near else "; expected one of the two"
-            hint = f"; it is one level below: {inner}" if inner else hint
+            recordings = [path for path in sorted(folder.iterdir()) if holds_frames(path)]
+            if inner:
+                hint = f"; it is one level below: {inner}"
+            elif recordings and not near:
+                named = recordings if len(recordings) == 2 else [folder / "REAL", folder / "SIM"]
+                words = shlex.join(["fidpipe", "pair", *map(str, named), "-o", f"{folder}-pairs"])
+                hint = f"; it holds recordings, which fidpipe pair makes a dataset of (the real one first): {words}"
+            elif any(suffix_of(path) for path in _files(folder)):
+                hint = f"; it holds scans of one side: fidpipe run {shlex.quote(str(folder))} SIM"
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
         by_side[side] = _scans_by_stem(folder / side, warnings)
     unread = {side: {path.stem: path for path in _files(folder / side) if suffix_of(path) is None} for side in SIDES}

@@ -1,10 +1,12 @@
 """Frames of two recordings that are of one time."""
 
+import shlex
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.datasets.pairing import pair_times, read_timeline
+from fidpipe.pipeline.datasets.pairing import dataset_of, pair_times, read_timeline
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import DatasetError
@@ -118,6 +120,43 @@ def test_times_that_never_meet_are_refused(recordings, tmp_path):
     assert shown.returncode == 1
     assert "no two frames at one time; real are 100.000 to 100.400, simulated 3.100 to 9.000 s" in shown.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tmp_path):
+    names = {
+        "real": ["2.bin", "10.bin", "11.bin"],
+        "same": ["10.ply", "2.ply"],
+        "numbered": ["f_0010.csv", "f_0003.csv"],
+    }
+    for folder, files in names.items():
+        (tmp_path / folder).mkdir()
+        for name in files:
+            (tmp_path / folder / name).touch()
+    folder, how = dataset_of(tmp_path / "real", tmp_path / "same", tmp_path / "a")
+    assert how == f"2 pairs by name, 1 frames without a partner: {tmp_path}/a/pairs.csv"
+    pairs = read_dataset(folder).pairs
+    assert [(pair.pair_id, pair.real.name, pair.sim.name) for pair in pairs] == [
+        ("10", "10.bin", "10.ply"),
+        ("2", "2.bin", "2.ply"),
+    ]
+    pairs = read_dataset(dataset_of(tmp_path / "real", tmp_path / "numbered", tmp_path / "b")[0]).pairs
+    assert [(pair.pair_id, pair.sim.name, pair.timestamp_s) for pair in pairs] == [("10", "f_0010.csv", None)]
+    folder, how = dataset_of(*recordings, tmp_path / "c")
+    assert "3 pairs by time (simulated times +96.9000 s" in how
+    assert dataset_of(*recordings, tmp_path / "c") == (folder, how)  # again, over the same manifest
+    with pytest.raises(DatasetError, match="has the pairs of other scans .*; give another --out"):
+        dataset_of(tmp_path / "real", tmp_path / "same", tmp_path / "c")
+    (tmp_path / "sim").mkdir()
+    assert dataset_of(tmp_path / "real", tmp_path / "sim", tmp_path / "d") == (tmp_path, "")
+
+
+def test_a_folder_of_recordings_or_of_one_side_is_answered_with_the_command_that_works(recordings, tmp_path):
+    shown = command("check", tmp_path)
+    words = f"fidpipe pair {tmp_path}/real.bag {tmp_path}/sim_mcap -o {tmp_path}-pairs"
+    assert shown.stderr.rstrip().endswith(words)
+    assert command(*shlex.split(words)[1:]).returncode == 0
+    write_bin(tmp_path / "side" / "0.bin", street())
+    assert command("run", tmp_path / "side").stderr.rstrip().endswith(f"fidpipe run {tmp_path}/side SIM")
 
 
 def test_a_folder_has_its_times_from_a_file_or_from_its_names(tmp_path):
