@@ -160,27 +160,33 @@ def made_up(tmp_path, rates, r_lambdas):
     )
 
 
-def test_the_value_in_force_stays_where_the_data_do_not_decide(tmp_path):
-    rates = [[0.60, 0.70, 0.50, 0.62], [0.66, 0.61, 0.59, 0.57], [0.58, 0.69, 0.55, 0.60]]
-    (choice,) = choose(made_up(tmp_path, rates, [[0.4, 0.3, 0.35, 0.38]] * 3))
-    assert not choice.decided
-    assert choice.chosen.k == 90
-    assert choice.text == "the data do not decide: no other value is clearly better; k = 90 stays"
+BETTER = [0.80, 0.83, 0.79, 0.80]
+USUAL, WORSE = [0.60, 0.62, 0.59, 0.61], [0.50, 0.52, 0.48, 0.51]
+ALIKE = [[0.60, 0.70, 0.50, 0.62], [0.66, 0.61, 0.59, 0.57], [0.58, 0.69, 0.55, 0.60]]
+LOWER = [[0.30, 0.31, 0.29, 0.30], [0.40, 0.42, 0.39, 0.41], [0.36, 0.37, 0.35, 0.36]]
 
 
-def test_a_clearly_higher_match_rate_wins(tmp_path):
-    rates = [[0.50, 0.52, 0.48, 0.51], [0.80, 0.83, 0.79, 0.80], [0.60, 0.62, 0.59, 0.61]]
-    (choice,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
-    assert choice.decided
-    assert choice.chosen.k == 60
-    assert choice.text == "k = 60 instead of k = 90: match rate 0.805 against 0.605"
-
-
-def test_of_equal_match_rates_the_clearly_lower_r_lambda_wins(tmp_path):
-    r_lambdas = [[0.30, 0.31, 0.29, 0.30], [0.40, 0.42, 0.39, 0.41], [0.36, 0.37, 0.35, 0.36]]
-    (choice,) = choose(made_up(tmp_path, [[0.6] * 4] * 3, r_lambdas))
-    assert choice.chosen.k == 30
-    assert choice.text == "k = 30 instead of k = 90: r_lambda 0.300 against 0.360"
+@pytest.mark.parametrize(
+    ("rates", "r_lambdas", "k", "text"),
+    [
+        (ALIKE, [[0.4, 0.3, 0.35, 0.38]] * 3, None, "the data do not decide: no other value is clearly better"),
+        ([WORSE, BETTER, USUAL], [[0.4] * 4] * 3, 60, "k = 60 instead of k = 90: match rate 0.805 against 0.605"),
+        ([[0.6] * 4] * 3, LOWER, 30, "k = 30 instead of k = 90: r_lambda 0.300 against 0.360"),
+        ([WORSE, USUAL, BETTER], [[0.4] * 4] * 3, 90, "k = 90 stays: all other values are clearly worse"),
+        (
+            [[0.5, 0.5], [0.9, 0.9], [0.6, 0.6]],
+            [[0.4, 0.4]] * 3,
+            None,
+            "expected at least 3 pairs, got 2; k = 90 stays",
+        ),
+    ],
+)
+def test_the_match_rate_decides_then_r_lambda_and_the_value_in_force_stays_if_neither_does(
+    tmp_path, rates, r_lambdas, k, text
+):
+    (choice,) = choose(made_up(tmp_path, rates, r_lambdas))
+    assert (choice.chosen.k, choice.decided) == (k or 90, k is not None)
+    assert text in choice.text
 
 
 def test_many_values_need_a_clearer_difference(tmp_path):
@@ -196,19 +202,6 @@ def test_delta_is_never_chosen(tmp_path):
     assert [choice.name for choice in choose(replace(outcome, values=outcome.values | {"delta_m": (1.0, 5.0)}))] == [
         "k"
     ]
-
-
-def test_the_value_in_force_can_be_clearly_the_best(tmp_path):
-    rates = [[0.50, 0.52, 0.48, 0.51], [0.60, 0.61, 0.59, 0.60], [0.80, 0.83, 0.79, 0.80]]
-    (choice,) = choose(made_up(tmp_path, rates, [[0.4] * 4] * 3))
-    assert choice.decided
-    assert choice.text == "k = 90 stays: all other values are clearly worse"
-
-
-def test_two_pairs_decide_nothing(tmp_path):
-    (choice,) = choose(made_up(tmp_path, [[0.5, 0.5], [0.9, 0.9], [0.6, 0.6]], [[0.4, 0.4]] * 3))
-    assert not choice.decided
-    assert "expected at least 3 pairs, got 2; k = 90 stays" in choice.text
 
 
 def test_diffusion_time_cannot_move_the_match_rate(done):

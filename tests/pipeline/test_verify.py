@@ -4,6 +4,7 @@ import io
 import json
 import os
 import shutil
+from contextlib import contextmanager
 
 import numpy as np
 import orjson
@@ -266,18 +267,22 @@ def test_a_mismatch_names_table_pair_object_column_and_both_values(copy):
     )
 
 
-@pytest.mark.parametrize("name", sorted(set(FILES.values())))
-def test_a_flipped_bit_is_found_in_any_file(copy, name):
-    content = bytearray((copy / name).read_bytes())
-    content[len(content) // 3] ^= 4
-    (copy / name).write_bytes(content)
-    try:
-        result = verify_run(copy, 1)
-    except RunError as error:
-        assert name in str(error)
-        assert name == "pairs.parquet", "the others are told beside what else is wrong"
-        return
-    assert any(mismatch.table == "files" and mismatch.column.endswith(name) for mismatch in result.mismatches)
+def test_a_flipped_bit_is_found_in_any_file(copy, monkeypatch):
+    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
+
+    def flip(name):
+        content = bytearray((copy / name).read_bytes())
+        content[len(content) // 3] ^= 4
+        (copy / name).write_bytes(content)
+
+    names = {*FILES.values()} - {"pairs.parquet"}
+    for name in names:
+        flip(name)
+    found = [mismatch.column for mismatch in verify_run(copy, 1).mismatches if mismatch.table == "files"]
+    assert names == {name.removeprefix("SHA-256 of ") for name in found}
+    flip("pairs.parquet")
+    with pytest.raises(RunError, match=r"pairs\.parquet"):
+        verify_run(copy, 1)
 
 
 def test_no_flipped_bit_ends_verify_otherwise(plain, tmp_path):
@@ -311,27 +316,31 @@ def test_a_file_that_is_gone_is_found(copy):
     assert any(mismatch.column.endswith(FILES["selection"]) for mismatch in result.mismatches)
 
 
-@pytest.mark.parametrize("name", ["cdc_mean", "cdc_unmatched_worst_mean", "match_rate", "covered_real_1m"])
-def test_an_edited_mean_of_the_record_is_found(copy, name):
-    record = orjson.loads((copy / "run.json").read_bytes())
-    record["summary"][name]["mean"] *= 1.0001
-    (copy / "run.json").write_bytes(orjson.dumps(record))
-    (mismatch,) = verify_run(copy, 1).mismatches
-    assert (mismatch.table, mismatch.column) == ("run.json", f"summary.{name}.mean")
+@contextmanager
+def record_of(folder):
+    """The record of a run, to be edited within."""
+    record = orjson.loads((folder / "run.json").read_bytes())
+    yield record
+    (folder / "run.json").write_bytes(orjson.dumps(record))
 
 
-def test_a_score_that_is_gone_from_the_record_is_found(copy):
-    record = orjson.loads((copy / "run.json").read_bytes())
-    del record["summary"]["cdc_mean"]
-    (copy / "run.json").write_bytes(orjson.dumps(record))
-    found = {(mismatch.column, mismatch.stored) for mismatch in verify_run(copy, 1).mismatches}
-    assert found == {("summary.cdc_mean.mean", "null"), ("summary.cdc_mean.n_pairs", "null")}
+def test_edited_means_of_the_record_and_a_score_that_is_gone_are_found(copy, monkeypatch):
+    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
+    edited = ("cdc_mean", "cdc_unmatched_worst_mean", "match_rate", "covered_real_1m")
+    with record_of(copy) as record:
+        for name in edited:
+            record["summary"][name]["mean"] *= 1.0001
+        del record["summary"]["r_lambda_mean"]
+    found = {
+        (mismatch.table, mismatch.column, mismatch.stored == "null") for mismatch in verify_run(copy, 1).mismatches
+    }
+    gone = {("run.json", f"summary.r_lambda_mean.{key}", True) for key in ("mean", "n_pairs")}
+    assert found == gone | {("run.json", f"summary.{name}.mean", False) for name in edited}
 
 
 def test_a_run_of_another_version_of_a_stage_is_rejected(copy):
-    record = orjson.loads((copy / "run.json").read_bytes())
-    record["stages"]["coverage"] -= 1
-    (copy / "run.json").write_bytes(orjson.dumps(record))
+    with record_of(copy) as record:
+        record["stages"]["coverage"] -= 1
     with pytest.raises(RunError, match="coverage by another version of fidpipe; recompute it with fidpipe run"):
         verify_run(copy, 2)
 
