@@ -123,9 +123,8 @@ def _piece(results: RunResults, piece: Piece) -> tuple[_Box, str]:
     moved = np.array([row[f"moved_{axis}_m"] or 0.0 for axis in "xyz"])
     ends = np.stack([centre, centre + moved])
     low, high = ends.min(axis=0) - extents, ends.max(axis=0) + extents
-    is_own = {side: tables.is_piece[side] & inside(clouds[side].points, low, high) for side in SIDES}
-    if not moved.any():
-        is_own = {piece.side: is_own[piece.side]}
+    sides = SIDES if moved.any() else (piece.side,)
+    is_own = {side: tables.is_piece(side) & inside(clouds[side].points, low, high) for side in sides}
     low, high = box_around(np.concatenate([clouds[side].points[own] for side, own in is_own.items()]))
     low, high = low - _AROUND_M, high + _AROUND_M
     around = [

@@ -36,7 +36,7 @@ OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 #: How much of an object is road to the other side (below its ground cut): of the real one, and of the simulated one.
 OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
 #: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
-MOST_SPECTRUM_NODES, MOST_SPECTRA = 1500, 10
+MOST_SPECTRUM_NODES, MOST_SPECTRA = 1500, 6
 _AGREES = 1e-6
 
 
@@ -202,22 +202,18 @@ class PairFrames:
         real, sim = (self.clouds[side].points for side in SIDES)
         return dict(zip(SIDES, nearest_distances(real, sim), strict=True))
 
-    @cached_property
-    def is_piece(self) -> dict[str, BoolArray]:
-        """Mask of the object points of a side that are in a missing (real side) or an invented piece, (n,), by side."""
+    def is_piece(self, side: str) -> BoolArray:
+        """Mask of the object points of a side that are in a missing (real side) or an invented piece, (n,)."""
         settings = PieceSettings.model_validate(self._run.record.settings["pieces"])
-        scans = {
-            side: CutScan(
-                np.concatenate([self.clouds[side].points, self.road[side]]),
-                np.repeat([False, True], [len(self.clouds[side].points), len(self.road[side])]),
-                np.empty(0),
-            )
-            for side in SIDES
-        }
-        return {
-            side: label_pieces(scans[side], scans[other], settings)[: len(self.clouds[side].points)] >= 0
-            for side, other in (SIDES, SIDES[::-1])
-        }
+        points, other = (
+            np.concatenate([self.clouds[one].points, self.road[one]])
+            for one in (SIDES if side == "real" else SIDES[::-1])
+        )
+        n = len(self.clouds[side].points)
+        own = CutScan(points, np.arange(len(points)) >= n, np.empty(0))
+        labels = label_pieces(own, CutScan(other, np.empty(0, dtype=np.bool_), np.empty(0)), settings)
+        is_piece: BoolArray = labels[:n] >= 0
+        return is_piece
 
     @cached_property
     def alignment_moves(self) -> dict[int, FloatArray]:
@@ -256,11 +252,14 @@ class PairFrames:
 
     def _graphs(self, side: str, objects: pd.DataFrame) -> dict[int, Subgraph]:
         """The graph of each of some matched objects of a side, by the object's id."""
-        cloud = self.clouds[side]
+        cloud, ids = self.clouds[side], objects[f"{side}_id"].tolist()
         graph = self._columns("graph", side, ["src", "dst", "length_m"])
-        src, dst = (np.searchsorted(cloud.point_ids, graph[end].to_numpy()).astype(np.int32) for end in ("src", "dst"))
-        edges = Edges(src, dst, graph.length_m.to_numpy())
-        ids = objects[f"{side}_id"].tolist()
+        place = np.zeros(int(cloud.point_ids.max(initial=0)) + 1, dtype=np.int32)
+        place[cloud.point_ids] = np.arange(len(cloud.point_ids))
+        src, dst = (place[graph[end].to_numpy()] for end in ("src", "dst"))
+        is_own = np.isin(cloud.community, ids)
+        kept = is_own[src] & is_own[dst]
+        edges = Edges(src[kept], dst[kept], graph.length_m.to_numpy()[kept])
         return split_by_community(cloud.point_ids, cloud.points, edges, cloud.community, ids)
 
     def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:

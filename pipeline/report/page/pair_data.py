@@ -140,7 +140,7 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
         columns[f"{side}_distance"] = _as_bytes(tables.distances_m[side][own])
         columns[f"{side}_aligned"] = _as_bytes(aligned[side][own])
         columns[f"{side}_kept"] = _marked(len(place), nodes)[own].astype(np.uint8)
-        columns[f"{side}_piece"] = tables.is_piece[side][own].astype(np.uint8)
+        columns[f"{side}_piece"] = tables.is_piece(side)[own].astype(np.uint8)
         columns |= _in_steps(f"{side}_road", road, step_m)
         if side == "sim":
             signed = signed_distances(np.concatenate([cloud.points[own], road]), real, SIGNED_M)
