@@ -31,7 +31,7 @@ def perturb(
         typer.Option(
             "--sweep",
             metavar="KIND[=AMOUNTS]",
-            help="Sweeps to run instead of all: noise, dropout, rigid, hallucination, density; repeatable.",
+            help="One kind; repeatable.",
         ),
     ] = None,
     objects: Annotated[
@@ -39,21 +39,16 @@ def perturb(
         typer.Option(
             "--objects",
             metavar="3,7,12",
-            help="Objects to alter, by number or label. Default: a vegetation, a car, a tree and a wall where labels "
-            "exist, else a linear, a planar and a scattered object.",
+            help="Objects by number or label.",
         ),
     ] = None,
     metrics: Annotated[
         str | None,
-        typer.Option(
-            "--metrics", metavar="chamfer,emd", help='Also sweep these baseline metrics on the objects; "all" for all.'
-        ),
+        typer.Option("--metrics", metavar="chamfer,emd", help="Baseline metrics, or all."),
     ] = None,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Number of trials of each level on an object.")] = 20,
-    global_repeats: Annotated[
-        int, typer.Option("--global-repeats", min=0, help="Number of trials on the whole scan; 0 omits it.")
-    ] = 5,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")] = 0,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Trials per level on an object.")] = 20,
+    global_repeats: Annotated[int, typer.Option("--global-repeats", min=0, help="Trials on the whole scan.")] = 5,
+    seed: Annotated[int, typer.Option("--seed", min=0, show_default=False, help="Seed of all trials.")] = 0,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -61,15 +56,15 @@ def perturb(
     scheduler: Scheduler = None,
     pairs: Annotated[
         str | None,
-        typer.Option("--pairs", metavar="PATTERN", help="All matching pairs of a dataset instead of the first one."),
+        typer.Option("--pairs", metavar="PATTERN", help="Matching pairs instead of the first one."),
     ] = None,
     replace: Replace = False,
 ) -> None:
     """Alter a real scan in known ways and see how the scores respond: the paper's Table I and its figure.
 
-    Noise, dropout, rigid motion, spurious clusters (hallucination) and local density, on all object points of the scan
-    and on single objects. Of a dataset, the real side of the first pair is used. Run again to resume. To drop finished
-    levels or objects, or to change settings, use --replace or another --out.
+    Kinds: noise, dropout, rigid (motion), hallucination (spurious clusters) and density, on the whole scan and on
+    single objects (by default vegetation, car, tree and wall, or without labels one of each shape). Of a dataset, the
+    real side of the first pair is used. Run again to resume.
 
     Examples
     --------

@@ -34,7 +34,9 @@ def gate(
     junit: Annotated[
         Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
     ] = None,
-    json_: Annotated[Path | None, typer.Option("--json", help="Result as JSON.", show_default="RUN/gate.json")] = None,
+    json_: Annotated[
+        Path | None, typer.Option("--json-file", "--json", help="Result as JSON.", show_default="RUN/gate.json")
+    ] = None,
     out: Annotated[Path | None, out_option("Folder for gate.xml and gate.json.", "the run's own")] = None,
 ) -> None:
     """Check a finished run against acceptance criteria; exits with 0 if all are met, with 4 if one is not.
@@ -78,9 +80,9 @@ def compare(
     runs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RUN_A RUN_B [RUN_C]... | REAL SIM_A SIM_B [SIM_C]...",
-            help="Folders of runs, up to eight; the first is the base. Datasets, or folders of simulated scans after "
-            "one of real scans, are evaluated first, preset reference.",
+            metavar="RUN_A RUN_B",
+            help="Runs, up to eight, the first is the base; or datasets, or a folder of real scans and several of "
+            "simulated ones, which are evaluated first (preset reference).",
             show_default=False,
             autocompletion=completion.run_folders,
         ),

@@ -11,12 +11,14 @@ import os
 import re
 import signal
 import sys
+from inspect import cleandoc
 from itertools import pairwise
 from pathlib import Path
 from time import monotonic
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
 from .datasets import convert, pair, synth, twin
 from .diagnosing import diagnose
@@ -35,6 +37,27 @@ _REFUSALS = (
 )
 _FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
 _URL = re.compile(r"(--[a-z-]+=)?[a-z][a-z0-9+.-]+://")
+
+
+class _Command(TyperCommand):
+    """A command whose help has no type of flags and no empty lines between examples."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.help = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", cleandoc(self.help or ""), flags=re.MULTILINE)
+
+    def get_params(self, ctx: Any) -> Any:
+        """The parameters; types of flags and ranges are short."""
+        found = super().get_params(ctx)
+        for param in found:
+            if (
+                isinstance(param, TyperOption)
+                and param.metavar is None
+                and (param.is_flag or param.type_descriptor.is_ranged)
+            ):
+                param.metavar = "" if param.is_flag else "NUMBER"
+        return found
+
 
 app = typer.Typer(
     name="fidpipe",
@@ -190,4 +213,4 @@ _GROUPS = {
 }
 for _group, _commands in _GROUPS.items():
     for _command in _commands:
-        app.command(rich_help_panel=_group)(_command)
+        app.command(cls=_Command, rich_help_panel=_group)(_command)

@@ -10,15 +10,13 @@ import typer
 
 from . import completion
 
-SettingsFile = Annotated[
-    Path | None, typer.Option("--settings", help="TOML file with settings; those it omits keep their defaults.")
-]
+SettingsFile = Annotated[Path | None, typer.Option("--settings", metavar="FILE", help="TOML file of settings.")]
 Assignments = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="GROUP.NAME=VALUE",
-        help="One setting, such as graph.k=60; repeatable.",
+        help="One setting; repeatable.",
         autocompletion=completion.assignments,
     ),
 ]
@@ -29,8 +27,7 @@ Preset = Annotated[
         metavar="paper|reference",
         show_default="paper",
         autocompletion=completion.presets,
-        help="Settings that belong together: paper partitions each side independently; reference fixes the objects "
-        "on the real side, for comparing simulators.",
+        help="Objects of each side, or only of the real one, to compare simulators.",
     ),
 ]
 DatasetFolder = Annotated[
@@ -52,15 +49,15 @@ RunFolder = Annotated[
 ]
 Pairs = Annotated[
     str | None,
-    typer.Option("--pairs", metavar="PATTERN", help="Work only on pairs whose name matches, such as '0000*'."),
+    typer.Option("--pairs", metavar="PATTERN", help="Only these pairs, such as '00*'."),
 ]
 Workers = Annotated[
     int | None,
     typer.Option(
         "--workers",
         min=1,
-        help="Processes on this machine; 1 starts none (but with --pair-timeout).",
-        show_default="one per core",
+        metavar="N",
+        help="Processes, else one per core.",
     ),
 ]
 LocalWorkers = Annotated[
@@ -68,7 +65,7 @@ LocalWorkers = Annotated[
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option("--scheduler", help="Address of a dask scheduler, such as tcp://host:8786, to work on."),
+    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler to work on."),
 ]
 PairTimeout = Annotated[
     float | None,
@@ -76,8 +73,8 @@ PairTimeout = Annotated[
         "--pair-timeout",
         metavar="SECONDS",
         min=0.001,
-        help="A pair whose jobs take longer than this in total fails; the others continue.",
-        show_default="no limit",
+        show_default=False,
+        help="A pair that takes longer fails.",
     ),
 ]
 Floor = Annotated[
@@ -89,9 +86,7 @@ Floor = Annotated[
         autocompletion=completion.run_folders,
     ),
 ]
-Replace = Annotated[
-    bool, typer.Option("--replace", help="Replace finished results that were made with other settings.")
-]
+Replace = Annotated[bool, typer.Option("--replace", help="Replace finished results.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")]
 AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]

@@ -106,7 +106,7 @@ def check(
 def run(
     dataset: DatasetFolder,
     sim: SimFolder = None,
-    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME_OF_DATASET")] = None,
+    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME")] = None,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -198,37 +198,20 @@ def run(
 
 def floor(
     dataset: DatasetFolder,
-    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME_OF_DATASET-floor")] = None,
+    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME-floor")] = None,
     preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
     noise_m: Annotated[
         float | None,
-        typer.Option(
-            "--noise-m",
-            min=0,
-            max=10,
-            help="Standard deviation of the range noise, metres.",
-            show_default="measured on each scan",
-        ),
+        typer.Option("--noise-m", min=0, max=10, help="Noise (m), else as measured."),
     ] = None,
     dropout: Annotated[
         float | None,
-        typer.Option(
-            "--dropout",
-            min=0,
-            max=0.99,
-            help="Share of lost points.",
-            show_default="measured on each scan",
-        ),
+        typer.Option("--dropout", min=0, max=0.99, help="Lost share, else as measured."),
     ] = None,
-    neighbours: Annotated[
-        bool,
-        typer.Option(
-            "--neighbours", help="Compare with the next real scan instead, by the poses T_world_sensor in pairs.csv."
-        ),
-    ] = False,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and losses.")] = 0,
+    neighbours: Annotated[bool, typer.Option("--neighbours", help="Use the next real scan instead.")] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0, show_default=False, help="Seed of noise and losses.")] = 0,
     pairs: Pairs = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -237,23 +220,19 @@ def floor(
 ) -> None:
     """Evaluate a perfect simulator: each real scan of a dataset against a simulated second measurement of itself.
 
-    Its scores are the floor, an estimate of the scores of two measurements of one scene by one sensor. The simulated
-    side of the dataset is not read. The result is a run, which show, report, gate and compare take as --floor; give it
-    the settings of the run that it is for. Each point gets range noise and is lost with a small probability, by default
-    those that each scan shows (3 cm and 3 % if it does not), or, with --neighbours, the next scan of the drive is the
-    second measurement. How to read it: docs/fidelity.md.
+    The result is a run, which show, report, gate and compare take as --floor; give it the settings of the run that it
+    is for. The second measurement is the scan with range noise and losses, by default those that it shows (else 3 cm
+    and 3 %), or with --neighbours the next scan, by T_world_sensor in pairs.csv. How to read it: docs/fidelity.md.
 
     Examples
     --------
     fidpipe floor dataset/                       results go to runs/dataset-floor
 
-    fidpipe show runs/dataset --floor runs/dataset-floor    each score minus that of a perfect simulator
+    fidpipe show runs/dataset --floor runs/dataset-floor
 
-    fidpipe floor dataset/ --preset reference --out runs/dataset-reference-floor
+    fidpipe floor dataset/ --preset reference --noise-m 0.02 --dropout 0.005
 
-    fidpipe floor dataset/ --noise-m 0.02 --dropout 0.005 --out runs/hdl64-floor    as in a data sheet
-
-    fidpipe floor twins/ --neighbours --out runs/twins-neighbours    real against real
+    fidpipe floor twins/ --neighbours            real against real
     """
     from ...schemas.settings import load
 

@@ -95,6 +95,7 @@ def report(
     ] = False,
     floor: Floor = None,
     out: Annotated[Path | None, out_option("Folder for page and figures.", "the run's own")] = None,
+    html: Annotated[Path | None, typer.Option("--html", help="Write the page to this file.")] = None,
     opens: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Make a self-contained web page of a finished run, and with --figures the paper's figures.
@@ -116,13 +117,16 @@ def report(
 
     fidpipe report runs/dataset --floor runs/dataset-floor
     """
+    if folder and html is not None:
+        raise typer.BadParameter("--html names one page, --folder writes several; give one of them")
+
     import webbrowser
 
     from ..engine.progress import Reporter
     from ..report.page.run_page import write_report
 
     made = write_report(
-        run, pairs, one_page_a_pair=folder, out=out, floor=floor, with_figures=figures, reporter=Reporter()
+        run, pairs, one_page_a_pair=folder, out=out, html=html, floor=floor, with_figures=figures, reporter=Reporter()
     )
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print_line(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")

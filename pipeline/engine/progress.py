@@ -72,7 +72,7 @@ class Reporter:
         now = self.console.get_time()
         if self._bar.disable and now - self._last_line >= self._between:
             self._last_line = now
-            left_s = self._bar.tasks[0].time_remaining
+            left_s = self._bar.tasks[0].time_remaining if self._n_ended else None
             self.say(self._counts() + ("" if left_s is None else f"; about {_in_words(left_s)} left"))
 
     def stop(self) -> None:

@@ -43,6 +43,7 @@ def write_report(
     *,
     one_page_a_pair: bool = False,
     out: Path | None = None,
+    html: Path | None = None,
     floor: Path | None = None,
     with_figures: bool = False,
     reporter: Reporter | None = None,
@@ -54,6 +55,7 @@ def write_report(
     folder : of the run
     pattern : only pairs whose name matches are shown in 3D (shell style); the rest of the page is of all pairs
     out : folder that they are written into; by default the run's own
+    html : file of the single page; by default report.html in that folder
     floor : the run of fidpipe floor that scores are also shown over
     one_page_a_pair : write a folder of pages, one for each of those pairs, instead of the single page
     with_figures : write the figures for print, too
@@ -78,7 +80,7 @@ def write_report(
     # An address must escape the per cent signs that the names of the files hold.
     data = page_data(results) | {"links": {name: quote(file) for name, file in files.items()}}
     words, plotly_source = page_words(results, excess), ""
-    pages = {folder / PAGE: (shown, _view_note(len(shown), len(chosen), len(results.pairs), pattern))}
+    pages = {html or folder / PAGE: (shown, _view_note(len(shown), len(chosen), len(results.pairs), pattern))}
     if one_page_a_pair:
         pages = {
             folder / PAGES / file: ([name], "This page shows one pair; the tables lead to the others.")
@@ -98,7 +100,8 @@ def write_report(
         content = render("report.html", {**data, "views": views}, plotly_source, view_note=note, **words)
         write_whole(page, content.encode())
     show.stop()
-    _remove_others(folder, {*pages, folder / PAGES / plotly_source})
+    if html is None:
+        _remove_others(folder, {*pages, folder / PAGES / plotly_source})
     figures = draw_figures(results, chosen, folder / FIGURES) if with_figures else []
     return ReportFiles(page, len(pages), figures, len(shown), len(results.pairs))
 
