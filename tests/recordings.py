@@ -116,3 +116,9 @@ def carla_ply(points, columns):
         values += [str(each[row]) if name in kinds else f"{each[row]:.4f}" for name, each in columns.items()]
         text += " ".join(values) + "\n"
     return text
+
+
+def columns_of(scan):
+    """The columns of a scan, bit by bit."""
+    columns = {name: np.asarray(own) for name, own in vars(scan).items() if name not in ("stamp_s", "label_names")}
+    return {name: (own.dtype, own.shape, own.tobytes()) for name, own in columns.items()}

@@ -10,7 +10,7 @@ from fidpipe.pipeline.datasets.pairing import dataset_of, pair_times, read_timel
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import DatasetError
-from recordings import cloud, write_bag
+from recordings import cloud, columns_of, write_bag
 from runs import command
 from scenes import drifted, street, write_bin
 
@@ -181,5 +181,5 @@ def test_a_capture_and_a_bag_of_the_same_turns_are_paired_turn_by_turn(real_data
     pairs = read_dataset(tmp_path / "out").pairs
     assert len(pairs) == 3
     for pair in pairs:
-        assert read_scan(pair.real).content_hash() == read_scan(pair.sim).content_hash()
+        assert columns_of(read_scan(pair.real)) == columns_of(read_scan(pair.sim))
     assert len(pd.read_csv(tmp_path / "out" / "unpaired.csv")) == 2

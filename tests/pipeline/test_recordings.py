@@ -12,7 +12,7 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan, rosbag, stem_of, suffix_of, velodyne
 from fidpipe.pipeline.datasets.readers.frame_address import address_of
 from fidpipe.schemas.errors import ScanError
-from recordings import cloud, packets_message, write_bag, write_pcap
+from recordings import cloud, columns_of, packets_message, write_bag, write_pcap
 from runs import command, run
 from scenes import drifted, street
 
@@ -242,7 +242,7 @@ def test_bags_captures_and_packets_in_bags_hold_the_same_points(real_data, packe
     for i, n_points in enumerate((26710, 26335, 26317)):
         first, *others = [read_scan(Path(f"{place}#{i}")) for place in places]
         assert len(first.points) == n_points
-        assert {other.content_hash() for other in others} == {first.content_hash()}
+        assert all(columns_of(other) == columns_of(first) for other in others)
 
 
 def test_a_turn_of_a_capture_is_decoded_by_itself_as_in_its_stream(real_data):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -58,7 +57,7 @@ class Scan:
     rings : (n,) int32, number of the beam, or None; -1 where it is NaN
     times_s : (n,) float64, seconds, from where the file counts them; or None
     label_names : what the format calls the labels that are numbers; {} where it names none
-    stamp_s : the time of the scan as a whole, seconds, where its message has one; no content, and in no hash
+    stamp_s : the time of the scan as a whole, seconds, where its message has one
     """
 
     points: FloatArray
@@ -75,22 +74,6 @@ class Scan:
         optional = ("intensity", "labels", "instances", "incidence", "rings", "times_s")
         others = "".join(f", {name}" for name in optional if getattr(self, name) is not None)
         return f"<scan of {len(self.points)} points{others}>"
-
-    def content_hash(self) -> str:
-        """SHA-256 of all that was read, as hexadecimal digits."""
-        digest = hashlib.sha256(repr(sorted(self.label_names.items())).encode())
-        for column in (
-            self.points,
-            self.intensity,
-            self.labels,
-            self.instances,
-            self.incidence,
-            self.rings,
-            self.times_s,
-        ):
-            digest.update(b"" if column is None else f"{column.dtype} {column.shape}".encode())
-            digest.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())
-        return digest.hexdigest()
 
 
 def scan_from_columns(
