@@ -65,7 +65,9 @@ def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(t
             for line in text.splitlines():
                 assert " ".join(line.split()) in output
     assert n_commands == 3
-    assert (tmp_path / "compare.html").exists()
+    assert {path.name for path in tmp_path.glob("*.html")} == {"compare.html", "build42.html"}
+    assert not list(tmp_path.rglob("report.html"))
     times = read_dataset(tmp_path / "runs" / "datasets" / "build42").pairs
     assert {pair.pair_id: pair.timestamp_s for pair in times} == {f"{20 * i}.000": 20.0 * i for i in range(8)}
+    assert "8 of 8 pairs can be evaluated" in command("check", "drive", "build42").stdout
     assert "0 jobs done" in command("run", "drive", "build42", "--preset", "reference").stdout

@@ -66,6 +66,7 @@ def settings(
 
 def check(
     dataset: DatasetFolder,
+    sim: SimFolder = None,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -97,6 +98,8 @@ def check(
     from ..inspect.sensor_settings import read_sensor_settings
     from ..report.views.check_view import check_json, check_view
 
+    if sim is not None:
+        dataset = paired(dataset, sim, run_folder(sim))
     loaded, sensor_settings = load(settings, assignments or [], preset=preset), expect and read_sensor_settings(expect)
     found = check_dataset(dataset, loaded, sensor_settings or None)
     print_json(check_json(found)) if as_json else print_view(check_view(found))

@@ -89,7 +89,7 @@ def plot_pieces(run: FinishedRun, pair_id: str) -> Any:
     ) as figure:
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for axis, scan, own, (title, colour) in zip(axes, scans, found, _PIECES, strict=True):
-            style.dots(axis, scan.points[~scan.is_ground & (own.labels < 0)], 0.5, "#cccccc")
+            style.dots(axis, scan.points[~scan.is_ground & (own.labels < 0)], 1.2, "#bbbbbb")
             style.dots(axis, scan.points[own.labels >= 0], 2, colour)
             for piece_id, place in enumerate(own.objects.centroid[:_MOST_NUMBERS, :2]):
                 axis.annotate(str(piece_id), place, xytext=(4, 4), textcoords="offset points", clip_on=True)
