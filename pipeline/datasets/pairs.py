@@ -7,6 +7,7 @@ A scan of a manifest may be one frame of a recording, named as in `readers/frame
 
 from __future__ import annotations
 
+import csv
 import re
 import shlex
 from dataclasses import dataclass
@@ -205,26 +206,27 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     DatasetError
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
-    import pandas as pd
-
     try:
-        rows = pd.read_csv(manifest, dtype=str, keep_default_na=False, skipinitialspace=True)
-    except (OSError, ValueError) as error:
+        with manifest.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
+            rows, columns = list(table), [*(table.fieldnames or ())]
+    except (OSError, ValueError, csv.Error) as error:
         raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
     wanted = ("pair_id", "real", "sim") if needs_sim else ("pair_id", "real")
-    missing = [name for name in wanted if name not in rows.columns]
-    if missing:
-        raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(map(str, rows.columns))}")
-    for name in map(str, rows.columns):
+    if missing := [name for name in wanted if name not in columns]:
+        raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
+    for name in columns:
         if name not in _MANIFEST_COLUMNS:
             meant = nearest(name, _MANIFEST_COLUMNS)
-            if meant is not None and meant not in rows.columns:
+            if meant is not None and meant not in columns:
                 raise DatasetError(f"{manifest}: column {name} is not known; did you mean {meant}?")
             warnings.append(f"{manifest}: column {name} is not known, ignored")
     pairs = []
     seen: dict[str, int] = {}
-    for line, row in enumerate(rows.to_dict("records"), start=2):
+    for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"
+        if None in row:
+            raise DatasetError(f"{where}: expected {len(columns)} values, got {len(columns) + len(row[None])}")
         pair_id = row["pair_id"].strip()
         if not pair_id:
             raise DatasetError(f"{where}: pair_id is empty; expected a name")
