@@ -17,8 +17,9 @@ from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.curves import AXES, KINDS, curves
 from ...stages.diagnose.evidence import PairEstimates, PairScans, estimate
 from ...stages.diagnose.gain import RESTORED, corrections, shares, surface_distance
-from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, blocks_of
+from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter
+from ..results.causes import mean_interval
 from ..results.compare import recorded_times_s
 from ..results.diagnosis import DIAGNOSIS, results_identity
 from ..results.finished import FinishedRun
@@ -28,6 +29,10 @@ from .causes import CAUSES, NamedCause, name_causes
 
 #: Below this distance over the floor, metres, gains are not shares.
 LEAST_EXCESS_M = 0.005
+#: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
+MOST_LEFT_M = 0.02
+#: Name of the rest where it is the first cause.
+UNEXPLAINED = "unexplained"
 _SEED = 20240917
 _SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
 #: Estimates from columns of `pairs`: simulated minus real.
@@ -98,6 +103,10 @@ def diagnose_run(
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
     excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
     causes = [_cause(own, gains, excess_m) for own in named]
+    if base and is_unexplained(before_m - floor_m, after_m - floor_m):
+        left = mean_interval(block_means(np.array([own.after_m - own.floor_m for own in gains]), blocks))
+        supported = [own for own in causes if own.gain_m is None or own.gain_m > 0]
+        causes = [_unexplained(left, before_m - floor_m, len(gains)), *supported]
     diagnosis = Diagnosis(
         of=results_identity(run.record),
         floor=None if floor is None else str(floor),
@@ -107,7 +116,7 @@ def diagnose_run(
         distance_m=before_m,
         floor_m=floor_m,
         unexplained=None if excess_m is None else min(max((after_m - floor_m) / excess_m, 0.0), 1.0),
-        causes=tuple(sorted(causes, key=lambda cause: -(cause.gain_m or 0.0))),  # stable: stronger first if equal
+        causes=tuple(sorted(causes, key=lambda own: (own.name != UNEXPLAINED, -(own.gain_m or 0.0)))),  # stable
         estimates=tuple(_estimate_rows(names, amounts)),
         left_out=tuple(name for name in chosen if name not in found),
     )
@@ -117,6 +126,22 @@ def diagnose_run(
         except RunError as error:
             show.warn(f"not stored: {error}")
     return diagnosis
+
+
+def is_unexplained(excess_m: float, left_m: float) -> bool:
+    """True if most of the distance over the floor remains after all corrections: no named cause explains it."""
+    return left_m >= MOST_LEFT_M and left_m > excess_m / 2
+
+
+def _unexplained(left: tuple[float, float, float], excess_m: float, n_pairs: int) -> DiagnosedCause:
+    """The rest as the first cause."""
+    mean, low, high = left
+    return DiagnosedCause(
+        name=UNEXPLAINED,
+        words=f"no cause in the catalogue for {mean / excess_m:.0%} of the distance".replace("%", " %"),
+        estimate=mean, low=low, high=high, unit="m", n_pairs=n_pairs, gain_m=None, gain=None, is_upper_bound=False,
+        setting="the worst places; diagnose --tell-apart", limbs=(),
+    )  # fmt: skip
 
 
 def read_pair(run: FinishedRun, pair_id: str) -> PairScans:
@@ -184,6 +209,8 @@ def _cause(own: NamedCause, gains: Sequence[Gains], excess_m: float | None) -> D
     model = own.model
     parts = [pair.by_cause[model.name] for pair in gains if model.name in pair.by_cause]
     gain_m = float(np.mean(parts)) if parts else None
+    if gain_m is not None and excess_m is not None and model.name in RESTORED:
+        gain_m = min(gain_m, excess_m)  # restored returns are better than those of the floor
     return DiagnosedCause(
         name=model.name,
         words=own.sentence,

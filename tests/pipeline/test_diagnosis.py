@@ -74,6 +74,19 @@ def test_the_flaw_is_the_first_cause_everywhere(runs):
     assert changes[0].name == "height"
 
 
+def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_are_left_out(runs, monkeypatch):
+    good, low = runs
+    monkeypatch.setattr(
+        "fidpipe.pipeline.diagnose.diagnose.shares", lambda scans, made, rng: (0.3, 0.3, dict.fromkeys(made, 0.0))
+    )
+    found = diagnose_run(low, good)
+    assert [cause.name for cause in found.causes] == ["unexplained"]
+    assert found.causes[0].estimate == pytest.approx(0.3 - found.floor_m)
+    assert found.unexplained == 1
+    assert "no cause in the catalogue for 100 % of the distance" in command("show", low).stdout
+    assert diagnose_run(low).causes[0].name != "unexplained", "without a floor the rest is not known"
+
+
 def test_a_diagnosis_of_other_results_is_not_used(runs):
     _, low = runs
     diagnose_run(low)
