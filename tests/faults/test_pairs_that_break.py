@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import struct
 import time
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ import laspy
 import numpy as np
 import pytest
 
-from runs import own_process, some_of
+from runs import own_process, run, some_of
 from scenes import drifted, street, write_dataset
 from tries import Started, assert_resumes, lines_of, n_lost
 
@@ -85,15 +86,13 @@ def installed(tmp_path_factory, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    return tmp_path_factory.mktemp("runs") / "streets"
-
-
-@pytest.fixture
-def undisturbed(dataset, finished, installed):
-    if not finished.exists():
-        assert own_process("run", dataset, "--out", finished, "--workers", 1).returncode == 0
-    return finished
+def undisturbed(dataset, tmp_path_factory):
+    """The run of the same scans in a format of ours."""
+    folder = shutil.copytree(dataset, tmp_path_factory.mktemp("undisturbed") / "streets")
+    for scan in folder.glob("*/*.trap"):
+        scan.rename(scan.with_suffix(".npy"))
+    run(folder, folder / "run")
+    return folder / "run"
 
 
 @contextmanager

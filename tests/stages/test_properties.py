@@ -13,6 +13,7 @@ from fidpipe.stages.coverage import nearest_distances
 from fidpipe.stages.method import graph_of
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import select_nodes
+from runs import some_of
 
 SCALES = tuple(10.0**e for e in (-310, -200, -162, -155, -60, -45, -40, -20, -8, -3, 0, 0, 0, 0, 1, 3, 6, 8))
 EVERYTHING = OPEN | {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
@@ -61,14 +62,18 @@ def distinct(points, fewest=8):
     return points[rows]
 
 
-@settings(PROFILE, max_examples=300)
-@given(clouds(fewest=8), clouds(fewest=8), st.booleans(), st.sampled_from(SETTINGS))
-def test_every_pair_is_scored_within_bounds_or_refused_in_one_line(real, sim, is_alike, chosen):
-    sim = real[: max(1, len(real) - 2)] if is_alike else sim
-    try:
-        assert not faults_of(evaluated(real, sim, chosen))
-    except FidpipeError as error:
-        assert str(error).isprintable()
+@pytest.mark.parametrize("n_examples", some_of([100, 300], [100]))
+def test_every_pair_is_scored_within_bounds_or_refused_in_one_line(n_examples):
+    @settings(PROFILE, max_examples=n_examples)
+    @given(clouds(fewest=8), clouds(fewest=8), st.booleans(), st.sampled_from(SETTINGS))
+    def is_scored_or_refused(real, sim, is_alike, chosen):
+        sim = real[: max(1, len(real) - 2)] if is_alike else sim
+        try:
+            assert not faults_of(evaluated(real, sim, chosen))
+        except FidpipeError as error:
+            assert str(error).isprintable()
+
+    is_scored_or_refused()
 
 
 @PROFILE
