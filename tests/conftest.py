@@ -46,6 +46,14 @@ def pytest_runtest_setup(item):
         pytest.skip(f"{item.nodeid}: not reached within {minutes:g} minutes")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def unforced_writes():
+    """This process leaves it to the system when files are on the disk, which would take a fifth of a small run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
+        yield
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of real scans; without it the test is skipped, or fails where real data are required."""

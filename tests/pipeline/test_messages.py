@@ -1,6 +1,7 @@
 """Mistakes of newcomers, and the one-line message for each."""
 
 import os
+import re
 import resource
 import shutil
 import subprocess
@@ -12,9 +13,9 @@ import pytest
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
-from fidpipe.schemas.errors import DatasetError, SettingsError
+from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.settings import load
-from runs import FIDPIPE, command, read_only
+from runs import FIDPIPE, command, read_only, run
 from scenes import street, write_bin
 
 N_PAIRS = 1
@@ -185,8 +186,8 @@ def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, ad
         expected = (
             "dask's settings distributed.comm.tls to name the certificates (DASK_DISTRIBUTED__COMM__TLS__CA_FILE)"
         )
-    ended = command("run", dataset, "--out", tmp_path / "run", "--scheduler", address, timeout=60)
-    assert one_error(ended) == f"error: scheduler {address!r}: expected {expected}"
+    with pytest.raises(RunError, match=f"^{re.escape(f'scheduler {address!r}: expected {expected}')}$"):
+        run(dataset, tmp_path / "run", scheduler=address)
 
 
 @pytest.mark.parametrize("words", [("show",), ("show", "--json"), ("status",), ("settings",), ("--help",)])
