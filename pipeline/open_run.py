@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from .results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Run(FinishedRun):
@@ -31,7 +34,7 @@ class Run(FinishedRun):
         """One object of a pair: 7 or "real:7" is the real object 7 with its partner, "sim:7" the simulated one."""
         return object_facts(self, pair_id, str(name))
 
-    def plot_object(self, pair_id: str, name: str | int) -> Any:
+    def plot_object(self, pair_id: str, name: str | int) -> Figure:
         """Plot an object on both sides in one box, with its scores; other points in the box are grey.
 
         Parameters
@@ -43,13 +46,13 @@ class Run(FinishedRun):
 
         return plot_object(self, pair_id, str(name))
 
-    def plot_pieces(self, pair_id: str) -> Any:
+    def plot_pieces(self, pair_id: str) -> Figure:
         """Plot a pair from above: missing and invented pieces in colour, with the numbers of the largest ones."""
         from .report.figures.run_plots import plot_pieces
 
         return plot_pieces(self, pair_id)
 
-    def plot_range_image(self, pair_id: str) -> Any:
+    def plot_range_image(self, pair_id: str) -> Figure:
         """Plot range images of a pair: real ranges, simulated ranges on the same rays, and the outcome of each ray."""
         from .report.figures.run_plots import plot_range_image
 

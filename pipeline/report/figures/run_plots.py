@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from io import BytesIO
-from typing import Any
 
 import numpy as np
 from matplotlib.colors import ListedColormap
@@ -38,7 +37,7 @@ class _ShownFigure(Figure):
         return content.getvalue()
 
 
-def plot_object(run: FinishedRun, pair_id: str, name: str) -> Any:
+def plot_object(run: FinishedRun, pair_id: str, name: str) -> Figure:
     """An object on both sides in one box, with its scores; other points in the box are grey.
 
     Raises
@@ -61,6 +60,7 @@ def plot_object(run: FinishedRun, pair_id: str, name: str) -> Any:
         f", {METRIC[score].label} {number(facts.scores[score])}" for score in ("cdc", "r_lambda") if facts.scores
     )
     title = f"pair {style.shown_name(pair_id)}, {words}, {row['range_m']:.0f} m away: {facts.status}{scores}"
+    figure: Figure
     with style.new_figure(7.5, 3.5, title, _ShownFigure) as figure:
         corner, size = style.box_of(np.stack([low, high]))
         for place, (side, cloud) in enumerate(clouds.items(), start=1):
@@ -73,7 +73,7 @@ def plot_object(run: FinishedRun, pair_id: str, name: str) -> Any:
         return figure
 
 
-def plot_pieces(run: FinishedRun, pair_id: str) -> Any:
+def plot_pieces(run: FinishedRun, pair_id: str) -> Figure:
     """A pair from above: the points of missing and invented pieces in colour, all others in grey.
 
     The largest pieces have their number in the table `pieces`.
@@ -84,6 +84,7 @@ def plot_pieces(run: FinishedRun, pair_id: str) -> Any:
         scans.append(CutScan(rows[["x", "y", "z"]].to_numpy(), rows.is_ground.to_numpy(), rows.height_m.to_numpy()))
     found = find_pieces(scans[0], scans[1], PieceSettings.model_validate(run.record.settings["pieces"]))
     frame = style.frame_of(*(scan.points[~scan.is_ground] for scan in scans))
+    figure: Figure
     with style.new_figure(
         10, style.panel_height(frame, 4.4), f"pair {style.shown_name(pair_id)}", _ShownFigure
     ) as figure:
@@ -98,7 +99,7 @@ def plot_pieces(run: FinishedRun, pair_id: str) -> Any:
         return figure
 
 
-def plot_range_image(run: FinishedRun, pair_id: str) -> Any:
+def plot_range_image(run: FinishedRun, pair_id: str) -> Figure:
     """Range images of a pair: real ranges, simulated ranges on the same rays, and the outcome of each ray.
 
     Raises
@@ -111,6 +112,7 @@ def plot_range_image(run: FinishedRun, pair_id: str) -> Any:
         raise RunError(f"run {run.folder}, pair {pair_id}: no rays: {run.row(pair_id)['rays_reason']}")
     titles = {"real_range_m": "real range", "sim_range_m": "simulated range on the same rays"}
     furthest = float(np.nanquantile(rays[[*titles]].to_numpy(dtype=float), 0.99))
+    figure: Figure
     with style.new_figure(11, 5, f"pair {style.shown_name(pair_id)}", _ShownFigure) as figure:
         axes = figure.subplots(3, 1, sharex=True)
         look = {"aspect": "auto", "interpolation": "nearest", "extent": (180, -180, 0, rays.beam.max() + 1)}
