@@ -134,9 +134,10 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
             if inner:
                 hint = f"; it is one level below: {inner}"
             elif recordings and not near:
-                named = recordings if len(recordings) == 2 else [folder / "REAL", folder / "SIM"]
-                words = shlex.join(["fidpipe", "pair", *map(str, named), "-o", f"{folder}-pairs"])
-                hint = f"; it holds recordings, which fidpipe pair makes a dataset of (the real one first): {words}"
+                named = [*map(str, recordings)] if len(recordings) == 2 else ["REAL", "SIM"]
+                words = shlex.join(["fidpipe", "pair", *named, "-o", f"{folder.resolve().name}-pairs"])
+                names = ", ".join(path.name for path in recordings[:4])
+                hint = f"; it holds recordings ({names}); to pair them, the real one first: {words}"
             elif any(suffix_of(path) for path in _files(folder)):
                 hint = f"; it holds scans of one side: fidpipe run {shlex.quote(str(folder))} SIM"
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
