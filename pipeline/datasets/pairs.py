@@ -217,6 +217,8 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     if missing := [name for name in wanted if name not in columns]:
         raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
     for name in columns:
+        if columns.count(name) > 1:
+            raise DatasetError(f"{manifest}: column {name} occurs {columns.count(name)} times; expected it once")
         if name not in _MANIFEST_COLUMNS:
             meant = nearest(name, _MANIFEST_COLUMNS)
             if meant is not None and meant not in columns:

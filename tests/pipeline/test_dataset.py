@@ -103,6 +103,15 @@ def test_a_bad_manifest_stops_everything(tmp_path, row, fault):
     assert fault in str(error.value)
 
 
+def test_a_row_of_more_values_and_a_column_that_occurs_twice_are_named(tmp_path):
+    with pytest.raises(DatasetError, match=r"line 2: expected 3 values, got 4"):
+        read_dataset(manifest(tmp_path, ["a,real/a.bin,sim/a.bin,1"], "pair_id,real,sim"))
+    with pytest.raises(DatasetError, match=r"column real occurs 2 times; expected it once"):
+        read_dataset(manifest(tmp_path, ["a,real/a.bin,sim/a.bin,1"], "pair_id,real,sim,real"))
+    pairs = read_dataset(manifest(tmp_path, ['"a", real/a.bin ,sim/a.bin', "", "b,real/a.bin,sim/a.bin"])).pairs
+    assert [(pair.pair_id, pair.fault, pair.timestamp_s) for pair in pairs] == [("a", None, None), ("b", None, None)]
+
+
 def test_a_manifest_without_its_columns_stops_everything(tmp_path):
     with pytest.raises(DatasetError, match="missing columns pair_id, sim; got name, real"):
         read_dataset(manifest(tmp_path, ["a,b"], header="name,real"))
