@@ -127,15 +127,13 @@ def test_a_rigid_motion_of_both_sides_changes_no_score(scene, angle_deg, shift_m
             assert other[name] == pytest.approx(value, rel=1e-4, abs=1e-5), name
 
 
-@tried(5)
-@given(order=st.permutations(["000", "001", "002"]))
-def test_the_order_of_pairs_changes_no_table(dataset, finished, order):
-    with tempfile.TemporaryDirectory() as folder:
-        here = Path(shutil.copytree(dataset, Path(folder) / "streets"))
-        lines = [f"{name},real/{name}.bin,sim/{name}.bin\n" for name in order]
-        (here / "pairs.csv").write_text("".join(["pair_id,real,sim\n", *lines]))
-        run(here, Path(folder) / "run")
-        assert_same_tables(Path(folder) / "run", finished)
+@pytest.mark.parametrize("order", [("002", "000", "001"), ("001", "002", "000")])
+def test_the_order_of_pairs_changes_no_table(dataset, finished, tmp_path, order):
+    here = shutil.copytree(dataset, tmp_path / "streets")
+    lines = [f"{name},real/{name}.bin,sim/{name}.bin\n" for name in order]
+    (here / "pairs.csv").write_text("".join(["pair_id,real,sim\n", *lines]))
+    run(here, tmp_path / "run")
+    assert_same_tables(tmp_path / "run", finished)
 
 
 def stopped_at(n, is_written):

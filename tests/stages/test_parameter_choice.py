@@ -24,7 +24,7 @@ def replaced(choices):
 
 def test_without_any_effect_a_setting_is_replaced_in_at_most_one_of_twenty_experiments():
     rng = np.random.default_rng(0)
-    n = 1000
+    n = 400
     for n_pairs in (5, 10, 50):
         rate = np.mean([bool(replaced(choose_parameters(trials(rng, n_pairs)))) for _ in range(n)])
         assert rate <= 0.05 + 2.33 * (0.05 * 0.95 / n) ** 0.5, n_pairs
