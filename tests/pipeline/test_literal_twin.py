@@ -111,7 +111,7 @@ def test_objects_of_the_real_side_under_one_setting_after_the_other(dataset, tmp
     agree(dataset, tmp_path / "run", load(None, [word], preset="reference"))
 
 
-@pytest.mark.parametrize("seed", some_of(range(12), [0]))
+@pytest.mark.parametrize("seed", some_of(range(12), [2, 3]))
 def test_settings_drawn_at_random_together(dataset, tmp_path, seed):
     rng = np.random.default_rng(seed)
     words = [f"{name}={rng.choice(values)}" for name, values in CHOICES.items()]
