@@ -93,7 +93,7 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
 )
 def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, fault):
     (tmp_path / "loop").symlink_to("loop")
-    result = command("run", *[word.format(data=dataset) for word in words], cwd=tmp_path)
+    result = command("run", *[word.format(data=dataset) for word in words], "--workers", 1, cwd=tmp_path)
     assert result.returncode == 1
     assert one_line(result.stderr).startswith(fault)
     assert result.stdout == ""
@@ -102,11 +102,11 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
 @pytest.mark.parametrize(
     "words",
     [
-        ["run"],
-        ["run", "{data}", "--from", "nowhere"],
+        ["run", "--workers", "1"],
+        ["run", "{data}", "--from", "nowhere", "--workers", "1"],
         ["run", "{data}", "--workers", "0"],
         ["nosuch"],
-        ["run", "--what"],
+        ["run", "--what", "--workers", "1"],
         ["run", "{data}", "--workers", "2", "--scheduler", "tcp://a:1"],
     ],
 )
@@ -153,7 +153,9 @@ def test_help_imports_nothing_heavy():
 
 def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, tmp_path):
     streets, folder = scenario("plain") / "streets", shutil.copytree(scenario("plain") / "run", tmp_path / "run")
-    assert command("run", streets, "--out", folder).returncode == 0  # the first repetition rewrites the table timings
+    assert (
+        command("run", streets, "--out", folder, "--workers", 1).returncode == 0
+    )  # the first repetition rewrites the table timings
     heavy = ("scipy.sparse", "scipy.spatial", "sklearn", "pandas", "dask", "matplotlib", "plotly", "pyarrow.compute")
     words = [["status", str(folder)], ["show", str(folder)], ["run", str(streets), "--out", str(folder)]]
     code = (

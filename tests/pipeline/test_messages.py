@@ -42,7 +42,7 @@ def test_a_recording_in_place_of_a_dataset_leads_to_the_command_that_pairs(tmp_p
 
 
 def test_a_scan_that_is_not_there_is_no_missing_folder(tmp_path):
-    assert one_error(command("perturb", "nothere.bin", cwd=tmp_path)) == (
+    assert one_error(command("perturb", "nothere.bin", "--workers", 1, cwd=tmp_path)) == (
         "error: nothere.bin: no such file; expected a scan file or a dataset folder"
     )
 

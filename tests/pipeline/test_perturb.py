@@ -381,6 +381,6 @@ def test_the_command_prints_the_table_of_the_paper_beside_ours(scan, tmp_path):
     assert "the paper's Table I" in result.stdout
     picture = imread(tmp_path / "runs" / "street-perturb" / "perturb.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
-    wrong = command("perturb", scan, "--sweep", "fog", cwd=tmp_path)
+    wrong = command("perturb", scan, "--sweep", "fog", "--workers", 1, cwd=tmp_path)
     assert wrong.returncode == 1
     assert wrong.stderr.startswith("error: --sweep 'fog'")

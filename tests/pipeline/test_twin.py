@@ -307,11 +307,12 @@ def test_flaws_that_make_no_sense_are_refused(words, reason):
 
 
 def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, tmp_path):
-    done = command("twin", drive, tmp_path / "out", "--pairs", "*1", "--flaw", "far-dropout=0.5:5", "--sensor", "hdl64")
+    words = ("--pairs", "*1", "--flaw", "far-dropout=0.5:5", "--workers", 1)
+    done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64")
     assert done.returncode == 0
     assert f"1 pairs in {tmp_path / 'out'}; evaluate them with: fidpipe run" in done.stdout
     assert done.stdout.count("\n") == 1
-    wrong = command("twin", drive, tmp_path / "bad", "--sensor", "hdl46")
+    wrong = command("twin", drive, tmp_path / "bad", *words, "--sensor", "hdl46")
     assert (wrong.returncode, wrong.stderr.strip()) == (1, "error: sensor 'hdl46': no such sensor; did you mean hdl64?")
     assert not (tmp_path / "bad").exists()
     text = command("twin", "--help").stdout
@@ -329,7 +330,7 @@ def test_the_documentation_has_every_flaw_and_sensor():
 def test_a_broken_scan_gives_exit_code_3(drive, tmp_path):
     broken = shutil.copytree(drive, tmp_path / "drive")
     (broken / "000.bin").write_bytes(b"no scan")
-    done = command("twin", broken, tmp_path / "out")
+    done = command("twin", broken, tmp_path / "out", "--workers", 1)
     assert done.returncode == 3
     assert "000.bin: expected a multiple of 16 bytes" in done.stderr
 
