@@ -27,7 +27,7 @@ import numpy as np
 import pandas as pd
 from flawed_scans import Scan, along_ray, ranges, ray_noise
 
-from fidpipe.pipeline.diagnose.causes import name_causes
+from fidpipe.pipeline.diagnose.causes import confirm, name_causes
 from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_unexplained
 from fidpipe.stages.diagnose.evidence import PairScans, estimate
 from fidpipe.stages.diagnose.gain import corrections, shares, surface_distance
@@ -118,7 +118,7 @@ FLAWS = {
     "pitch": (("pitch",), [(pitch(a), a) for a in (0.3, -1, 2)]),
     "range scale": (("range scale",), [(lambda scan, rng, a=a: scan.points * (1 + a), a) for a in (0.01, -0.02, 0.04)]),
     "range quantum": (("range steps",), [(quantum(a), a) for a in (0.05, 0.1, 0.2)]),
-    "car moved": (PIECES, [(car_moved(a), None) for a in (0.3, 0.6, 1.2)]),
+    "car moved": ((*PIECES, "moved pieces"), [(car_moved(a), None) for a in (0.3, 0.6, 1.2)]),
     "car removed": (PIECES[:1], [(fs.car_removed, None), (fs.car_removed_road_seen, None)]),
     "poles removed": (PIECES[:1], [(fs.poles_removed, None)]),
     "azimuth": (("azimuth step",), [(lambda scan, rng, n=n: scan.points[::n], None) for n in (2, 3, 4)]),
@@ -171,11 +171,38 @@ def double(scan, rng):
     return scan.points - (rng.random(len(scan.points)) < 1 / 3)[:, None] * [[1.0, 0, 0]]
 
 
-#: No cause of the catalogue is right. The first three were chosen after the estimators were finished, the others after
-#: the rule for the rest.
+def bent(scan, rng):
+    """The world bends sideways by the square of the range, 0.5 m at 30 m."""
+    return scan.points + 0.0006 * ranges(scan.points)[:, None] ** 2 * [[0, 1, 0]]
+
+
+def stretched(scan, rng):
+    """Everything above the road is 15 % too high."""
+    is_up = ~fs.is_ground(scan.points)
+    road_m = np.median(scan.points[~is_up, 2])
+    return scan.points + (is_up * 0.15 * (scan.points[:, 2] - road_m))[:, None] * [[0, 0, 1]]
+
+
+def jumping(scan, rng):
+    """Sectors of 10 degrees are turned by 0.6 degrees to the left and to the right in turn."""
+    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
+    azimuth += np.radians(0.6) * np.where(np.degrees(azimuth) // 10 % 2, 1, -1)
+    level = np.hypot(scan.points[:, 0], scan.points[:, 1])
+    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), scan.points[:, 2]])
+
+
+def wavy(scan, rng):
+    """Ranges are wrong by up to 0.2 m, in waves of 12 degrees of azimuth."""
+    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
+    return along_ray(scan.points, ranges(scan.points) + 0.2 * np.sin(30 * azimuth))
+
+
+#: No cause of the catalogue is right. The first three and "bent world" were seen before the rules for naming a cause were
+#: set, the others were not.
 UNKNOWN = {
-    **{"warped world": warped, "voxel world": boxed, "wobbling beams": wobbling},
+    **{"warped world": warped, "voxel world": boxed, "wobbling beams": wobbling, "bent world": bent},
     **{"leaning world": sheared, "melted surface": melted, "two poses": double},
+    **{"stretched": stretched, "jumping sectors": jumping, "wavy ranges": wavy},
 }
 
 
@@ -224,19 +251,23 @@ def altered(scene, base, flaws):
     return points
 
 
-def diagnose(pairs, floor, floor_m):
+def diagnose(pairs, floor):
     """Names of the causes, most important first, with estimate and interval, over the floor or without one."""
-    named = name_causes([own.amounts for _, own in pairs], floor, np.arange(len(pairs)))
-    gains = []
-    for i, (scans, own) in enumerate(pairs):
-        made = corrections(scans, own, {one.model.name: one.mean for one in named}, np.random.default_rng(i))
-        gains.append(shares(scans, made, np.random.default_rng(i)))
-    gain = {one.model.name: np.mean([pair.get(one.model.name, np.nan) for *_, pair in gains]) for one in named}
-    named.sort(key=lambda one: -np.nan_to_num(gain[one.model.name]))
+
+    def correct(causes):
+        found = []
+        for i, (scans, own) in enumerate(pairs):
+            made = corrections(scans, own, {one.model.name: one.mean for one in causes}, np.random.default_rng(i))
+            found.append(shares(scans, made, np.random.default_rng(i), floor[i][1] if floor else 0.0))
+        return found
+
+    amounts = floor and [own for own, _ in floor]
+    named, _, found = confirm(name_causes([own.amounts for _, own in pairs], amounts, np.arange(len(pairs))), correct)
+    named.sort(key=lambda one: -np.mean([pair.by_cause.get(one.model.name, 0.0) for pair in found]))
     rows = [(one.model.name, one.mean, one.low, one.high) for one in named]
-    before_m, after_m = (np.mean([pair[k] for pair in gains]) for k in (0, 1))
+    before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
     if floor and is_unexplained(before_m - floor_m, after_m - floor_m):
-        rows = [(UNEXPLAINED, after_m - floor_m, np.nan, np.nan), *(row for row in rows if not gain[row[0]] <= 0)]
+        rows.insert(0, (UNEXPLAINED, after_m - floor_m, np.nan, np.nan))
     return rows
 
 
@@ -247,8 +278,7 @@ def judge(task):
     if file.exists():
         return pickle.loads(file.read_bytes())
     scenes, found = SCENES[folder], []
-    floors = [own.amounts for own, _ in FLOORS[folder, base]]
-    floors_m = [distance_m for _, distance_m in FLOORS[folder, base]]
+    floors = FLOORS[folder, base]
     pairs = []
     for scene in scenes:
         scans = pair_of(scene, altered(scene, base, flaws))
@@ -256,9 +286,9 @@ def judge(task):
     for n in (5, 10)[: 1 + (len(pairs) >= 10)]:
         step = len(pairs) // n or 1
         some, over = pairs[::step][:n], floors[::step][:n]
-        found.append((n, "floor", diagnose(some, over, np.mean(floors_m[::step][:n]))))
+        found.append((n, "floor", diagnose(some, over)))
         if base != "poor":
-            found.append((n, "none", diagnose(some, None, 0.0)))
+            found.append((n, "none", diagnose(some, None)))
     result = [(folder.name, base, label, *own) for own in found]
     file.write_bytes(pickle.dumps(result))
     return result
@@ -271,8 +301,8 @@ def prepare(folders, every):
     for folder in folders:
         SCENES[folder] = read_scenes(folder, every)
         for base in ("good", "poor"):
-            scans = [pair_of(scene, scene[2][base]) for scene in SCENES[folder]]
-            FLOORS[folder, base] = [(estimate(own), surface_distance(own.real, own.sim)) for own in scans]
+            pairs = [pair_of(scene, scene[2][base]) for scene in SCENES[folder]]
+            FLOORS[folder, base] = [(estimate(own).amounts, surface_distance(own.real, own.sim)) for own in pairs]
 
 
 def is_possible(flaw, folder):
@@ -363,7 +393,7 @@ def tables(rows):
     hit = []
     for row in mixture.itertuples():
         truths = [FLAWS[name][0] for name in row.flaw.split(" + ")]
-        hit.append(all(any(name in truth for name in row.named[: 2 + (truth == PIECES)]) for truth in truths))
+        hit.append(all(any(name in truth for name in row.named[: 2 + (truth[:2] == PIECES)]) for truth in truths))
     mixture["both"] = hit
     print(mixture.groupby(["scenes", "base", "floor", "pairs"]).both.agg(["mean", "count"]).round(3).to_string())
     print(

@@ -388,6 +388,7 @@ class Diagnosis(Result):
     distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of the floor
     unexplained : share of the distance over the floor that no correction explains; null if there is hardly any
     causes : most important first
+    doubtful : measured, but the sides are not closer if they are corrected
     estimates : of the whole catalogue
     left_out : pairs with too little surface in common
     """
@@ -403,3 +404,4 @@ class Diagnosis(Result):
     causes: tuple[DiagnosedCause, ...]
     estimates: tuple[CauseEstimate, ...]
     left_out: tuple[str, ...]
+    doubtful: tuple[str, ...] = ()

@@ -87,6 +87,8 @@ def json_fields(scenario):
             "compare --history": printed("compare", one, other, "--history"),
             "gate": gate.read_text(),
             "verify": printed("verify", one),
+            "diagnose": printed("diagnose", other),
+            "diagnose --tell-apart": printed("diagnose", other, "--tell-apart"),
             "check": printed("check", labelled / "streets"),
             "run": printed("run", shifted, "--out", other, "--workers", "1"),
         }

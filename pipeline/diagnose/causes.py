@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...stages.arrays import FloatArray, IntArray
+from ...stages.diagnose.evidence import UNEVEN
+from ...stages.diagnose.gain import Shares
+from ...stages.diagnose.motion import PARAMETERS
 from ...stages.statistics.comparison import block_means
 from ..results.causes import mean_interval, size_words
+
+#: Below this distance over the floor, metres, gains are not shares.
+LEAST_EXCESS_M = 0.005
+#: Part of what the other causes leave that a cause must explain, and a displacement, as it moves every point.
+LEAST_PART, LEAST_PART_MOVED = 0.03, 0.15
+_RANDOM = ("lost returns", "lost far returns")
+_UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
 
 
 @dataclass(frozen=True)
@@ -55,6 +65,7 @@ _WORDS = {
     "minimum range": ("nothing within {size} that the real sensor sees",),
     "missing pieces": ("missing pieces, {size} of the real points",),
     "invented pieces": ("invented pieces, {size} of the simulated points",),
+    "moved pieces": ("pieces in other places, {size} of the real points",),
     "solid foliage": ("foliage too solid: {size} of its rays stop early", "foliage too open: {size} go too far"),
     "clutter": ("clutter near the sensor, {size} of the simulated points",),
     "mixed pixels": ("stray returns, {size} on smooth surface",),
@@ -86,6 +97,7 @@ CAUSES = tuple(
         ("minimum range", "m", 0.5, 0.5, "minimum range", (73,)),
         ("missing pieces", "share", 0.003, 0.001, "assets", (0,)),
         ("invented pieces", "share", 0.003, 0.001, "assets", (1,)),
+        ("moved pieces", "share", 0.003, 0.001, "places of objects; map; poses of moving objects", (0, 1)),
         ("solid foliage", "share", 0.1, 0.03, "material of foliage", (110, 117)),
         ("clutter", "share", 0.002, 0.001, "rain, dust, ego vehicle", (89,)),
         ("mixed pixels", "share", 0.01, 0.005, "beam divergence", (106, 118)),
@@ -132,6 +144,8 @@ def name_causes(
     blocks : (n,) block of each pair; those of a block count as one, with their mean
     """
     named = []
+    uneven = float(np.mean([pair.get(UNEVEN, 0.0) for pair in estimates]))
+    uneven -= float(np.mean([pair.get(UNEVEN, 0.0) for pair in floor])) if floor else 0.0
     for model in CAUSES:
         own, base = (
             np.array([pair.get(model.name, np.nan) for pair in pairs]) if pairs else np.zeros(len(estimates))
@@ -142,8 +156,39 @@ def name_causes(
         if 2 * is_known.sum() < len(values):
             continue
         mean, low, high = mean_interval(block_means(values[is_known], blocks[is_known]))
+        if model.name in _RANDOM and uneven > _UNEVEN + mean**2:
+            continue
         limit = model.resolution if floor else model.tolerance
         if low > limit or (high < -limit and len(model.words) > 1):
             reach = float(np.hypot((high - low) / 2, model.resolution))
             named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
     return sorted(named, key=lambda cause: -cause.strength)
+
+
+def confirm(
+    named: Sequence[NamedCause], correct: Callable[[Sequence[NamedCause]], Sequence[Shares]]
+) -> tuple[list[NamedCause], list[NamedCause], Sequence[Shares]]:
+    """The causes whose correction brings the sides closer, the others, and the shares of the former.
+
+    Something that is not in the catalogue also changes estimates, but correcting these does not remove it. So a cause
+    must explain a part of the distance that the other causes leave, unless there is hardly any.
+
+    Parameters
+    ----------
+    correct : shares of all pairs if these causes are corrected
+    """
+    kept, doubtful = [*named], []
+    while True:
+        found = correct(kept)
+        before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
+        weak = [
+            own.model.name
+            for own in kept
+            if (parts := [pair.by_cause[own.model.name] for pair in found if own.model.name in pair.by_cause])
+            and np.mean(parts)
+            <= (LEAST_PART_MOVED if own.model.name in PARAMETERS else LEAST_PART) * (np.mean(parts) + after_m - floor_m)
+        ]
+        if not weak or before_m - floor_m < LEAST_EXCESS_M:
+            return kept, doubtful, found
+        doubtful += [own for own in kept if own.model.name in weak]
+        kept = [own for own in kept if own.model.name not in weak]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,7 +15,7 @@ from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidenc
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.curves import AXES, KINDS, curves
 from ...stages.diagnose.evidence import PairEstimates, PairScans, estimate
-from ...stages.diagnose.gain import RESTORED, corrections, shares, surface_distance
+from ...stages.diagnose.gain import RESTORED, Shares, corrections, shares, surface_distance
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter
 from ..results.causes import mean_interval
@@ -25,10 +24,8 @@ from ..results.diagnosis import DIAGNOSIS, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
 from ..storage.run_record import dumps
-from .causes import CAUSES, NamedCause, name_causes
+from .causes import CAUSES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
 
-#: Below this distance over the floor, metres, gains are not shares.
-LEAST_EXCESS_M = 0.005
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
 MOST_LEFT_M = 0.02
 #: Name of the rest where it is the first cause.
@@ -41,20 +38,8 @@ _OF_PAIRS = {
     "intensity ranks": ("intensity_rank_distance", None),
 }
 Item = TypeVar("Item")
-
-
-@dataclass(frozen=True)
-class Gains:
-    """Distances of a pair, metres: before and after all corrections, that of the floor, and the part of each cause.
-
-    curves : by kind of evidence
-    """
-
-    before_m: float
-    after_m: float
-    floor_m: float
-    by_cause: dict[str, float]
-    curves: dict[str, Mapping[str, FloatArray]]
+#: Curves of a pair by kind of evidence.
+Drawn = dict[str, Mapping[str, FloatArray]]
 
 
 def diagnose_run(
@@ -86,7 +71,7 @@ def diagnose_run(
             raise RunError(f"floor {floor}: expected the pairs of {folder}, got none of them; see fidpipe floor --help")
         chosen = [name for name in chosen if name in known]
     show = reporter or Reporter()
-    show.start(len(chosen), 2 * len(chosen))
+    show.start(len(chosen), 3 * len(chosen))
     with ThreadPoolExecutor(workers) as pool:
         both = _each(pool, chosen, lambda name: _estimates(run, base, name), lambda: show.advance(1))
         found = {name: own for name, own in zip(chosen, both, strict=True) if own}
@@ -95,18 +80,24 @@ def diagnose_run(
         names = [*found]
         blocks, unit = _blocks(run, names)
         amounts = [own.amounts for own, _ in found.values()]
-        named = name_causes(amounts, [over for _, over in found.values()] if base else None, blocks)
-        gains = _each(
-            pool, names, lambda name: _gains(run, base, name, found[name][0], named), lambda: show.advance(1, 1)
+        candidates = name_causes(amounts, [over for _, over in found.values()] if base else None, blocks)
+        named, doubtful, gains = confirm(
+            candidates,
+            lambda causes: _each(
+                pool,
+                names,
+                lambda name: _gains(run, base, name, found[name][0], causes),
+                lambda: show.advance(int(len(causes) == len(candidates))),  # not if some are corrected once more
+            ),
         )
+        drawn = _each(pool, names, lambda name: _curves(run, name, found[name][0], named), lambda: show.advance(1, 1))
     show.stop()
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
     excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
-    causes = [_cause(own, gains, excess_m) for own in named]
+    causes = [_cause(own, gains, drawn, excess_m) for own in named]
     if base and is_unexplained(before_m - floor_m, after_m - floor_m):
         left = mean_interval(block_means(np.array([own.after_m - own.floor_m for own in gains]), blocks))
-        supported = [own for own in causes if own.gain_m is None or own.gain_m > 0]
-        causes = [_unexplained(left, before_m - floor_m, len(gains)), *supported]
+        causes.insert(0, _unexplained(left, before_m - floor_m, len(gains)))
     diagnosis = Diagnosis(
         of=results_identity(run.record),
         floor=None if floor is None else str(floor),
@@ -118,6 +109,7 @@ def diagnose_run(
         unexplained=None if excess_m is None else min(max((after_m - floor_m) / excess_m, 0.0), 1.0),
         causes=tuple(sorted(causes, key=lambda own: (own.name != UNEXPLAINED, -(own.gain_m or 0.0)))),  # stable
         estimates=tuple(_estimate_rows(names, amounts)),
+        doubtful=tuple(own.sentence for own in doubtful),
         left_out=tuple(name for name in chosen if name not in found),
     )
     if pattern is None:
@@ -186,14 +178,16 @@ def _estimate(run: FinishedRun, pair_id: str) -> PairEstimates | None:
 
 def _gains(
     run: FinishedRun, base: FinishedRun | None, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]
-) -> Gains:
+) -> Shares:
     scans, rng = read_pair(run, pair_id), np.random.default_rng(_SEED)
     made = corrections(scans, found, {own.model.name: own.mean for own in named}, rng)
-    before_m, after_m, by_cause = shares(scans, made, rng)
     floor = read_pair(base, pair_id) if base else None
-    floor_m = surface_distance(floor.real, floor.sim) if floor else 0.0
-    kinds = {KINDS[own.model.name] for own in named if own.model.name in KINDS}
-    return Gains(before_m, after_m, floor_m, by_cause, {kind: curves(scans, found, kind) for kind in kinds})
+    return shares(scans, made, rng, surface_distance(floor.real, floor.sim) if floor else 0.0)
+
+
+def _curves(run: FinishedRun, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]) -> Drawn:
+    scans, kinds = read_pair(run, pair_id), {KINDS[own.model.name] for own in named if own.model.name in KINDS}
+    return {kind: curves(scans, found, kind) for kind in kinds}
 
 
 def _blocks(run: FinishedRun, names: Sequence[str]) -> tuple[IntArray, str]:
@@ -205,12 +199,10 @@ def _blocks(run: FinishedRun, names: Sequence[str]) -> tuple[IntArray, str]:
     return blocks, "blocks of pairs" if len(np.unique(blocks)) < len(names) else "pairs"
 
 
-def _cause(own: NamedCause, gains: Sequence[Gains], excess_m: float | None) -> DiagnosedCause:
+def _cause(own: NamedCause, gains: Sequence[Shares], drawn: Sequence[Drawn], excess_m: float | None) -> DiagnosedCause:
     model = own.model
     parts = [pair.by_cause[model.name] for pair in gains if model.name in pair.by_cause]
     gain_m = float(np.mean(parts)) if parts else None
-    if gain_m is not None and excess_m is not None and model.name in RESTORED:
-        gain_m = min(gain_m, excess_m)  # restored returns are better than those of the floor
     return DiagnosedCause(
         name=model.name,
         words=own.sentence,
@@ -224,16 +216,15 @@ def _cause(own: NamedCause, gains: Sequence[Gains], excess_m: float | None) -> D
         is_upper_bound=model.name in RESTORED,
         setting=model.setting,
         limbs=model.limbs,
-        evidence=_evidence(KINDS[model.name], gains) if model.name in KINDS else None,
+        evidence=_evidence(KINDS[model.name], drawn) if model.name in KINDS else None,
     )
 
 
-def _evidence(kind: str, gains: Sequence[Gains]) -> Evidence:
+def _evidence(kind: str, drawn: Sequence[Drawn]) -> Evidence:
     """Mean curves over the pairs."""
     axis = AXES[kind]
     mean = {
-        name: tuple(np.mean([pair.curves[kind][name] for pair in gains], axis=0).round(4).tolist())
-        for name in gains[0].curves[kind]
+        name: tuple(np.mean([pair[kind][name] for pair in drawn], axis=0).round(4).tolist()) for name in drawn[0][kind]
     }
     return Evidence(
         x_label=axis.label,

@@ -34,6 +34,8 @@ def diagnosis_view(found: Diagnosis) -> View:
     ]
     if found.left_out:
         notes.append(f"left out, too little surface in common: {', '.join(found.left_out)}")
+    if found.doubtful:
+        notes.append(f"measured, but hardly closer if corrected: {'; '.join(found.doubtful)}")
     if not rows:
         return [Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
     return [

@@ -20,7 +20,7 @@ KINDS = {
     **dict.fromkeys(("range scale", "range bias"), "objects"),
     "range noise": "roughness",
     **dict.fromkeys(("lost returns", "lost far returns", "maximum range", "minimum range"), "range"),
-    **dict.fromkeys(("missing pieces", "invented pieces", "clutter"), "pieces"),
+    **dict.fromkeys(("missing pieces", "invented pieces", "moved pieces", "clutter"), "pieces"),
     "solid foliage": "foliage",
     "beams": "elevation",
     "blind sector": "azimuth",
@@ -73,9 +73,9 @@ def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, Fl
         if kind == "foliage":
             _, step_m = foliage_steps(real, sim)
             return {"sim": _percent(step_m, edges, len(step_m))}
-        alone = find_unmatched(real, sim, found.step_deg), find_unmatched(sim, real, found.step_deg)
+        alone = find_unmatched(real, sim, found.step_deg)
         return {
-            name: _percent(side.range_m[own.is_piece | own.is_clutter], edges, len(side.points))
+            name: _percent(side.range_m[own.is_piece | own.is_moved | own.is_clutter], edges, len(side.points))
             for name, side, own in zip(("real", "sim"), (real, sim), alone, strict=True)
         }
     return {side: _percent(_along(kind, own), edges, len(scans.real)) for side, own in scans.by_side.items()}

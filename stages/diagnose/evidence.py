@@ -16,6 +16,8 @@ from .motion import PARAMETERS, Displacement, fit_displacement
 
 Sensor = Mapping[str, Any]
 
+#: Amount that is not a cause: returns lost at random are lost evenly.
+UNEVEN = "unevenness of returns"
 #: Returns beyond this range are far.
 FAR_M = 25.0
 #: Simulated returns nearer than this, without a real counterpart, are clutter.
@@ -26,6 +28,8 @@ _FEWEST = 5  # returns of a cell
 _ALIKE = 0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 _APART_M, _APART_PER_M = 0.25, 0.01  # a point without a counterpart is farther than this, and this times its range
 _CLUSTER_M, _CLUSTER = 0.6, 5  # a piece: other points without a counterpart around one
+_DEEP = 1.5  # and one of them is farther than this times the limit
+_MOVED_M = 1.0  # from a missing to an invented piece
 _FEWEST_FAR = 100  # far returns
 _LEAVES, _FEWEST_LEAVES, _LEAF_SPREAD_M = 20, 50, 1.0
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
@@ -49,6 +53,12 @@ class Side:
     range_m: FloatArray
     cell: IndexArray
 
+    @property
+    def rays(self) -> FloatArray:
+        """(n, 3) directions."""
+        directions: FloatArray = self.points / self.range_m[:, None]
+        return directions
+
     @classmethod
     def of(cls, points: FloatArray) -> Side:
         """A side from its points."""
@@ -71,25 +81,42 @@ class Unmatched:
     is_beyond : farther than the other side ever returns
     is_clutter : near the sensor
     is_piece : others, in groups
+    is_moved : those of a piece that has one of the other side next to it
     """
 
     is_beyond: BoolArray
     is_clutter: BoolArray
     is_piece: BoolArray
+    is_moved: BoolArray
 
 
-def find_unmatched(side: Side, other: Side, step_deg: float = 0.0) -> Unmatched:
-    """Points that are farther from the other side than 0.25 m and 1 % of their range."""
+def find_unmatched(a: Side, b: Side, step_deg: float = 0.0) -> tuple[Unmatched, Unmatched]:
+    """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range."""
+    found = _unmatched(a, b, step_deg), _unmatched(b, a, step_deg)
+    pieces = [side.points[own.is_piece] for side, own in zip((a, b), found, strict=True)]
+    if min(map(len, pieces)):
+        for own, points, others in zip(found, pieces, pieces[::-1], strict=True):
+            is_near = np.isfinite(cKDTree(others).query(points, distance_upper_bound=_MOVED_M)[0])
+            own.is_moved[own.is_piece] = is_near
+            own.is_piece[own.is_piece] = ~is_near
+    return found
+
+
+def _unmatched(side: Side, other: Side, step_deg: float) -> Unmatched:
     apart, _ = cKDTree(other.points).query(side.points)
-    is_apart = apart > _APART_M + max(_APART_PER_M, np.radians(step_deg)) * side.range_m
+    limit_m = _APART_M + max(_APART_PER_M, np.radians(step_deg)) * side.range_m
+    is_apart = apart > limit_m
     is_beyond = side.range_m > other.range_m.max()
     is_piece = is_apart & ~is_beyond
     rows = np.flatnonzero(is_piece)
     if len(rows):
         tree = cKDTree(side.points[rows])
         n_near = tree.query_ball_point(side.points[rows], _CLUSTER_M, return_length=True)
-        is_piece[rows] = n_near > _CLUSTER
-    return Unmatched(is_beyond, is_apart & ~is_piece & (side.range_m < CLUTTER_M), is_piece)
+        is_core = (n_near > _CLUSTER) & (apart[rows] > _DEEP * limit_m[rows])
+        to_core_m, _ = cKDTree(side.points[rows[is_core]].reshape(-1, 3)).query(side.points[rows])
+        is_piece[rows] = (n_near > _CLUSTER) & (to_core_m < _CLUSTER_M)
+    is_clutter = is_apart & ~is_piece & (side.range_m < CLUTTER_M)
+    return Unmatched(is_beyond, is_clutter, is_piece, np.zeros(len(is_piece), np.bool_))
 
 
 @dataclass(frozen=True)
@@ -162,13 +189,18 @@ def _amounts(a: Side, b: Side, found_so_far: PairEstimates) -> dict[str, float]:
         found["range noise"] = sim - real
     if sensors[1]["n_beams"]:
         found["range steps"] = (sensors[1]["range_quantum_m"] or 0.0) - (sensors[0]["range_quantum_m"] or 0.0)
-    missing, invented = find_unmatched(a, b, step_deg), find_unmatched(b, a, step_deg)
-    found |= _losses(a.without(missing.is_piece | missing.is_beyond), b.without(invented.is_piece), _density(sensors))
+    missing, invented = find_unmatched(a, b, step_deg)
+    found |= _losses(
+        a.without(missing.is_piece | missing.is_moved | missing.is_beyond),
+        b.without(invented.is_piece | invented.is_moved),
+        _density(sensors),
+    )
     _, step_m = foliage_steps(a, b)
     if len(step_m) >= _FEWEST_LEAVES:
         found["solid foliage"] = float((step_m < -_LEAF_STEP_M).mean() - (step_m > _LEAF_STEP_M).mean())
     found["maximum range"] = float(b.range_m.max() - a.range_m.max())
     found["minimum range"] = float(np.quantile(b.range_m, 0.001) - np.quantile(a.range_m, 0.001))
+    found["moved pieces"] = float(missing.is_moved.mean())
     found["missing pieces"] = float(missing.is_piece.mean())
     found["invented pieces"] = float(invented.is_piece.mean())
     found["clutter"] = float(invented.is_clutter.mean())
@@ -200,10 +232,16 @@ def _losses(a: Side, b: Side, density: float) -> dict[str, float]:
     near, far = (
         n_sim[own].sum() / max(n_real[own].sum(), 1) / density for own in (is_alike & ~is_far, is_alike & is_far)
     )
-    found = {"lost returns": 1.0 - near}
+    found = {"lost returns": 1.0 - near, UNEVEN: _unevenness(n_real[is_alike] * density, n_sim[is_alike])}
     if n_real[is_alike & is_far].sum() >= _FEWEST_FAR and near:
         found["lost far returns"] = 1.0 - far / near
     return found
+
+
+def _unevenness(n_real: IndexArray, n_sim: IndexArray) -> float:
+    """Variance of the share of returns between directions, beyond that of counting; at most 0 if lost at random."""
+    expected = n_real * (n_sim.sum() / max(n_real.sum(), 1))
+    return float((((n_sim - expected) ** 2).sum() - expected.sum()) / max((expected**2).sum(), 1.0))
 
 
 def _middle_m(side: Side, n_cells: int) -> FloatArray:
@@ -219,8 +257,7 @@ def foliage_steps(a: Side, b: Side) -> tuple[IndexArray, FloatArray]:
     """Simulated returns in the direction of real foliage, (k,) rows, and their range minus that of the real return."""
     planes = fit_planes(a.points, a.points, _LEAVES)
     is_leaf = (planes.scattering >= SCATTERED) & (planes.variance[:, 2] < _LEAF_SPREAD_M**2)
-    rays = [side.points / side.range_m[:, None] for side in (a, b)]
-    angle, near = cKDTree(rays[1]).query(rays[0][is_leaf])
+    angle, near = cKDTree(b.rays).query(a.rays[is_leaf])
     is_met = angle < np.radians(_RAY_DEG)
     return near[is_met], b.range_m[near[is_met]] - a.range_m[is_leaf][is_met]
 
@@ -230,7 +267,7 @@ def is_stray(side: Side) -> tuple[BoolArray, BoolArray]:
 
     The inverse range is linear over directions on a plane: it is fitted to the eight nearest directions.
     """
-    ray = side.points / side.range_m[:, None]
+    ray = side.rays
     _, near = cKDTree(ray).query(ray, k=_AROUND + 1)
     near = near[:, 1:]
     off = ray[near] - ray[:, None]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IndexArray
 from ..inspect.surfels import fit_planes
 from .evidence import (
     FAR_M,
@@ -35,7 +35,7 @@ RESTORED: tuple[str, ...] = (
     "maximum range",
     "minimum range",
 )
-RESTORED += ("missing pieces", "blind sector", "solid foliage")
+RESTORED += ("missing pieces", "moved pieces", "blind sector", "solid foliage")
 _SAMPLE = 4000
 _NEIGHBOURS = 16
 _MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it
@@ -101,8 +101,8 @@ def corrections(
     excess : by cause to be corrected, its amount over the floor
     """
     a, b = Side.of(scans.real), Side.of(found.displacement.undo(scans.sim, scans.sim_is_ground))
-    missing, invented = find_unmatched(a, b, found.step_deg), find_unmatched(b, a, found.step_deg)
-    others = ~(missing.is_beyond | missing.is_piece | missing.is_clutter)
+    missing, invented = find_unmatched(a, b, found.step_deg)
+    others = ~(missing.is_beyond | missing.is_piece | missing.is_moved | missing.is_clutter)
     made: dict[str, Correction] = {}
     for name, amount in excess.items():
         part = amount / max(found.amounts.get(name, amount), amount) if amount > 0 else 1.0  # the rest is the floor's
@@ -122,6 +122,8 @@ def corrections(
             made[name] = Correction(keep=~_some(invented.is_clutter, part, rng))
         elif name == "missing pieces":
             made[name] = Correction(add=scans.real[_some(missing.is_piece, part, rng)])
+        elif name == "moved pieces":
+            made[name] = Correction(keep=~_some(invented.is_moved, part, rng), add=scans.real[missing.is_moved])
         elif name == "maximum range":
             made[name] = Correction(keep=b.range_m <= a.range_m.max(), add=scans.real[missing.is_beyond])
         elif name == "minimum range":
@@ -129,8 +131,20 @@ def corrections(
     return made
 
 
-def shares(scans: PairScans, made: Mapping[str, Correction], rng: Generator) -> tuple[float, float, dict[str, float]]:
+@dataclass(frozen=True)
+class Shares:
+    """Distances of a pair, metres: before and after all corrections, that of the floor, and the part of each cause."""
+
+    before_m: float
+    after_m: float
+    floor_m: float
+    by_cause: dict[str, float]
+
+
+def shares(scans: PairScans, made: Mapping[str, Correction], rng: Generator, floor_m: float = 0.0) -> Shares:
     """Distance of both sides before and after all corrections, and the metres that each correction contributes.
+
+    Distances count down to `floor_m`: restored real returns are better than those of the floor.
 
     The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
     orders up to four corrections, else over twelve at random.
@@ -156,8 +170,8 @@ def shares(scans: PairScans, made: Mapping[str, Correction], rng: Generator) -> 
     for order in orders:
         for i, name in enumerate(order):
             before, after = frozenset(order[:i]), frozenset(order[: i + 1])
-            gains[name] += (distance(before) - distance(after)) / len(orders)
-    return distance(frozenset()), distance(frozenset(names)), gains
+            gains[name] += (max(distance(before), floor_m) - max(distance(after), floor_m)) / len(orders)
+    return Shares(distance(frozenset()), max(distance(frozenset(names)), floor_m), floor_m, gains)
 
 
 def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:
@@ -170,10 +184,12 @@ def _noise(a: Side, b: Side, name: str, amount: float, found: PairEstimates, rng
     sim = max(found.sensors[1]["range_noise_m"] or 0.0, 1e-4)
     if name == "range noise":
         sim = max(noise_without_steps(found.sensors[1]) or 0.0, 1e-4)
+    elif amount > 0:
+        sim = max(sim, amount / np.sqrt(12))
     if amount < 0:
         return Correction(along_m=rng.normal(0.0, np.sqrt(amount**2 + 2 * sim * -amount), len(b.points)))
     target = sim - amount if name == "range noise" else np.sqrt(max(sim**2 - amount**2 / 12, 0.0))
-    along_m = (1.0 - max(target, 0.0) / sim) * (_seen_m(b.points / b.range_m[:, None], a) - b.range_m)
+    along_m = (1.0 - max(target, 0.0) / sim) * (_seen_m(b.rays, a) - b.range_m)
     return Correction(along_m=np.where(np.abs(along_m) < 4 * sim, along_m, 0.0))
 
 
@@ -182,7 +198,7 @@ def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
 
     Where a ray grazes the plane, the range of the return itself.
     """
-    _, near = cKDTree(real.points / real.range_m[:, None]).query(rays)
+    _, near = cKDTree(real.rays).query(rays)
     places, of_ray = np.unique(near, return_inverse=True)
     normal = fit_planes(real.points, real.points[places], _NEIGHBOURS).normal[of_ray]
     range_m = real.range_m[near]
@@ -193,7 +209,7 @@ def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
     return seen_m
 
 
-def _as_simulated(real: Side, sim: Side, is_lost: BoolArray) -> FloatArray:
+def _as_simulated(real: Side, sim: Side, is_lost: IndexArray) -> FloatArray:
     """Real points with the error of the simulated surface: moved along the real normal, as far as the nearest point."""
     points = real.points[is_lost]
     normal = fit_planes(real.points, points, _NEIGHBOURS).normal
@@ -205,7 +221,7 @@ def _as_simulated(real: Side, sim: Side, is_lost: BoolArray) -> FloatArray:
 def _density(
     name: str, amount: float, a: Side, b: Side, is_common: BoolArray, found: PairEstimates, rng: Generator
 ) -> Correction:
-    """Real returns on common surface instead of the lost ones, or fewer of the simulated returns."""
+    """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones."""
     step_deg, n_beams = found.sensors[1]["azimuth_step_deg"], found.sensors[1]["n_beams"]
     share = amount
     if name == "azimuth step":
@@ -213,8 +229,9 @@ def _density(
     elif name == "beams":
         share = -amount / (n_beams - min(amount, 0.0)) if n_beams else 0.0
     if share > 0:
-        where = is_common & (a.range_m > FAR_M) if name == "lost far returns" else is_common
-        return Correction(add=_as_simulated(a, b, where & (rng.random(len(where)) < share)))
+        rows = np.flatnonzero(is_common & (a.range_m > FAR_M) if name == "lost far returns" else is_common)
+        gap, _ = cKDTree(b.rays).query(a.rays[rows])
+        return Correction(add=_as_simulated(a, b, rows[np.argsort(-gap)[: round(share * len(rows))]]))
     where = b.range_m > FAR_M if name == "lost far returns" else np.ones(len(b.range_m), dtype=np.bool_)
     return Correction(keep=~(where & (rng.random(len(where)) < 1.0 - 1.0 / (1.0 - share))))
 

@@ -15,6 +15,7 @@ from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.results import Diagnosis
 from fidpipe.schemas.settings import load
+from fidpipe.stages.diagnose.gain import Shares
 from runs import command, run
 from scenes import write_bin
 
@@ -77,12 +78,14 @@ def test_the_flaw_is_the_first_cause_everywhere(runs):
 def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_are_left_out(runs, monkeypatch):
     good, low = runs
     monkeypatch.setattr(
-        "fidpipe.pipeline.diagnose.diagnose.shares", lambda scans, made, rng: (0.3, 0.3, dict.fromkeys(made, 0.0))
+        "fidpipe.pipeline.diagnose.diagnose.shares",
+        lambda scans, made, rng, floor_m: Shares(0.3, 0.3, floor_m, dict.fromkeys(made, 0.0)),
     )
     found = diagnose_run(low, good)
     assert [cause.name for cause in found.causes] == ["unexplained"]
     assert found.causes[0].estimate == pytest.approx(0.3 - found.floor_m)
     assert found.unexplained == 1
+    assert "world 15 cm too low" in found.doubtful
     assert "no cause in the catalogue for 100 % of the distance" in command("show", low).stdout
     assert diagnose_run(low).causes[0].name != "unexplained", "without a floor the rest is not known"
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.diagnose.causes import CAUSES, name_causes
+from fidpipe.pipeline.diagnose.causes import CAUSES, confirm, name_causes
 from fidpipe.stages.diagnose.evidence import PairScans, estimate
 from fidpipe.stages.diagnose.gain import corrections, shares, surface_distance
 from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement, fit_displacement
@@ -67,6 +67,21 @@ FLAWS = {
     "clutter": (drops(150), 0.01),
     "azimuth step": (lambda points, rng: points[::2], None),
 }
+
+
+def on_a_grid(points, rng):
+    return np.where(points[:, 2:] > -1.4, np.round(points / 0.4) * 0.4, points)
+
+
+def bent(points, rng):
+    return points + ranges(points) ** 2 * [0, 0.0006, 0]
+
+
+def wobbling(points, rng):
+    return points + ranges(points) * np.sin(3 * np.arctan2(points[:, 1:2], points[:, :1])) * [0, 0, 0.009]
+
+
+UNKNOWN = {own.__name__: own for own in (on_a_grid, bent, wobbling)}
 ALWAYS = ["forward", "motion forward", "range noise", "lost returns", "missing pieces"]
 
 
@@ -113,10 +128,30 @@ def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, health
     if amount is not None:
         assert by_name[name].mean == pytest.approx(amount, rel=0.2)
     made = corrections(pairs[0], found[0], {own.model.name: own.mean for own in named}, np.random.default_rng(0))
-    before_m, after_m, gains = shares(pairs[0], made, np.random.default_rng(0))
-    assert sum(gains.values()) == pytest.approx(before_m - after_m)
-    assert max(gains, key=gains.get) == name
-    assert before_m == surface_distance(pairs[0].real, pairs[0].sim)
+    found = shares(pairs[0], made, np.random.default_rng(0))
+    assert sum(found.by_cause.values()) == pytest.approx(found.before_m - found.after_m)
+    assert max(found.by_cause, key=found.by_cause.get) == name
+    assert found.before_m == surface_distance(pairs[0].real, pairs[0].sim)
+
+
+@pytest.mark.parametrize("name", some_of([*UNKNOWN], ["on_a_grid"]))
+def test_a_flaw_without_a_cause_is_unexplained(places, healthy, name):
+    pairs = simulated(places, UNKNOWN[name])
+    found = [estimate(pair) for pair in pairs]
+    named = name_causes([own.amounts for own in found], [own.amounts for own in healthy], np.arange(2))
+    floors_m = [surface_distance(pair.real, pair.sim) for pair in simulated(places)]
+
+    def correct(causes):
+        amounts, rng = {own.model.name: own.mean for own in causes}, np.random.default_rng(0)
+        return [
+            shares(pair, corrections(pair, own, amounts, rng), rng, floor_m)
+            for pair, own, floor_m in zip(pairs, found, floors_m, strict=True)
+        ]
+
+    kept, doubtful, left = confirm(named, correct)
+    assert kept == []
+    assert {own.model.name for own in doubtful} == {own.model.name for own in named}
+    assert all(own.after_m == own.before_m > 1.5 * own.floor_m for own in left)
 
 
 def test_a_displacement_is_undone(places):
