@@ -197,8 +197,8 @@ def wavy(scan, rng):
     return along_ray(scan.points, ranges(scan.points) + 0.2 * np.sin(30 * azimuth))
 
 
-#: No cause of the catalogue is right. The first three and "bent world" were seen before the rules for naming a cause were
-#: set, the others were not.
+#: No cause of the catalogue is right. The first four were seen before the rules for naming a cause were set, the others
+#: were not.
 UNKNOWN = {
     **{"warped world": warped, "voxel world": boxed, "wobbling beams": wobbling, "bent world": bent},
     **{"leaning world": sheared, "melted surface": melted, "two poses": double},
