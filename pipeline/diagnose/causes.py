@@ -177,7 +177,8 @@ def confirm(
     ----------
     correct : shares of all pairs if these causes are corrected
     """
-    kept, doubtful = [*named], []
+    kept = [*named]
+    doubtful: list[NamedCause] = []
     while True:
         found = correct(kept)
         before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)

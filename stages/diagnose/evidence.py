@@ -238,7 +238,7 @@ def _losses(a: Side, b: Side, density: float) -> dict[str, float]:
     return found
 
 
-def _unevenness(n_real: IndexArray, n_sim: IndexArray) -> float:
+def _unevenness(n_real: FloatArray, n_sim: IndexArray) -> float:
     """Variance of the share of returns between directions, beyond that of counting; at most 0 if lost at random."""
     expected = n_real * (n_sim.sum() / max(n_real.sum(), 1))
     return float((((n_sim - expected) ** 2).sum() - expected.sum()) / max((expected**2).sum(), 1.0))
