@@ -232,13 +232,13 @@ def _losses(a: Side, b: Side, density: float) -> dict[str, float]:
     near, far = (
         n_sim[own].sum() / max(n_real[own].sum(), 1) / density for own in (is_alike & ~is_far, is_alike & is_far)
     )
-    found = {"lost returns": 1.0 - near, UNEVEN: _unevenness(n_real[is_alike] * density, n_sim[is_alike])}
+    found = {"lost returns": 1.0 - near, UNEVEN: _unevenness(n_real[is_alike], n_sim[is_alike])}
     if n_real[is_alike & is_far].sum() >= _FEWEST_FAR and near:
         found["lost far returns"] = 1.0 - far / near
     return found
 
 
-def _unevenness(n_real: FloatArray, n_sim: IndexArray) -> float:
+def _unevenness(n_real: IndexArray, n_sim: IndexArray) -> float:
     """Variance of the share of returns between directions, beyond that of counting; at most 0 if lost at random."""
     expected = n_real * (n_sim.sum() / max(n_real.sum(), 1))
     return float((((n_sim - expected) ** 2).sum() - expected.sum()) / max((expected**2).sum(), 1.0))
