@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .object_store import is_url
 from .results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts
 
 if TYPE_CHECKING:
@@ -64,11 +65,15 @@ def open_run(folder: Path | str) -> Run:
 
     Parameters
     ----------
-    folder : as `fidpipe run` wrote it
+    folder : as `fidpipe run` wrote it, or a URL such as s3://bucket/runs/x
 
     Raises
     ------
     RunError
         The folder is not a run, the run has not ended, or its table of pairs is damaged.
     """
+    if isinstance(folder, str) and is_url(folder):
+        from .remote_run import local_of
+
+        folder = local_of(folder)
     return Run(folder)

@@ -11,8 +11,9 @@ import os
 import re
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from inspect import cleandoc
-from itertools import pairwise
 from pathlib import Path
 from time import monotonic
 from typing import Annotated, Any
@@ -36,7 +37,6 @@ _REFUSALS = (
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO, errno.ESTALE),
 )
 _FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
-_URL = re.compile(r"(--[a-z-]+=)?[a-z][a-z0-9+.-]+://")
 
 
 class _Command(TyperCommand):
@@ -81,8 +81,8 @@ def main() -> None:
     for number in _STOPPING:
         signal.signal(number, _Stop())
     try:
-        _refuse_urls(sys.argv[1:])
-        code = app(standalone_mode=False)
+        with _local_arguments():
+            code = app(standalone_mode=False)
         _ignore_interrupts()
     except FidpipeError as error:
         _complain(f"error: {error}")
@@ -113,13 +113,17 @@ def main() -> None:
     sys.exit(_flushed(code))
 
 
-def _refuse_urls(words: list[str]) -> None:
-    """Raise `FidpipeError` for a URL, except of a scheduler; as a path, s3://bucket is the local folder s3:/bucket."""
-    from ...schemas.errors import FidpipeError
+@contextmanager
+def _local_arguments() -> Iterator[None]:
+    """Replace the URLs among the arguments by local paths while the command runs."""
+    if not any("://" in word for word in sys.argv[1:]):
+        yield
+        return
+    from ..remote_run import local_arguments
 
-    for option, word in pairwise(["", *words]):
-        if _URL.match(word) and "--scheduler" not in (option, word.partition("=")[0]):
-            raise FidpipeError(f"{word}: expected a local path, got a URL; mount or copy the data, and name its path")
+    with local_arguments(sys.argv[1:]) as words:
+        sys.argv[1:] = words
+        yield
 
 
 def _open_streams() -> None:

@@ -14,6 +14,7 @@ from .pairs import ScanPair
 from .readers import files_of, formats, stem_of, suffix_of
 from .readers.frame_address import address_of
 from .readers.scan import label_path_of
+from .stubs import n_bytes_of
 
 _BYTES_PER_POINT = 16
 _MOST_POINTS_PER_FRAME = 250_000
@@ -61,7 +62,7 @@ def scan_content(path: Path, hash_of: Callable[[Path], str] = file_hash) -> Scan
     known = formats().get(suffix or "")
     try:
         files = files_of(path)
-        n_bytes = sum(file.stat().st_size for file in files)
+        n_bytes = sum(map(n_bytes_of, files))
         if not n_bytes:
             raise ScanError(f"{path}: the file is empty; expected points")
         hashes = [hash_of(file) for file in files]

@@ -19,8 +19,10 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, ScanError, nearest
 from ...schemas.settings import FARTHEST_M, parse_toml
 from ...stages.arrays import FloatArray
+from ..object_store import is_url
 from .readers import formats, holds_frames, is_scan_path, stem_of, suffix_of
 from .readers.scan import LONGEST_LABEL
+from .stubs import STUB, stub_of
 
 MANIFEST = "pairs.csv"
 UNPAIRED = "unpaired.csv"
@@ -167,7 +169,9 @@ def _files(folder: Path) -> list[Path]:
     return [
         path
         for path in sorted(folder.iterdir())
-        if not path.name.startswith(".") and not path.is_dir() and path.suffix not in (".label", ".toml")
+        if not path.name.startswith(".")
+        and not path.is_dir()
+        and not path.name.removesuffix(STUB).endswith((".label", ".toml"))
     ]
 
 
@@ -250,9 +254,11 @@ def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | 
     path = folder / name.strip()
     if not name.strip():
         return None, f"{where}: no {side} scan is named"
-    if "://" in name:
-        return None, f"{where}: {name.strip()}: expected a local path, got a URL; mount or copy the scan"
     try:
+        if is_url(name.strip()):
+            return stub_of(name.strip()), None
+        stub = path.with_name(path.name + STUB)
+        path = stub if stub.exists() else path
         is_there = is_scan_path(path)
     except (OSError, ScanError) as error:  # a name that no file can have, or that names no frame
         return None, f"{where}: {error.strerror or error if isinstance(error, OSError) else error}"

@@ -81,8 +81,11 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
     [
         (["nowhere"], "error: dataset nowhere: no such folder"),
         (["loop"], "error: dataset loop: no such folder"),
-        (["s3://bucket/data"], "error: s3://bucket/data: expected a local path, got a URL; mount or copy"),
-        (["{data}", "--out=gs://runs/x"], "error: --out=gs://runs/x: expected a local path, got a URL; mount or copy"),
+        (["ftp://bucket/data"], "error: ftp://: expected a URL of s3, gs, az, http, https, or a local path"),
+        (
+            ["{data}", "--out=memory://x"],
+            "error: memory://: expected a URL of s3, gs, az, http, https, or a local path",
+        ),
         (
             ["{data}", "--set", "graph.k=0"],
             "error: setting graph.k: expected a number of at least 1, got 0; fidpipe settings lists the allowed values",

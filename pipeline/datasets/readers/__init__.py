@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ....schemas.errors import DatasetError, FidpipeError, ScanError
+from ..stubs import STUB, local_scan
 from .frame_address import address_of
-from .scan import Scan, cause_of, with_label_file, with_label_names
+from .scan import Scan, cause_of, label_path_of, with_label_file, with_label_names
 
 _KITTI = ("x", "y", "z", "intensity")
 _NUSCENES = (*_KITTI, "ring")
@@ -77,7 +78,7 @@ def formats() -> dict[str, Format]:
 def suffix_of(path: Path) -> str | None:
     """The known suffix of a file, or of that which a frame is in; in lower case, or None."""
     file = address_of(path).file
-    name, known = file.name.lower(), formats()
+    name, known = file.name.lower().removesuffix(STUB), formats()
     by_name = (suffix for suffix in sorted(known, key=len, reverse=True) if name.endswith(suffix))
     return next(by_name, None) or next((suffix for suffix in known if suffix[0] == "/" and _holds(file, suffix)), None)
 
@@ -92,7 +93,8 @@ def stem_of(path: Path) -> str:
     """The file name without its known suffix: the name of the pair; of a frame with its topic and number or time."""
     file, topic, frame = address_of(path)
     suffix = suffix_of(file) or ""
-    name = file.name if suffix.startswith("/") else file.name[: -len(suffix) or None]
+    name = file.name.removesuffix(STUB)
+    name = name if suffix.startswith("/") else name[: -len(suffix) or None]
     return "-".join(filter(None, [name, *(topic or "").split("/"), frame]))
 
 
@@ -155,16 +157,18 @@ def read_scan(
     known = formats()[suffix]
     if address.file != path and not known.holds_frames:
         raise ScanError(f"{path}: a {suffix} file holds one scan; it is named without #")
-    with _reader(path, known) as reader:
-        if address.file.stat().st_size == 0:
+    if known.holds_frames and address.file.suffix == STUB:
+        raise ScanError(f"{path}: recordings are not read by URL; copy it, or use fidpipe convert")
+    with local_scan(address.file, label_path_of(address.file, stem_of(path))) as file, _reader(path, known) as reader:
+        if file.stat().st_size == 0:
             raise ScanError(f"{path}: the file is empty")
         if known.holds_frames:
             scan: Scan = reader.read(address)
         else:
-            scan = reader.read(path) if known.columns is None else reader.read(path, columns or known.columns)
-    if not len(scan.points):
-        raise ScanError(f"{path}: the file has no points")
-    labelled = with_label_file(scan, address.file, stem_of(path))
+            scan = reader.read(file) if known.columns is None else reader.read(file, columns or known.columns)
+        if not len(scan.points):
+            raise ScanError(f"{path}: the file has no points")
+        labelled = with_label_file(scan, file, stem_of(path))
     names = label_names if label_names and (labelled is not scan or not known.columns) else {}
     return with_label_names(labelled, names)
 

@@ -229,7 +229,7 @@ def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
 
 def label_path_of(path: Path, stem: str) -> Path:
     """Path of the labels of a scan file, if its format has them; the file may not exist."""
-    return path.with_name(stem + ".label")
+    return path.with_name(f"{stem}.label{'.url' * (path.suffix == '.url')}")
 
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:

@@ -1,0 +1,214 @@
+"""A run in an object store: a local folder that is kept equal to a URL, table by table.
+
+Each finished file is written by one PUT, which is atomic, and never renamed. The ledger stays local and is rebuilt from
+the tables. One object, written under a condition, says who writes; its owner renews it.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import orjson
+
+from ..schemas.errors import RunError
+from .datasets.stubs import cache_of, mirror_dataset
+from .object_store import StoreError, delete_object, is_url, list_objects, read_object, write_object
+from .storage.files import remove_stale, write_whole
+from .storage.ledger import LEDGER
+
+LOCK = "_writer.json"
+#: Files of a run that stay on this machine.
+_LOCAL = (LEDGER, "ledger.sha256", "report.html")
+_PUSH_S, _RENEW_S, _DEAD_S = 5.0, 60.0, 300.0
+
+
+def local_of(url: str) -> Path:
+    """The local folder (or file) of a URL: a finished run fetched, or a dataset as stubs.
+
+    Raises
+    ------
+    FidpipeError
+        The URL cannot be read.
+    """
+    url = url.rstrip("/")
+    if not url.startswith("http") and any(one.name == "run.json" for one in list_objects(url)):
+        run = RemoteRun(url)
+        run.pull()
+        return run.folder
+    return mirror_dataset(url)
+
+
+class RemoteRun:
+    """The local folder of a run at a URL, and what is known to be equal at both places."""
+
+    def __init__(self, url: str) -> None:
+        self.url, self.folder = url.rstrip("/"), cache_of(url)
+        self._index = self.folder.with_name(f".{self.folder.name}.objects.json")
+
+    def pull(self) -> None:
+        """Fetch what the URL has and the folder lacks, and remove what the URL has not."""
+        known, found = self._known(), {one.name: one for one in list_objects(self.url) if one.name != LOCK}
+        if found and "run.json" not in found:  # of a run that was killed, or no run at all
+            if not all(name.endswith((".parquet", "settings.toml")) for name in found):
+                raise RunError(f"run {self.url}: the URL holds other things than a run; give another --out")
+            self.folder.mkdir(parents=True, exist_ok=True)
+            (self.folder / LEDGER).touch()
+        for name, one in found.items():
+            path = self.folder / name
+            if known.get(name, [""])[0] != one.etag or not path.exists():
+                write_whole(path, read_object(f"{self.url}/{name}", one.etag))
+                known[name] = [one.etag, *_marks(path)]
+        for name in self._files() - found.keys():
+            remove_stale(self.folder / name)
+        self._keep({name: marks for name, marks in known.items() if name in found})
+
+    def push(self) -> None:
+        """Write what has changed in the folder, and delete what it has no more."""
+        known, files = self._known(), self._files()
+        for name in sorted(files):
+            try:
+                marks = _marks(self.folder / name)
+                if known.get(name, [""])[1:] != marks:
+                    etag = write_object(f"{self.url}/{name}", (self.folder / name).read_bytes())
+                    known[name] = [etag, *marks]
+            except FileNotFoundError:  # replaced meanwhile
+                continue
+        for name in known.keys() - files:
+            delete_object(f"{self.url}/{name}")
+        self._keep({name: marks for name, marks in known.items() if name in files})
+
+    @contextmanager
+    def written(self) -> Iterator[Path]:
+        """The folder for a command that writes: fetched first, written back every few seconds and at the end.
+
+        Raises
+        ------
+        RunError
+            Another command writes there.
+        """
+        etag, ended = self._claim(), threading.Event()
+        renew = threading.Thread(target=self._follow, args=(ended, etag), daemon=True)
+        try:
+            self.pull()
+            self.folder.mkdir(parents=True, exist_ok=True)
+            renew.start()
+            yield self.folder
+        finally:
+            ended.set()
+            if renew.is_alive():
+                renew.join()
+            if self.folder.exists():
+                self.push()
+            delete_object(f"{self.url}/{LOCK}")
+
+    def _follow(self, ended: threading.Event, etag: str) -> None:
+        renewed = time.monotonic()
+        while not ended.wait(_PUSH_S):
+            try:
+                self.push()
+                if time.monotonic() - renewed > _RENEW_S:
+                    etag = write_object(f"{self.url}/{LOCK}", _owner(), only_if=etag)
+                    renewed = time.monotonic()
+            except Exception:  # the last push reports what still fails
+                continue
+
+    def _claim(self) -> str:
+        """The etag of our lock. A write that a broken connection leaves unanswered may have succeeded: it is read."""
+        url, own = f"{self.url}/{LOCK}", _owner()
+        for condition in ("", None):  # first only if there is none, then only instead of a dead one
+            try:
+                return write_object(url, own, only_if=_etag_of(self.url) if condition is None else condition)
+            except StoreError:
+                raise
+            except Exception as error:
+                try:
+                    held = read_object(url)
+                except StoreError:
+                    raise RunError(f"{url}: cannot be written ({type(error).__name__})") from None
+            if held == own:
+                return _etag_of(self.url)
+            owner = orjson.loads(held)
+            is_dead = owner["host"] == socket.gethostname() and not _is_alive(owner["pid"])
+            if condition is None or (not is_dead and time.time() - owner["time"] < _DEAD_S):
+                break
+        raise RunError(
+            f"run {self.url}: process {owner['pid']} on {owner['host']} writes there; wait for its end, or delete "
+            f"{url} if it is dead"
+        )
+
+    def _files(self) -> set[str]:
+        """Names of the finished files of the folder; temporary ones and locks begin with a dot."""
+        found = (path.relative_to(self.folder) for path in self.folder.rglob("*") if path.is_file())
+        return {
+            path.as_posix()
+            for path in found
+            if path.name not in _LOCAL and not any(part[0] == "." for part in path.parts)
+        }
+
+    def _known(self) -> dict[str, list[object]]:
+        try:
+            known: dict[str, list[object]] = orjson.loads(self._index.read_bytes())
+            return known
+        except (OSError, ValueError):
+            return {}
+
+    def _keep(self, known: dict[str, list[object]]) -> None:
+        write_whole(self._index, orjson.dumps(known))
+
+
+@contextmanager
+def local_arguments(words: list[str]) -> Iterator[list[str]]:
+    """The words of a command with local paths in place of URLs; a URL after --out is written to.
+
+    Raises
+    ------
+    FidpipeError
+        A URL cannot be read, or another command writes to it.
+    """
+    words, outputs = list(words), []
+    for i, word in enumerate(words):
+        option, is_joined, value = (
+            word.partition("=") if word.startswith("--") else (words[i - 1] if i else "", "", word)
+        )
+        if not is_url(value) or option == "--scheduler":
+            continue
+        if option in ("--out", "-o"):
+            outputs.append(RemoteRun(value))
+        path = outputs[-1].folder if option in ("--out", "-o") else local_of(value)
+        words[i] = f"{option}={path}" if is_joined else str(path)
+    if len(outputs) > 1:
+        raise RunError("expected one --out, got several")
+    if not outputs:
+        yield words
+        return
+    with outputs[0].written():
+        yield words
+
+
+def _marks(path: Path) -> list[object]:
+    state = path.stat()
+    return [state.st_mtime_ns, state.st_size]
+
+
+def _owner() -> bytes:
+    return orjson.dumps({"host": socket.gethostname(), "pid": os.getpid(), "time": time.time()})
+
+
+def _etag_of(url: str) -> str:
+    return next((one.etag for one in list_objects(url) if one.name == LOCK), "")
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,203 @@
+"""Datasets and runs in an object store, against a server of S3's interface on this machine."""
+
+import http.server
+import json
+import os
+import shutil
+import threading
+import time
+from functools import partial
+from urllib.request import Request, urlopen
+
+import pytest
+
+from fidpipe import open_run
+from fidpipe.pipeline.datasets.stubs import cache_of, mirror_dataset
+from fidpipe.pipeline.object_store import StoreError, list_objects, read_object, write_object
+from fidpipe.pipeline.remote_run import LOCK
+from fidpipe.schemas.errors import DatasetError
+from runs import assert_same_tables, command, run
+from scenes import write_dataset
+
+SECRET = "a-secret-that-nobody-may-read"
+LOST = "/data/set/sim/001.bin"
+
+
+class Faulty(http.server.BaseHTTPRequestHandler):
+    """A proxy of the server that answers each 20th request with 503, cuts the next off, and has lost an object."""
+
+    protocol_version = "HTTP/1.1"
+    n, lost, requests = 0, None, []
+
+    def relay(self):
+        Faulty.n += 1
+        Faulty.requests.append((self.command, self.path))
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0)) or None
+        headers = {name: value for name, value in self.headers.items() if name.lower() != "connection"}
+        headers = {"Content-type": "application/octet-stream"} | headers  # urllib would call it a form
+        request = Request(self.server.target + self.path, body, headers, method=self.command)
+        try:
+            with urlopen(request) as answer:
+                status, content, found = answer.status, answer.read(), answer.headers
+        except OSError as error:
+            status, content, found = error.code, error.read(), error.headers
+        if Faulty.n % 20 == 7:
+            status, content = 503, b""
+        if self.path == Faulty.lost and self.command == "GET":
+            status, content = 404, b""
+        self.send_response(status)
+        for name, value in found.items():
+            if name.lower() not in ("content-length", "connection", "transfer-encoding", "date", "server"):
+                self.send_header(name, value)
+        length = found["Content-Length"] if self.command == "HEAD" else len(content)
+        self.send_header("Content-Length", length)
+        self.end_headers()
+        self.wfile.write(content[: len(content) // 2] if Faulty.n % 20 == 8 else content)
+        self.close_connection = Faulty.n % 20 == 8
+
+    do_GET = do_PUT = do_HEAD = do_DELETE = do_POST = relay
+
+    def log_message(self, *words):
+        pass
+
+
+@pytest.fixture(scope="module")
+def proxy():
+    """The address of the proxy."""
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    server.start()
+    host, port = server.get_host_and_port()
+    own = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Faulty)
+    own.target = f"http://{host}:{port}"
+    threading.Thread(target=own.serve_forever, daemon=True).start()
+    urlopen(Request(f"{own.target}/data", method="PUT"))
+    yield f"http://127.0.0.1:{own.server_port}"
+    own.shutdown()
+    own.server_close()
+    server.stop()
+
+
+@pytest.fixture
+def bucket(proxy, tmp_path, monkeypatch):
+    """An empty bucket, whose objects are cached in a folder of this test."""
+    Faulty.n, Faulty.lost, Faulty.requests = 20, None, []
+    for name, value in {
+        **{"AWS_ENDPOINT_URL": proxy, "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1"},
+        **{"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": SECRET, "FIDPIPE_CACHE": str(tmp_path / "cache")},
+    }.items():
+        monkeypatch.setenv(name, value)
+    return "s3://data"
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory):
+    """A dataset, and its run on this machine."""
+    folder = tmp_path_factory.mktemp("local")
+    write_dataset(folder / "set", n_pairs=2, n=100)
+    run(folder / "set", folder / "run")
+    return folder
+
+
+def upload(folder, url):
+    for path in folder.rglob("*"):
+        if path.is_file():
+            write_object(f"{url}/{path.relative_to(folder).as_posix()}", path.read_bytes())
+
+
+def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local, tmp_path):
+    upload(local / "set", f"{bucket}/set")
+    Faulty.requests = []
+    ended = command("run", f"{bucket}/set", "--out", f"{bucket}/runs/x", "--workers", "1", "--preset", "paper")
+    assert ended.returncode == 0, ended.stderr
+    assert_same_tables(cache_of(f"{bucket}/runs/x"), local / "run")
+    fetched = [path for verb, path in Faulty.requests if verb == "GET" and "/set/real/" in path]
+    assert len(set(fetched)) == 2
+    names = {one.name for one in list_objects(f"{bucket}/runs/x")}
+    assert {"run.json", "pairs.parquet", "graph/000.real.parquet"} <= names
+    assert not {"ledger.sqlite", LOCK, ".lock"} & names
+    shutil.rmtree(tmp_path / "cache")
+    assert "2 pairs" in command("show", f"{bucket}/runs/x").stdout
+    assert len(open_run(f"{bucket}/runs/x").pairs) == 2
+    verified = command("verify", f"{bucket}/runs/x")
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    texts = [path.read_bytes() for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+    assert not any(SECRET.encode() in text for text in (*texts, ended.stdout.encode(), ended.stderr.encode()))
+
+
+def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, tmp_path):
+    upload(local / "set", f"{bucket}/set")
+    words = ("run", f"{bucket}/set", "--workers", "1", "--preset", "paper", "--out")
+    assert command(*words, f"{bucket}/runs/whole").returncode == 0
+    for name in ("graph", "ground", "sensor"):
+        upload(cache_of(f"{bucket}/runs/whole") / name, f"{bucket}/runs/half/{name}")
+    for writes_all in (True, False):
+        Faulty.requests = []
+        ended = command(*words, f"{bucket}/runs/half")
+        assert ended.returncode == 0, ended.stderr
+        assert_same_tables(cache_of(f"{bucket}/runs/half"), local / "run")
+        written = {path.split("/half/")[1].split("/")[0] for verb, path in Faulty.requests if verb == "PUT"}
+        assert not {"graph", "ground", "sensor"} & written, "they were there"
+        assert ("metrics" in written) == writes_all
+
+
+def test_two_commands_do_not_write_to_one_run_and_a_dead_one_is_replaced(bucket, local):
+    upload(local / "set", f"{bucket}/set")
+    lock, words = f"{bucket}/runs/y/{LOCK}", ("run", f"{bucket}/set", "--out", f"{bucket}/runs/y", "--workers", "1")
+    write_object(lock, json.dumps({"host": "elsewhere", "pid": 7, "time": time.time()}).encode())
+    refused = command(*words)
+    assert refused.returncode == 1
+    assert "process 7 on elsewhere writes there" in refused.stderr
+    write_object(lock, json.dumps({"host": "elsewhere", "pid": 7, "time": time.time() - 3600}).encode())
+    assert command(*words).returncode == 0
+
+
+def test_an_object_that_is_lost_fails_its_pair_by_name(bucket, local, tmp_path):
+    upload(local / "set", f"{bucket}/set")
+    Faulty.lost = LOST
+    ended = command("run", f"{bucket}/set", "--out", tmp_path / "run", "--workers", "1")
+    assert "s3://data/set/sim/001.bin: no such object" in ended.stdout + ended.stderr
+    pairs = open_run(tmp_path / "run").pairs
+    assert pairs.status.tolist() == ["scored", "failed"]
+
+
+def test_a_manifest_names_objects_and_may_be_one_without_a_listing(bucket, local, tmp_path, monkeypatch):
+    upload(local / "set", f"{bucket}/set")
+    (tmp_path / "named").mkdir()
+    manifest = tmp_path / "named" / "pairs.csv"
+    manifest.write_text(f"pair_id,real,sim\na,{bucket}/set/real/000.bin,{bucket}/set/sim/000.bin\n")
+    assert "1 of 1 pairs can be evaluated" in command("check", manifest.parent).stdout
+    (local / "set" / "pairs.csv").write_text("pair_id,real,sim\na,real/000.bin,sim/000.bin\n")
+    quiet = type("Quiet", (http.server.SimpleHTTPRequestHandler,), {"log_message": lambda *words: None})
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), partial(quiet, directory=local / "set"))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        checked = command("check", f"http://127.0.0.1:{server.server_port}")
+    finally:
+        server.shutdown()
+        server.server_close()
+        (local / "set" / "pairs.csv").unlink()
+    assert "1 of 1 pairs can be evaluated" in checked.stdout, checked.stderr
+
+
+def test_urls_with_credentials_and_of_unknown_schemes_are_rejected(bucket):
+    for url in ("s3://key:secret@data/set", "https://host/set?X-Amz-Signature=secret"):
+        refused = command("check", url)
+        assert refused.returncode == 1
+        assert "without credentials" in refused.stderr
+        assert "secret" not in refused.stderr.replace(SECRET, "")
+    assert "expected a URL of s3, gs, az" in command("check", "ftp://host/set").stderr
+
+
+def test_a_place_that_holds_something_else_is_not_written_to(bucket, local):
+    upload(local / "set", f"{bucket}/set")
+    refused = command("run", local / "set", "--out", f"{bucket}/set", "--workers", "1")
+    assert "holds other things than a run" in refused.stderr
+    assert {one.name for one in list_objects(f"{bucket}/set")} >= {"real/000.bin", "sim/001.bin"}
+
+
+def test_what_is_not_there_is_said_in_one_line(bucket):
+    with pytest.raises(DatasetError, match="no such object"):
+        mirror_dataset(f"{bucket}/nothing")
+    with pytest.raises(StoreError, match="no such object"):
+        read_object(f"{bucket}/nothing/x.bin")
+    assert os.environ["AWS_SECRET_ACCESS_KEY"] not in command("show", f"{bucket}/nothing").stderr
