@@ -7,6 +7,10 @@ from ..report.view import Note, Table, View, percent
 from ..results.diagnosis import gain_words, interval_words
 
 _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
+_HEADLINE = (
+    "The largest part of the distance has no cause in the catalogue, or a second measurement has it too (--floor): "
+    "see the worst places and diagnose --tell-apart"
+)
 
 
 def diagnosis_records(found: Diagnosis) -> Table:
@@ -36,9 +40,12 @@ def diagnosis_view(found: Diagnosis) -> View:
         notes.append(f"left out, too little surface in common: {', '.join(found.left_out)}")
     if found.doubtful:
         notes.append(f"measured, but hardly closer if corrected: {'; '.join(found.doubtful)}")
+    is_open = (found.unexplained or 0.0) > 0.5 and not found.floor  # over a floor, the rest is the first cause
+    head = [Note(_HEADLINE, "bold")] if is_open else []
     if not rows:
-        return [Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
+        return [*head, Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
     return [
+        *head,
         Table(title, ("", "cause", "95 % interval", "gain if corrected", "setting"), rows, words=(1, 2, 3, 4)),
         *map(Note, notes),
     ]

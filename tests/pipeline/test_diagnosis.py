@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
+from fidpipe.pipeline.diagnose.diagnosis_view import diagnosis_view
 from fidpipe.pipeline.report.page.run_data import page_words
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.compare import compare_runs
@@ -87,7 +88,10 @@ def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_ar
     assert found.unexplained == 1
     assert "world 15 cm too low" in found.doubtful
     assert "no cause in the catalogue for 100 % of the distance" in command("show", low).stdout
-    assert diagnose_run(low).causes == (), "without a floor the rest is not known"
+    alone = diagnose_run(low)
+    assert alone.causes == (), "without a floor the rest is not known"
+    heads = [diagnosis_view(one)[0].text for one in (alone, alone.model_copy(update={"unexplained": 0.5}))]
+    assert [head.startswith("The largest part of the distance has no cause") for head in heads] == [True, False]
 
 
 def test_a_diagnosis_of_other_results_is_not_used(runs):
