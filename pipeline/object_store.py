@@ -77,10 +77,20 @@ def read_object(url: str, etag: str = "") -> bytes:
     ----------
     etag : expected; an object that has changed since is an error
     """
+    return read_with_etag(url, etag)[0]
+
+
+def read_with_etag(url: str, etag: str = "") -> tuple[bytes, str]:
+    """The content of an object, and the etag of that content; see `read_object`."""
     folder, _, name = url.rpartition("/")
     obstore, store = _open(folder)
     options = {"if_match": etag} if etag and not etag.startswith(_MODIFIED) else {}
-    content: bytes = _tried(url, lambda: bytes(obstore.get(store, name, options=options).bytes()))
+
+    def get() -> tuple[bytes, str]:
+        answer = obstore.get(store, name, options=options)
+        return bytes(answer.bytes()), str(answer.meta["e_tag"] or "")
+
+    content: tuple[bytes, str] = _tried(url, get)
     return content
 
 
@@ -132,7 +142,7 @@ def _open(folder: str) -> tuple[Any, Any]:
     except ModuleNotFoundError as error:
         raise StoreError(folder, "reading it needs obstore; install it with: pip install 'fidpipe[remote]'") from error
     try:
-        return obstore, from_url(folder, client_options={"allow_http": True})
+        return obstore, from_url(folder, client_options={"allow_http": True}, retry_config={"max_retries": 0})
     except Exception as error:
         raise StoreError(folder, f"cannot be opened ({type(error).__name__})") from error
 

@@ -11,14 +11,14 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import orjson
 
-from ..schemas.errors import RunError
+from ..schemas.errors import FidpipeError, RunError
 from .datasets.stubs import cache_of, mirror_dataset
-from .object_store import StoreError, delete_object, is_url, list_objects, read_object, write_object
+from .object_store import StoreError, delete_object, is_url, list_objects, read_object, read_with_etag, write_object
 from .storage.files import remove_stale, write_whole
 from .storage.ledger import LEDGER
 
@@ -50,6 +50,7 @@ class RemoteRun:
     def __init__(self, url: str) -> None:
         self.url, self.folder = url.rstrip("/"), cache_of(url)
         self._index = self.folder.with_name(f".{self.folder.name}.objects.json")
+        self._lock = f"{self.url}/{LOCK}"
 
     def pull(self) -> None:
         """Fetch what the URL has and the folder lacks, and remove what the URL has not."""
@@ -64,24 +65,34 @@ class RemoteRun:
             if known.get(name, [""])[0] != one.etag or not path.exists():
                 write_whole(path, read_object(f"{self.url}/{name}", one.etag))
                 known[name] = [one.etag, *_marks(path)]
-        for name in self._files() - found.keys():
+        for name in (self._files() & known.keys()) - found.keys():  # others are newer than the last push
             remove_stale(self.folder / name)
         self._keep({name: marks for name, marks in known.items() if name in found})
 
     def push(self) -> None:
-        """Write what has changed in the folder, and delete what it has no more."""
+        """Write what has changed in the folder, and delete what it has no more.
+
+        Raises
+        ------
+        RunError
+            Another command writes there now.
+        """
         known, files = self._known(), self._files()
-        for name in sorted(files):
-            try:
-                marks = _marks(self.folder / name)
-                if known.get(name, [""])[1:] != marks:
-                    etag = write_object(f"{self.url}/{name}", (self.folder / name).read_bytes())
-                    known[name] = [etag, *marks]
-            except FileNotFoundError:  # replaced meanwhile
-                continue
-        for name in known.keys() - files:
-            delete_object(f"{self.url}/{name}")
-        self._keep({name: marks for name, marks in known.items() if name in files})
+        try:
+            for name in sorted(files):
+                self._renew()
+                try:
+                    marks = _marks(self.folder / name)
+                    if known.get(name, [""])[1:] != marks:
+                        etag = write_object(f"{self.url}/{name}", (self.folder / name).read_bytes())
+                        known[name] = [etag, *marks]
+                except FileNotFoundError:  # replaced meanwhile
+                    continue
+            for name in known.keys() - files:
+                delete_object(f"{self.url}/{name}")
+                del known[name]
+        finally:
+            self._keep(known)
 
     @contextmanager
     def written(self) -> Iterator[Path]:
@@ -92,54 +103,67 @@ class RemoteRun:
         RunError
             Another command writes there.
         """
-        etag, ended = self._claim(), threading.Event()
-        renew = threading.Thread(target=self._follow, args=(ended, etag), daemon=True)
+        self._claim()
+        ended = threading.Event()
+        follow = threading.Thread(target=self._follow, args=(ended,), daemon=True)
         try:
             self.pull()
             self.folder.mkdir(parents=True, exist_ok=True)
-            renew.start()
+            follow.start()
             yield self.folder
         finally:
             ended.set()
-            if renew.is_alive():
-                renew.join()
-            if self.folder.exists():
-                self.push()
-            delete_object(f"{self.url}/{LOCK}")
+            if follow.is_alive():
+                follow.join()
+            self.push()
+            if read_object(self._lock) == self._own:
+                delete_object(self._lock)
 
-    def _follow(self, ended: threading.Event, etag: str) -> None:
-        renewed = time.monotonic()
+    def _follow(self, ended: threading.Event) -> None:
         while not ended.wait(_PUSH_S):
-            try:
+            with suppress(FidpipeError, OSError):  # the last push reports what still fails
                 self.push()
-                if time.monotonic() - renewed > _RENEW_S:
-                    etag = write_object(f"{self.url}/{LOCK}", _owner(), only_if=etag)
-                    renewed = time.monotonic()
-            except Exception:  # the last push reports what still fails
-                continue
 
-    def _claim(self) -> str:
-        """The etag of our lock. A write that a broken connection leaves unanswered may have succeeded: it is read."""
-        url, own = f"{self.url}/{LOCK}", _owner()
-        for condition in ("", None):  # first only if there is none, then only instead of a dead one
+    def _renew(self) -> None:
+        """Show every minute that we are alive; an error if our lock was taken over."""
+        if time.monotonic() - self._renewed < _RENEW_S:
+            return
+        own = _owner()
+        try:
+            self._etag = write_object(self._lock, own, only_if=self._etag)
+        except Exception:
+            held, self._etag = read_with_etag(self._lock)
+            if held not in (own, self._own):
+                raise RunError(
+                    f"run {self.url}: another command writes there now; results stay in {self.folder}"
+                ) from None
+            own = held
+        self._own, self._renewed = own, time.monotonic()
+
+    def _claim(self) -> None:
+        """Write our lock. A write that a broken connection leaves unanswered may have succeeded: it is read."""
+        self._own, self._renewed, condition = _owner(), time.monotonic(), ""
+        for _ in range(2):  # first only if there is none, then only instead of a dead one
             try:
-                return write_object(url, own, only_if=_etag_of(self.url) if condition is None else condition)
+                self._etag = write_object(self._lock, self._own, only_if=condition)
+                return
             except StoreError:
                 raise
             except Exception as error:
                 try:
-                    held = read_object(url)
+                    held, condition = read_with_etag(self._lock)
                 except StoreError:
-                    raise RunError(f"{url}: cannot be written ({type(error).__name__})") from None
-            if held == own:
-                return _etag_of(self.url)
+                    raise RunError(f"{self._lock}: cannot be written ({type(error).__name__})") from None
+            if held == self._own:
+                self._etag = condition
+                return
             owner = orjson.loads(held)
             is_dead = owner["host"] == socket.gethostname() and not _is_alive(owner["pid"])
-            if condition is None or (not is_dead and time.time() - owner["time"] < _DEAD_S):
+            if not is_dead and time.time() - owner["time"] < _DEAD_S:
                 break
         raise RunError(
             f"run {self.url}: process {owner['pid']} on {owner['host']} writes there; wait for its end, or delete "
-            f"{url} if it is dead"
+            f"{self._lock} if it is dead"
         )
 
     def _files(self) -> set[str]:
@@ -198,10 +222,6 @@ def _marks(path: Path) -> list[object]:
 
 def _owner() -> bytes:
     return orjson.dumps({"host": socket.gethostname(), "pid": os.getpid(), "time": time.time()})
-
-
-def _etag_of(url: str) -> str:
-    return next((one.etag for one in list_objects(url) if one.name == LOCK), "")
 
 
 def _is_alive(pid: int) -> bool:

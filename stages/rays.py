@@ -89,8 +89,14 @@ class Rays:
 
     @property
     def azimuth_deg(self) -> FloatArray:
-        """(n,) degrees, of the middle of each ray's column."""
-        middle: FloatArray = (self.column + 0.5) * 360.0 / (self.column.max(initial=0) + 1) - 180.0
+        """(n,) degrees, of the middle of each ray's column; at most 180, if a beam returned more than once a column.
+
+        A turn has as many columns as the beam that has fewest, since every beam has a ray in each of them.
+        """
+        last = np.zeros(self.beam.max(initial=0) + 1, dtype=np.intp)
+        np.maximum.at(last, self.beam, self.column)
+        n_columns = last[np.unique(self.beam)].min(initial=self.column.max(initial=0)) + 1
+        middle: FloatArray = (np.minimum(self.column, n_columns - 1) + 0.5) * 360.0 / n_columns - 180.0
         return middle
 
 

@@ -112,6 +112,7 @@ def _or_null(values: FloatArray) -> pa.Array:
 
 STAGE = Stage(
     name="rays",
+    version=2,
     takes={"ground": ("point_id", "x", "y", "z", "intensity", "label"), "sensor": ()},
     gives=("rays", "ray_scores"),
     settings=("input",),

@@ -89,7 +89,8 @@ def _scores(pair: StoredPair, stored: pd.DataFrame) -> Iterator[Part]:
     """The scores of all rays and of each group, from the stored rays."""
     range_m = stored["real_range_m"].fillna(stored["sim_range_m"])
     column = stored.index.get_level_values("column").to_numpy()
-    azimuth = (column + 0.5) * 360.0 / (column.max(initial=0) + 1) - 180.0
+    n_columns = pd.Series(column).groupby(stored.index.get_level_values("beam").to_numpy()).max().min() + 1
+    azimuth = (column.clip(max=n_columns - 1) + 0.5) * 360.0 / n_columns - 180.0
     values = {"range": range_m, "incidence": stored["incidence_deg"], "azimuth": azimuth}
     rows = []
     for by, band in pair.table("ray_scores")[["by", "band"]].itertuples(index=False):

@@ -14,8 +14,8 @@ import pytest
 from fidpipe import open_run
 from fidpipe.pipeline.datasets.stubs import cache_of, mirror_dataset
 from fidpipe.pipeline.object_store import StoreError, list_objects, read_object, write_object
-from fidpipe.pipeline.remote_run import LOCK
-from fidpipe.schemas.errors import DatasetError
+from fidpipe.pipeline.remote_run import LOCK, RemoteRun
+from fidpipe.schemas.errors import DatasetError, RunError
 from runs import assert_same_tables, command, run
 from scenes import write_dataset
 
@@ -149,6 +149,16 @@ def test_two_commands_do_not_write_to_one_run_and_a_dead_one_is_replaced(bucket,
     assert "process 7 on elsewhere writes there" in refused.stderr
     write_object(lock, json.dumps({"host": "elsewhere", "pid": 7, "time": time.time() - 3600}).encode())
     assert command(*words).returncode == 0
+
+
+def test_a_command_whose_lock_was_taken_over_stops_writing_and_leaves_the_lock(bucket, tmp_path, monkeypatch):
+    monkeypatch.setattr("fidpipe.pipeline.remote_run._RENEW_S", 0.0)
+    own, other = RemoteRun(f"{bucket}/runs/z"), b'{"host": "elsewhere", "pid": 7, "time": 0}'
+    with pytest.raises(RunError, match="another command writes there now"), own.written() as folder:
+        write_object(f"{own.url}/{LOCK}", other)
+        (folder / "settings.toml").write_text("")
+    assert read_object(f"{own.url}/{LOCK}") == other
+    assert [one.name for one in list_objects(own.url)] == [LOCK]
 
 
 def test_an_object_that_is_lost_fails_its_pair_by_name(bucket, local, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.inspect import sensor_description
-from fidpipe.stages.rays import OUTCOMES, RayGrid, compare_rays, find_rays, score_rays
+from fidpipe.stages.rays import OUTCOMES, RayGrid, Rays, compare_rays, find_rays, score_rays
 
 STEP_DEG = 0.4
 CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])
@@ -178,3 +178,14 @@ def test_a_real_scan_measured_again_shows_its_losses_and_errors_of_range(real_da
         n = (is_lost & ((range_m[:, 0] > 20) == is_far)).sum()
         assert (is_single & own).sum() == pytest.approx(n, abs=max(0.05 * n, 3 * np.sqrt(n)))
     assert score_rays(rays)["rays_bias_m"] == pytest.approx(0.05, rel=0.05)
+
+
+def test_a_beam_with_more_returns_than_columns_turns_no_other_ray():
+    beam = np.repeat([0, 1], [10, 14]).astype(np.int32)
+    column = np.r_[np.arange(10), np.arange(14)].astype(np.int32)
+    filled = {name: np.zeros(24) for name in ("real_range_m", "sim_range_m", "incidence_deg")}
+    none = {name: np.zeros(24, np.int32) for name in ("real_row", "sim_row", "outcome")}
+    azimuth = Rays(beam=beam, column=column, **filled, **none).azimuth_deg
+    assert azimuth[:10] == pytest.approx(np.arange(-162, 180, 36))
+    assert azimuth[10:20] == pytest.approx(azimuth[:10])
+    assert azimuth.max() <= 180
