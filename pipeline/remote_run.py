@@ -51,6 +51,7 @@ class RemoteRun:
         self.url, self.folder = url.rstrip("/"), cache_of(url)
         self._index = self.folder.with_name(f".{self.folder.name}.objects.json")
         self._lock = f"{self.url}/{LOCK}"
+        self._own, self._etag, self._renewed = b"", "", 0.0
 
     def pull(self) -> None:
         """Fetch what the URL has and the folder lacks, and remove what the URL has not."""
