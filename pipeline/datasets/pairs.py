@@ -257,7 +257,7 @@ def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | 
     try:
         if is_url(name.strip()):
             return stub_of(name.strip()), None
-        stub = path.with_name(path.name + STUB)
+        stub = Path(f"{path}{STUB}")
         path = stub if stub.exists() else path
         is_there = is_scan_path(path)
     except (OSError, ScanError) as error:  # a name that no file can have, or that names no frame
