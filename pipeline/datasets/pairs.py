@@ -22,7 +22,7 @@ from ...stages.arrays import FloatArray
 from ..object_store import is_url
 from .readers import formats, holds_frames, is_scan_path, stem_of, suffix_of
 from .readers.scan import LONGEST_LABEL
-from .stubs import STUB, stub_of
+from .stubs import STUB, is_stub, stub_of
 
 MANIFEST = "pairs.csv"
 UNPAIRED = "unpaired.csv"
@@ -258,7 +258,7 @@ def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | 
         if is_url(name.strip()):
             return stub_of(name.strip()), None
         stub = Path(f"{path}{STUB}")
-        path = stub if stub.exists() else path
+        path = stub if is_stub(stub) and stub.exists() else path
         is_there = is_scan_path(path)
     except (OSError, ScanError) as error:  # a name that no file can have, or that names no frame
         return None, f"{where}: {error.strerror or error if isinstance(error, OSError) else error}"

@@ -31,8 +31,15 @@ def cache_of(url: str) -> Path:
     """The local folder that mirrors a URL: below FIDPIPE_CACHE, by default ~/.cache/fidpipe."""
     check_url(url)
     parts = urlsplit(url)
-    base = Path(os.environ.get("FIDPIPE_CACHE") or Path.home() / ".cache" / "fidpipe")
-    return base.joinpath(parts.scheme, parts.netloc, *parts.path.strip("/").split("/"))
+    names = parts.path.strip("/").split("/")
+    if ".." in names:
+        raise StoreError(url, "expected no .. in a URL")
+    return _base().joinpath(parts.scheme, parts.netloc, *names)
+
+
+def is_stub(path: Path) -> bool:
+    """True for a stub in the cache. Elsewhere it is ignored: a dataset of others could name any address."""
+    return path.suffix == STUB and _base() in path.absolute().parents
 
 
 def mirror_dataset(url: str) -> Path:
@@ -75,7 +82,7 @@ def stub_of(url: str) -> Path:
 
 def n_bytes_of(path: Path) -> int:
     """Size of a scan file; of a stub that of its object."""
-    return int(path.read_text(encoding="utf-8").split("\n")[2]) if path.suffix == STUB else path.stat().st_size
+    return int(path.read_text(encoding="utf-8").split("\n")[2]) if is_stub(path) else path.stat().st_size
 
 
 @contextmanager
@@ -87,7 +94,7 @@ def local_scan(path: Path, labels: Path) -> Iterator[Path]:
     ScanError
         The object, or that of its labels, cannot be fetched whole.
     """
-    if path.suffix != STUB:
+    if not is_stub(path):
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
@@ -101,6 +108,10 @@ def local_scan(path: Path, labels: Path) -> Iterator[Path]:
                 raise ScanError(f"{url}: expected {size} bytes, got {len(content)}")
             Path(folder, stub.stem).write_bytes(content)
         yield Path(folder, path.stem)
+
+
+def _base() -> Path:
+    return Path(os.environ.get("FIDPIPE_CACHE") or Path.home() / ".cache" / "fidpipe").absolute()
 
 
 def _mirror_one(url: str) -> Path:

@@ -205,6 +205,13 @@ def test_a_place_that_holds_something_else_is_not_written_to(bucket, local):
     assert {one.name for one in list_objects(f"{bucket}/set")} >= {"real/000.bin", "sim/001.bin"}
 
 
+def test_a_stub_outside_of_the_cache_is_no_scan(bucket, local, tmp_path):
+    dataset = shutil.copytree(local / "set", tmp_path / "set")
+    (dataset / "real" / "002.bin.url").write_text("http://127.0.0.1:1/x.bin\n\n100\n")
+    checked = command("check", dataset)
+    assert "002.bin.url: not a known scan format, ignored" in checked.stdout + checked.stderr
+
+
 def test_what_is_not_there_is_said_in_one_line(bucket):
     with pytest.raises(DatasetError, match="no such object"):
         mirror_dataset(f"{bucket}/nothing")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ....schemas.errors import DatasetError, FidpipeError, ScanError
-from ..stubs import STUB, local_scan
+from ..stubs import is_stub, local_scan
 from .frame_address import address_of
 from .scan import Scan, cause_of, label_path_of, with_label_file, with_label_names
 
@@ -78,7 +78,7 @@ def formats() -> dict[str, Format]:
 def suffix_of(path: Path) -> str | None:
     """The known suffix of a file, or of that which a frame is in; in lower case, or None."""
     file = address_of(path).file
-    name, known = file.name.lower().removesuffix(STUB), formats()
+    name, known = _name_of(file).lower(), formats()
     by_name = (suffix for suffix in sorted(known, key=len, reverse=True) if name.endswith(suffix))
     return next(by_name, None) or next((suffix for suffix in known if suffix[0] == "/" and _holds(file, suffix)), None)
 
@@ -93,9 +93,14 @@ def stem_of(path: Path) -> str:
     """The file name without its known suffix: the name of the pair; of a frame with its topic and number or time."""
     file, topic, frame = address_of(path)
     suffix = suffix_of(file) or ""
-    name = file.name.removesuffix(STUB)
+    name = _name_of(file)
     name = name if suffix.startswith("/") else name[: -len(suffix) or None]
     return "-".join(filter(None, [name, *(topic or "").split("/"), frame]))
+
+
+def _name_of(file: Path) -> str:
+    """The file name of a scan; of a stub that of its object."""
+    return file.stem if is_stub(file) else file.name
 
 
 def is_scan_path(path: Path) -> bool:
@@ -157,7 +162,7 @@ def read_scan(
     known = formats()[suffix]
     if address.file != path and not known.holds_frames:
         raise ScanError(f"{path}: a {suffix} file holds one scan; it is named without #")
-    if known.holds_frames and address.file.suffix == STUB:
+    if known.holds_frames and is_stub(address.file):
         raise ScanError(f"{path}: recordings are not read by URL; copy it, or use fidpipe convert")
     with local_scan(address.file, label_path_of(address.file, stem_of(path))) as file, _reader(path, known) as reader:
         if file.stat().st_size == 0:
