@@ -21,10 +21,11 @@ from .datasets.stubs import cache_of, mirror_dataset
 from .object_store import StoreError, delete_object, is_url, list_objects, read_object, read_with_etag, write_object
 from .storage.files import remove_stale, write_whole
 from .storage.ledger import LEDGER
+from .storage.table_files import TOKEN_OBJECT
 
 LOCK = "_writer.json"
 #: Files of a run that stay on this machine.
-_LOCAL = (LEDGER, "ledger.sha256", "report.html")
+_LOCAL = (LEDGER, f"{LEDGER}-journal", "ledger.sha256", "report.html")
 _PUSH_S, _RENEW_S, _DEAD_S = 5.0, 60.0, 300.0
 
 
@@ -52,10 +53,13 @@ class RemoteRun:
         self._index = self.folder.with_name(f".{self.folder.name}.objects.json")
         self._lock = f"{self.url}/{LOCK}"
         self._own, self._etag, self._renewed = b"", "", 0.0
+        self._pushing = threading.Lock()
 
     def pull(self) -> None:
         """Fetch what the URL has and the folder lacks, and remove what the URL has not."""
-        known, found = self._known(), {one.name: one for one in list_objects(self.url) if one.name != LOCK}
+        known, found = self._known(), {one.name: one for one in list_objects(self.url)}
+        for name in (LOCK, TOKEN_OBJECT):
+            found.pop(name, None)
         if found and "run.json" not in found:  # of a run that was killed, or no run at all
             if not all(name.endswith((".parquet", "settings.toml")) for name in found):
                 raise RunError(f"run {self.url}: the URL holds other things than a run; give another --out")
@@ -78,6 +82,10 @@ class RemoteRun:
         RunError
             Another command writes there now.
         """
+        with self._pushing:
+            self._push()
+
+    def _push(self) -> None:
         known, files = self._known(), self._files()
         try:
             for name in sorted(files):
@@ -110,14 +118,17 @@ class RemoteRun:
         try:
             self.pull()
             self.folder.mkdir(parents=True, exist_ok=True)
+            _WRITTEN[self.folder] = self
             follow.start()
             yield self.folder
         finally:
             ended.set()
+            _WRITTEN.pop(self.folder, None)
             if follow.is_alive():
                 follow.join()
             self.push()
             if read_object(self._lock) == self._own:
+                delete_object(f"{self.url}/{TOKEN_OBJECT}")
                 delete_object(self._lock)
 
     def _follow(self, ended: threading.Event) -> None:
@@ -185,6 +196,24 @@ class RemoteRun:
 
     def _keep(self, known: dict[str, list[object]]) -> None:
         write_whole(self._index, orjson.dumps(known))
+
+
+_WRITTEN: dict[Path, RemoteRun] = {}
+
+
+def url_for_workers(folder: Path, token: str) -> str:
+    """The URL where workers that do not see a folder read and write its tables, equal to the folder now; "" for none.
+
+    Parameters
+    ----------
+    token : of the run that may write
+    """
+    run = _WRITTEN.get(folder.absolute())
+    if run is None:
+        return ""
+    run.push()  # so that no later push deletes what a worker writes under the same name
+    write_object(f"{run.url}/{TOKEN_OBJECT}", token.encode())
+    return run.url
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import csv
 import io
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -39,7 +39,25 @@ def cache_of(url: str) -> Path:
 
 def is_stub(path: Path) -> bool:
     """True for a stub in the cache. Elsewhere it is ignored: a dataset of others could name any address."""
-    return path.suffix == STUB and _base() in path.absolute().parents
+    return path.suffix == STUB and (path in _RESTORED or _base() in path.absolute().parents)
+
+
+def stub_texts(paths: Iterable[Path]) -> dict[Path, str]:
+    """The stubs among some files, for a worker that does not see the cache."""
+    return {path: path.read_text(encoding="utf-8") for path in paths if is_stub(path) and path.exists()}
+
+
+def restore_stubs(texts: Mapping[Path, str]) -> None:
+    """Write stubs that the command sent where it has them, on the disk of this machine."""
+    for path, text in texts.items():
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            write_whole(path, text.encode(), advice="; give the command a FIDPIPE_CACHE that workers can create")
+        _RESTORED.add(path)
+
+
+def url_of(stub: Path) -> str:
+    """The URL of the object that a stub names."""
+    return stub.read_text(encoding="utf-8").split("\n")[0]
 
 
 def mirror_dataset(url: str) -> Path:
@@ -108,6 +126,9 @@ def local_scan(path: Path, labels: Path) -> Iterator[Path]:
                 raise ScanError(f"{url}: expected {size} bytes, got {len(content)}")
             Path(folder, stub.stem).write_bytes(content)
         yield Path(folder, path.stem)
+
+
+_RESTORED: set[Path] = set()
 
 
 def _base() -> Path:

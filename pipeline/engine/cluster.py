@@ -23,6 +23,7 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import FidpipeError, RunError
+from ..object_store import StoreError, describe_object, is_url
 from ..storage.run_record import library_versions
 from . import prefork
 from .costs import CostModel
@@ -65,7 +66,7 @@ class Requirements:
     """Everything that the workers of a scheduler must share with the command.
 
     libraries : versions
-    beginnings : by absolute path, the first bytes of files
+    beginnings : by absolute path, the first bytes of files; by URL, the etag of objects
     code : hash of fidpipe's code
     """
 
@@ -104,7 +105,7 @@ class DaskPool:
     ----------
     n_workers : processes of a cluster on this machine
     address : of a scheduler whose workers see the same files; no cluster is started then
-    shared_files : files that every worker must see with the same content
+    shared_files : paths and URLs that every worker must see with the same content
     libraries : versions that every worker must have
     memory : bytes that the worker processes may occupy together; None for the default
     modules : names of the modules of the jobs, to be imported once for all workers of this machine
@@ -120,7 +121,7 @@ class DaskPool:
         self,
         n_workers: int,
         address: str | None,
-        shared_files: Iterable[Path],
+        shared_files: Iterable[str],
         libraries: dict[str, str],
         memory: int | None = None,
         modules: Iterable[str] = (),
@@ -154,7 +155,7 @@ class DaskPool:
         try:
             self._start(n_workers, address)
             if address is not None:
-                beginnings = {str(path.resolve()): _beginning(path) for path in shared_files}
+                beginnings = {name: _beginning(name) for name in shared_files}
                 self._requirements = Requirements(libraries, beginnings, code_hash())
                 self._check_versions(self._requirements)
                 self._check_workers(self._requirements)
@@ -379,7 +380,7 @@ def start_pool(
     n_workers: int | None,
     address: str | None,
     memory_gib: float | None,
-    shared_files: Iterable[Path],
+    shared_files: Iterable[str],
     libraries: dict[str, str],
     modules: Iterable[str] = (),
     *,
@@ -448,12 +449,16 @@ def worker_fault(required: Requirements) -> str:
             if _beginning(path) != beginning:
                 return f"{path} is another file there; {same}"
         except OSError as error:
-            return f"{path} cannot be read there ({error.strerror}); {same}"
+            return f"{path} cannot be read there ({error.strerror}); {same}, or give the dataset and --out by URL"
+        except StoreError as error:
+            return f"there, {error}; workers read and write objects with credentials of their own environment"
     return ""
 
 
-def _beginning(path: Path | str) -> bytes:
-    """The first bytes of a file."""
+def _beginning(path: str) -> bytes:
+    """The first bytes of a file, or the etag of an object."""
+    if is_url(path):
+        return describe_object(path).etag.encode()
     with Path(path).open("rb") as file:
         return file.read(_BEGINNING_BYTES)
 

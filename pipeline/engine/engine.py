@@ -18,12 +18,15 @@ from ...schemas.errors import DiskFullError, ScanError
 from ...schemas.settings import Settings
 from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
-from ..datasets.readers import files_of, may_crash
+from ..datasets.readers import files_of, may_crash, stem_of
+from ..datasets.readers.scan import label_path_of
+from ..datasets.stubs import is_stub, stub_texts, url_of
+from ..remote_run import url_for_workers
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
-from ..storage.table_files import JobName, JobRecord
+from ..storage.table_files import TOKEN_OBJECT, JobName, JobRecord
 from .plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
@@ -129,7 +132,7 @@ class RunEngine:
         if self._pool is None:
             is_local = self._machines.scheduler is None
             reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
-            some_scan = [file for pair in pairs for path in pair.paths[:1] for file in files_of(path)][:1]
+            shared = self._shared_files(pairs)
             libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries(self.settings))
             from .cluster import start_pool
 
@@ -137,7 +140,7 @@ class RunEngine:
                 self._machines.workers,
                 self._machines.scheduler,
                 self.settings.machine.memory_gib,
-                (self.folder.token_path, *some_scan),
+                shared,
                 library_versions(("fidpipe", *LIBRARIES, *libraries)),
                 dict.fromkeys(stage.make.__module__ for stage in self._stages),
                 may_end_workers=self._machines.pair_timeout_s is not None or reader_may_crash,
@@ -150,6 +153,28 @@ class RunEngine:
     def n_workers(self) -> int:
         """Workers of the pool; 0 where none was needed."""
         return 0 if self._pool is None else self._pool.n_workers
+
+    def _shared_files(self, pairs: Iterable[ScanPair]) -> list[str]:
+        """What all workers must be able to read, for the first check: a scan, and the token of the run."""
+        self._share_folder()
+        some_scan = [file for pair in pairs for path in pair.paths[:1] for file in files_of(path)][:1]
+        scans = [url_of(scan) if is_stub(scan) else str(scan.resolve()) for scan in some_scan]
+        url, path = self.folder.url, self.folder.token_path.resolve()
+        return [*scans, f"{url}/{TOKEN_OBJECT}" if url else str(path)]
+
+    def _share_folder(self) -> None:
+        """Make the URL of a remote run, on a cluster, the place of its tables: workers need not see the folder."""
+        if self._machines.scheduler and (url := url_for_workers(self.folder.folder, self.folder.token)):
+            self.folder.written_at(url)
+
+    def _for_workers(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
+        """The plans with all that workers of a cluster need that may not see the files of the command."""
+        for plan in self._limited(plans):
+            if self._machines.scheduler is None:
+                yield plan
+                continue
+            files = [own for path in plan.pair.paths for own in (path, label_path_of(path, stem_of(path)))]
+            yield replace(plan, url=self.folder.url, stubs=stub_texts(files))
 
     def _limited(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
         """The plans with the time limit of their pairs; notes of an earlier run are removed."""
@@ -296,10 +321,11 @@ class RunEngine:
         """The schedule of the jobs to do."""
         pool = self.start(survey.todo)
         self._warn_of_large_pairs(survey.todo)
+        self._share_folder()  # without what was replaced
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
             self.reporter.start(len(survey.todo), survey.n_jobs)
-            yield Schedule(pool, self._limited(plans), len(survey.todo), self, self._machines.policy)
+            yield Schedule(pool, self._for_workers(plans), len(survey.todo), self, self._machines.policy)
         except DiskFullError as error:
             n_raw = sum(map(self._n_points, survey.todo))
             need, n_pairs = megabytes(self._machines.policy.costs.disk_bytes(n_raw)), len(survey.todo)

@@ -96,6 +96,8 @@ class PairPlan:
     jobs : in their order
     inputs : by side, what its file holds
     folder, token : of the run; no folder where everything stays in memory
+    url : of its tables, for workers that do not share the folder
+    stubs : remote scans, for workers that do not share the cache
     limit : how long workers may work on it; None for as long as it takes
     """
 
@@ -105,6 +107,8 @@ class PairPlan:
     label_names: Mapping[int, str] = field(default_factory=dict)
     folder: Path | None = None
     token: str = ""
+    url: str = ""
+    stubs: Mapping[Path, str] = field(default_factory=dict)
     limit: TimeLimit | None = None
 
     @property

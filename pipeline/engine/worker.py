@@ -20,8 +20,9 @@ from ...schemas.tables import TABLES
 from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
+from ..datasets.stubs import restore_stubs
 from ..stage import N_RAW, SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
-from ..storage.table_files import JobRecord, TableFolder, plain_metadata, table_name
+from ..storage.table_files import JobRecord, TableFolder, TablesAtUrl, plain_metadata, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan, Source
 from .time_limit import Clock, OutOfTimeError
@@ -146,7 +147,9 @@ class PairTables:
 
     def __init__(self, plan: PairPlan) -> None:
         self.plan = plan
-        self._folder = None if plan.folder is None else TableFolder(plan.folder, plan.token)
+        restore_stubs(plan.stubs)
+        tables_at = TablesAtUrl if plan.url else TableFolder
+        self._folder = None if plan.folder is None else tables_at(plan.folder, plan.token, plan.url)
         self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}

@@ -16,11 +16,14 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
+from ..object_store import delete_object, list_objects
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, other_version, read_run
-from .table_files import JobRecord, TableFolder, read_footer, table_name
+from .table_files import AT_URL, JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
+#: By folder, the URL that workers of this process write to.
+_URLS: dict[Path, str] = {}
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)  # such as NFS without lockd
 
 
@@ -28,7 +31,7 @@ class RunFolder(TableFolder):
     """A run's folder; to be read, or, while `locked`, to be written."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder, secrets.token_hex(8))
+        super().__init__(folder, secrets.token_hex(8), _URLS.get(folder.absolute(), ""))
         self._ledger: Ledger | None = None
 
     @property
@@ -37,6 +40,10 @@ class RunFolder(TableFolder):
         if self._ledger is None:
             self._ledger = self._open_ledger(is_writable=False)
         return self._ledger
+
+    def written_at(self, url: str) -> None:
+        """Workers of this command write the tables to a URL from now on."""
+        self.url = _URLS[self.folder.absolute()] = url
 
     @property
     def is_locked(self) -> bool:
@@ -153,12 +160,16 @@ class RunFolder(TableFolder):
     def is_whole(self, record: JobRecord, *, by_content: bool = False) -> bool:
         """True if the files of a job are as they were written; see `StoredFile.is_at`."""
         files = record.files.items()
+        if self.url and all(stored.mtime_ns == AT_URL for _, stored in files):
+            return True
         return all(stored.is_at(f"{self.folder}/{name}", by_content=by_content) for name, stored in files)
 
     def forget(self, record: JobRecord) -> None:
         """Removes a job's files and takes it out of the ledger."""
-        for name in record.files:
+        for name, stored in record.files.items():
             (self.folder / name).unlink(missing_ok=True)
+            if self.url and stored.mtime_ns == AT_URL:
+                delete_object(f"{self.url}/{name}")
         self.ledger.drop_job(record)
 
     def remove_strays(self) -> int:
@@ -166,6 +177,11 @@ class RunFolder(TableFolder):
         strays = list(self._unknown_files(self.ledger))
         for name in strays:
             (self.folder / name).unlink()
+        if self.url:  # of workers that died
+            for one in list_objects(self.url):
+                table, is_of_pair, _ = one.name.partition("/")
+                if is_of_pair and one.name not in self.ledger.files(table):
+                    delete_object(f"{self.url}/{one.name}")
         return sum(not Path(name).name.startswith(".") for name in strays)
 
     def _open_ledger(self, *, is_writable: bool) -> Ledger:

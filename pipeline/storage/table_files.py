@@ -14,6 +14,7 @@ import stat
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic
 from typing import Any
 from urllib.parse import quote
 
@@ -24,9 +25,13 @@ import pyarrow.parquet as pq
 from ...schemas.columns import CONSTANT
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
+from ..object_store import read_object, write_object
 from .files import key_of, write_whole
 
 _TOKEN = ".writer"
+TOKEN_OBJECT = "_token"  #: the same at a URL, while workers write there
+AT_URL = 0  #: time of a file that is only there
+_ASK_S = 10.0
 _READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
 
@@ -155,12 +160,13 @@ class TableFolder:
     """The tables of a run, as a job sees them: paths, atomic writes, checked reads. Holds no lock and no ledger.
 
     `token` names the run that may write here; a job whose run has ended (killed, and another one started) finds
-    another token in the folder and writes nothing.
+    another token in the folder and writes nothing. Tables that the folder lacks are read from `url`, if there is one.
     """
 
-    def __init__(self, folder: Path, token: str) -> None:
+    def __init__(self, folder: Path, token: str, url: str = "") -> None:
         self.folder = folder
         self.token = token
+        self.url = url
 
     @property
     def token_path(self) -> Path:
@@ -223,9 +229,7 @@ class TableFolder:
                 writer.write_table(schema.check(part))
             writer.add_key_value_metadata(own)
         content = memoryview(sink.getvalue())
-        write_whole(path, content, before_rename=self.check_token, advice="")
-        status = path.stat()
-        return StoredFile(status.st_size, hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
+        return self._store(path, content, hashlib.sha256(content).hexdigest())
 
     def read(
         self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None, *, is_plain: bool = False
@@ -247,7 +251,7 @@ class TableFolder:
         path, schema = self.folder / name, TABLES[table]
         wanted = schema.schema if columns is None else pa.schema([schema.schema.field(column) for column in columns])
         try:
-            content = stored.read(path)
+            content = stored.read(path) or self._fetch(stored, name)
             if content is None:
                 raise self.damaged(name)
             same = [] if is_plain else [column for column in schema.same if column in wanted.names]
@@ -259,6 +263,16 @@ class TableFolder:
             return schema.check(rows) if columns is None else rows
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise self.damaged(name, getattr(error, "strerror", None) or str(error)) from error
+
+    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+        write_whole(path, content, before_rename=self.check_token, advice="")
+        status = path.stat()
+        return StoredFile(status.st_size, sha256, status.st_mtime_ns, status.st_ctime_ns)
+
+    def _fetch(self, stored: StoredFile, name: str) -> bytes | None:
+        """The content at the URL as it was written; None if it is another one, or there is no URL."""
+        content = read_object(f"{self.url}/{name}") if self.url else b""
+        return content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
 
     def damaged(self, name: str, cause: str = "") -> RunError:
         """The error of a file that is not as it was stored."""
@@ -272,8 +286,29 @@ class TableFolder:
             token = self.token_path.read_text()
         except FileNotFoundError:
             token = ""
+        self._compare(token)
+
+    def _compare(self, token: str) -> None:
         if token != self.token:
             raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+
+
+class TablesAtUrl(TableFolder):
+    """The tables of a run for a worker that does not share its folder: each is one object, read and written whole."""
+
+    def check_token(self) -> None:
+        """See `TableFolder`; a process asks every ten seconds."""
+        if monotonic() - _ASKED.get(self.token, -_ASK_S) >= _ASK_S:
+            self._compare(read_object(f"{self.url}/{TOKEN_OBJECT}").decode())
+            _ASKED[self.token] = monotonic()
+
+    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+        self.check_token()
+        write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
+        return StoredFile(len(content), sha256, AT_URL, AT_URL)
+
+
+_ASKED: dict[str, float] = {}
 
 
 def plain_strings(schema: pa.Schema) -> pa.Schema:

@@ -1,11 +1,9 @@
 """A cluster of worker processes over TCP: its results, rejected workers, and workers that die."""
 
 import ctypes
-import json
 import os
 import re
 import signal
-import subprocess
 import time
 import urllib.request
 from dataclasses import replace
@@ -14,7 +12,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from distributed import Client, LocalCluster
+from clusters import TEST_MODULES, Cluster
+from distributed import LocalCluster
 from rich.console import Console
 
 import broken_jobs
@@ -32,10 +31,8 @@ from fidpipe.pipeline.storage.run_record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.perturbations import Perturbation
-from runs import FIDPIPE, JOBS_PER_PAIR, assert_same_tables, own_process, run, some_of, temporary_files
+from runs import JOBS_PER_PAIR, assert_same_tables, own_process, run, some_of, temporary_files
 
-TESTS = Path(broken_jobs.__file__).parent
-_TEST_MODULES = os.pathsep.join([str(TESTS), str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])
 N_PAIRS = 6
 LIMIT_S = 3.0  # a healthy pair takes 0.2 s
 ENDLESS_S = 900
@@ -44,55 +41,10 @@ QUIET = Reporter(Console(quiet=True))
 NO_VALUES = dict.fromkeys(("k", "tau_m", "delta_m", "t"), ())
 
 
-class Cluster:
-    """A dask scheduler and its workers, each a separate process, with a TCP address."""
-
-    def __init__(self, folder):
-        self._folder, self._file = folder, folder / "scheduler.json"
-        self.scheduler = self._start("scheduler", "--port", "0", "--dashboard-address", "127.0.0.1:0")
-        while not (self._file.exists() and self._file.read_text()):
-            time.sleep(0.05)
-        self.address = json.loads(self._file.read_text())["address"]
-        self.workers = []
-
-    def add_workers(self, n, *options, **environment):
-        """Start workers of one thread that can import the tests' modules, and wait for them."""
-        self.workers += [
-            self._start("worker", "--no-dashboard", "--nthreads", "1", *options, **environment) for _ in range(n)
-        ]
-        with Client(self.address, set_as_default=False) as client:
-            client.wait_for_workers(len(self.workers), timeout=60)
-        return self
-
-    def _start(self, what, *options, **environment):
-        dask = str(Path(FIDPIPE).with_name("dask"))
-        return subprocess.Popen(
-            [dask, what, "--scheduler-file", str(self._file), "--host", "127.0.0.1", *options],
-            cwd=self._folder,
-            env={**os.environ, "PYTHONPATH": _TEST_MODULES, **environment},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-
-    def end(self):
-        """Ends what is still there, the scheduler last."""
-        for process in self.workers:
-            process.terminate()
-        for process in (*self.workers, self.scheduler):
-            try:
-                process.wait(10 if process is not self.scheduler else 0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
 @pytest.fixture
 def cluster(tmp_path):
-    own = tmp_path / "cluster"
-    own.mkdir()
-    cluster = Cluster(own)
-    yield cluster
-    cluster.end()
+    with Cluster(tmp_path / "cluster") as cluster:
+        yield cluster
 
 
 def kill_own_worker_once(context, at_work):
@@ -217,7 +169,7 @@ def test_a_worker_of_another_version_is_refused_before_anything_runs(dataset, tm
     there = tmp_path / f"{library}-0.0.9.dist-info"
     there.mkdir()
     (there / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {library}\nVersion: 0.0.9\n")
-    cluster.add_workers(2).add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), _TEST_MODULES]))
+    cluster.add_workers(2).add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), TEST_MODULES]))
     refused = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address)
     here = library_versions([library])[library]
     assert refused.returncode == 1
@@ -234,12 +186,12 @@ def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, clus
     (there / "METADATA").write_text("Metadata-Version: 2.1\nName: scipy\nVersion: 0.0.9\n")
     cluster.add_workers(1)
     versions = library_versions(["fidpipe", "scipy"])
-    pool = DaskPool(1, cluster.address, [tmp_path / "file"], versions)
+    pool = DaskPool(1, cluster.address, [str(tmp_path / "file")], versions)
     try:
         first = cluster.workers.pop()
         first.terminate()
         first.wait(60)
-        cluster.add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), _TEST_MODULES]))
+        cluster.add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), TEST_MODULES]))
         pool.submit(pow, 2, 5)
         with pytest.raises(RunError, match=r"other versions: scipy 0\.0\.9 \(here "):
             pool.next_done()
@@ -253,7 +205,7 @@ def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
         n_workers=0, threads_per_worker=1, host="127.0.0.1", scheduler_kwargs={"dashboard": False}
     ) as adaptive:
         adaptive.adapt(minimum=0, maximum=1, interval="100ms")
-        pool = DaskPool(1, adaptive.scheduler_address, [tmp_path / "file"], {"fidpipe": __version__})
+        pool = DaskPool(1, adaptive.scheduler_address, [str(tmp_path / "file")], {"fidpipe": __version__})
         (tmp_path / "file").write_text("moved")  # a worker that joins from now on sees other files
         try:
             assert pool.dashboard == ""
@@ -282,7 +234,7 @@ def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_re
 def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
     dataset, finished, tmp_path, request, monkeypatch, on
 ):
-    monkeypatch.setenv("PYTHONPATH", _TEST_MODULES)
+    monkeypatch.setenv("PYTHONPATH", TEST_MODULES)
     address = request.getfixturevalue("cluster").add_workers(2, "--nanny").address if on == "a cluster" else None
     workers = {"one process": 1, "two processes": 2}.get(on)
     pids = tmp_path / "pids"
@@ -313,13 +265,13 @@ def test_a_worker_with_other_code_or_other_files_is_refused(tmp_path):
     assert worker_fault(Requirements({}, {own: b"another"}, code_hash())) == ""
     assert worker_fault(Requirements({}, {own: b"own"}, code_hash())) == f"{own} is another file there; {same}"
     assert worker_fault(Requirements({}, {gone: b""}, code_hash())) == (
-        f"{gone} cannot be read there (No such file or directory); {same}"
+        f"{gone} cannot be read there (No such file or directory); {same}, or give the dataset and --out by URL"
     )
 
 
 @pytest.mark.exhaustive
 def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", _TEST_MODULES)
+    monkeypatch.setenv("PYTHONPATH", TEST_MODULES)
     stages = broken_jobs.with_job("selection", never_ending_selection)
     small = Policy(worth_splitting_s=0.0, batch_s=0.0)
     outcome = run(dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S)

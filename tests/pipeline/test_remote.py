@@ -4,12 +4,15 @@ import http.server
 import json
 import os
 import shutil
+import subprocess
 import threading
 import time
 from functools import partial
 from urllib.request import Request, urlopen
 
+import psutil
 import pytest
+from clusters import Cluster
 
 from fidpipe import open_run
 from fidpipe.pipeline.datasets.stubs import cache_of, mirror_dataset
@@ -218,3 +221,49 @@ def test_what_is_not_there_is_said_in_one_line(bucket):
     with pytest.raises(StoreError, match="no such object"):
         read_object(f"{bucket}/nothing/x.bin")
     assert os.environ["AWS_SECRET_ACCESS_KEY"] not in command("show", f"{bucket}/nothing").stderr
+
+
+def kill_after_a_table(pid):
+    """Kill a dask worker and its nanny when the first table of graphs has been written."""
+    while not any("/graph/" in path for verb, path in Faulty.requests if verb == "PUT"):
+        time.sleep(0.01)
+    worker = psutil.Process(pid)
+    for process in (*worker.children(recursive=True), worker):
+        process.kill()
+
+
+@pytest.mark.exhaustive
+def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket, local, tmp_path):
+    """They see neither the cache nor the dataset: a file system of their own lies over both."""
+    cache, dataset = tmp_path / "cache", local / "set"
+    cache.mkdir()
+    hidden = " && ".join(f"mount -t tmpfs none {path}" for path in (cache, dataset))
+    before = ("unshare", "--mount", "sh", "-c", f'{hidden} && exec "$@"', "sh")
+    if subprocess.run([*before, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("this user may not mount file systems")
+    upload(dataset, f"{bucket}/set")
+    with Cluster(tmp_path / "cluster") as cluster:
+        cluster.add_workers(2, "--memory-limit", "4GiB", before=before)
+        words = ("--scheduler", cluster.address, "--preset", "paper", "--out", f"{bucket}/runs/apart")
+        refused = command("run", dataset, *words)
+        assert refused.returncode == 1
+        assert "/set/real/000.bin cannot be read there (No such file or directory)" in refused.stderr
+        ended = command("run", f"{bucket}/set", *words)
+        assert ended.returncode == 0, ended.stderr
+        assert "set: 2 pairs in" in ended.stdout
+        assert not list(cache_of(f"{bucket}/runs/apart").glob("graph/*")), "workers wrote to the bucket alone"
+        again = command("run", f"{bucket}/set", *words)
+        assert "0 jobs done" in again.stdout
+        assert_same_tables(cache_of(f"{bucket}/runs/apart"), local / "run")
+        killer = threading.Thread(target=kill_after_a_table, args=(cluster.workers[0].pid,))
+        Faulty.requests = []
+        killer.start()
+        smaller = command("run", f"{bucket}/set", *words, "--replace", "--set", "graph.k=8")
+        killer.join()
+        assert smaller.returncode == 0, smaller.stderr
+    shutil.rmtree(cache)
+    assert open_run(f"{bucket}/runs/apart").record.settings["graph"]["k"] == 8
+    verified = command("verify", f"{bucket}/runs/apart")
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    names = {one.name for one in list_objects(f"{bucket}/runs/apart")}
+    assert not {LOCK, "_token"} & names
