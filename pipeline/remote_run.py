@@ -11,6 +11,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -18,7 +19,16 @@ import orjson
 
 from ..schemas.errors import FidpipeError, RunError
 from .datasets.stubs import cache_of, mirror_dataset
-from .object_store import StoreError, delete_object, is_url, list_objects, read_object, read_with_etag, write_object
+from .object_store import (
+    StoredObject,
+    StoreError,
+    delete_object,
+    is_url,
+    list_objects,
+    read_object,
+    read_with_etag,
+    write_object,
+)
 from .storage.files import remove_stale, write_whole
 from .storage.ledger import LEDGER
 from .storage.table_files import TOKEN_OBJECT
@@ -27,6 +37,8 @@ LOCK = "_writer.json"
 #: Files of a run that stay on this machine.
 _LOCAL = (LEDGER, f"{LEDGER}-journal", "ledger.sha256", "report.html")
 _PUSH_S, _RENEW_S, _DEAD_S = 5.0, 60.0, 300.0
+_AT_ONCE, _PER_RENEWAL = 16, 1000  # requests
+_PAUSES_PER_PUSH = 4.0
 
 
 def local_of(url: str) -> Path:
@@ -65,12 +77,14 @@ class RemoteRun:
                 raise RunError(f"run {self.url}: the URL holds other things than a run; give another --out")
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / LEDGER).touch()
-        for name, one in found.items():
-            path = self.folder / name
-            if known.get(name, [""])[0] != one.etag or not path.exists():
-                write_whole(path, read_object(f"{self.url}/{name}", one.etag))
-                known[name] = [one.etag, *_marks(path)]
-        for name in (self._files() & known.keys()) - found.keys():  # others are newer than the last push
+        missing = [
+            one
+            for name, one in found.items()
+            if known.get(name, [""])[0] != one.etag or not (self.folder / name).exists()
+        ]
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            known |= zip((one.name for one in missing), pool.map(self._get, missing), strict=True)
+        for name in (self._files().keys() & known.keys()) - found.keys():  # others are newer than the last push
             remove_stale(self.folder / name)
         self._keep({name: marks for name, marks in known.items() if name in found})
 
@@ -87,21 +101,33 @@ class RemoteRun:
 
     def _push(self) -> None:
         known, files = self._known(), self._files()
+        changed = sorted(name for name, marks in files.items() if known.get(name, [""])[1:] != marks)
+        self._renew()
         try:
-            for name in sorted(files):
-                self._renew()
-                try:
-                    marks = _marks(self.folder / name)
-                    if known.get(name, [""])[1:] != marks:
-                        etag = write_object(f"{self.url}/{name}", (self.folder / name).read_bytes())
-                        known[name] = [etag, *marks]
-                except FileNotFoundError:  # replaced meanwhile
-                    continue
-            for name in known.keys() - files:
-                delete_object(f"{self.url}/{name}")
-                del known[name]
+            with ThreadPoolExecutor(_AT_ONCE) as pool:
+                for first in range(0, len(changed), _PER_RENEWAL):
+                    names = changed[first : first + _PER_RENEWAL]
+                    known |= {name: own for name, own in zip(names, pool.map(self._put, names), strict=True) if own}
+                    self._renew()
+                gone = list(known.keys() - files.keys())
+                list(pool.map(lambda name: delete_object(f"{self.url}/{name}"), gone))
+            known = {name: own for name, own in known.items() if name in files}
         finally:
             self._keep(known)
+
+    def _get(self, one: StoredObject) -> list[object]:
+        path = self.folder / one.name
+        write_whole(path, read_object(f"{self.url}/{one.name}", one.etag))
+        return [one.etag, *_marks(path)]
+
+    def _put(self, name: str) -> list[object]:
+        """Write a file to the URL; return its etag and marks; [] if it was removed meanwhile."""
+        path = self.folder / name
+        try:
+            marks = _marks(path)
+            return [write_object(f"{self.url}/{name}", path.read_bytes()), *marks]
+        except FileNotFoundError:
+            return []
 
     @contextmanager
     def written(self) -> Iterator[Path]:
@@ -132,9 +158,12 @@ class RemoteRun:
                 delete_object(self._lock)
 
     def _follow(self, ended: threading.Event) -> None:
-        while not ended.wait(_PUSH_S):
+        pause_s = _PUSH_S
+        while not ended.wait(pause_s):
+            begun = time.monotonic()
             with suppress(FidpipeError, OSError):  # the last push reports what still fails
                 self.push()
+            pause_s = max(_PUSH_S, _PAUSES_PER_PUSH * (time.monotonic() - begun))
 
     def _renew(self) -> None:
         """Show every minute that we are alive; an error if our lock was taken over."""
@@ -178,14 +207,17 @@ class RemoteRun:
             f"{self._lock} if it is dead"
         )
 
-    def _files(self) -> set[str]:
-        """Names of the finished files of the folder; temporary ones and locks begin with a dot."""
-        found = (path.relative_to(self.folder) for path in self.folder.rglob("*") if path.is_file())
-        return {
-            path.as_posix()
-            for path in found
-            if path.name not in _LOCAL and not any(part[0] == "." for part in path.parts)
-        }
+    def _files(self) -> dict[str, list[object]]:
+        """Marks of the finished files of the folder by name; temporary ones and locks begin with a dot."""
+        files = {}
+        for folder, below, names in os.walk(self.folder):
+            below[:] = [name for name in below if name[0] != "."]
+            for name in names:
+                path = Path(folder, name)
+                if name[0] != "." and name not in _LOCAL:
+                    with suppress(FileNotFoundError):  # replaced meanwhile
+                        files[path.relative_to(self.folder).as_posix()] = _marks(path)
+        return files
 
     def _known(self) -> dict[str, list[object]]:
         try:

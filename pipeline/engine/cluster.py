@@ -451,7 +451,7 @@ def worker_fault(required: Requirements) -> str:
         except OSError as error:
             return f"{path} cannot be read there ({error.strerror}); {same}, or give the dataset and --out by URL"
         except StoreError as error:
-            return f"there, {error}; workers read and write objects with credentials of their own environment"
+            return f"there, {error}; each worker needs credentials in its environment"
     return ""
 
 

@@ -155,7 +155,7 @@ class RunEngine:
         return 0 if self._pool is None else self._pool.n_workers
 
     def _shared_files(self, pairs: Iterable[ScanPair]) -> list[str]:
-        """What all workers must be able to read, for the first check: a scan, and the token of the run."""
+        """A scan and the token of the run, which all workers must be able to read."""
         self._share_folder()
         some_scan = [file for pair in pairs for path in pair.paths[:1] for file in files_of(path)][:1]
         scans = [url_of(scan) if is_stub(scan) else str(scan.resolve()) for scan in some_scan]
