@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import re
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from ...stages.arrays import FloatArray
 from ..object_store import is_url
 from .readers import formats, holds_frames, is_scan_path, stem_of, suffix_of
 from .readers.scan import LONGEST_LABEL
-from .stubs import STUB, is_stub, stub_of
+from .stubs import STUB, is_stub, stubs_of
 
 MANIFEST = "pairs.csv"
 UNPAIRED = "unpaired.csv"
@@ -230,6 +231,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
             warnings.append(f"{manifest}: column {name} is not known, ignored")
     pairs = []
     seen: dict[str, int] = {}
+    stubs = stubs_of(name for row in rows for side in SIDES if is_url(name := row.get(side, "").strip()))
     for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"
         if None in row:
@@ -241,7 +243,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
             raise DatasetError(f"{where}: pair_id {pair_id} is already in line {seen[pair_id]}; expected unique names")
         seen[pair_id] = line
         (real, no_real), (sim, no_sim) = (
-            _named_scan(where, manifest.parent, row.get(side, ""), side) for side in SIDES
+            _named_scan(where, manifest.parent, row.get(side, "").strip(), side, stubs) for side in SIDES
         )
         time_s = _number(where, "timestamp_s", row.get("timestamp_s", ""))
         T_real_sim, T_world_sensor = (_transform(where, name, row.get(name, "")) for name in _MANIFEST_COLUMNS[-2:])
@@ -249,14 +251,17 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     return pairs
 
 
-def _named_scan(where: str, folder: Path, name: str, side: str) -> tuple[Path | None, str | None]:
+def _named_scan(
+    where: str, folder: Path, name: str, side: str, stubs: Mapping[str, Path | str]
+) -> tuple[Path | None, str | None]:
     """The scan file that a line of the manifest names, or the reason why it is missing."""
-    path = folder / name.strip()
-    if not name.strip():
+    path = folder / name
+    if not name:
         return None, f"{where}: no {side} scan is named"
+    if name in stubs:
+        found = stubs[name]
+        return (found, None) if isinstance(found, Path) else (None, f"{where}: {found}")
     try:
-        if is_url(name.strip()):
-            return stub_of(name.strip()), None
         stub = Path(f"{path}{STUB}")
         path = stub if is_stub(stub) and stub.exists() else path
         is_there = is_scan_path(path)

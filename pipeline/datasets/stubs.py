@@ -11,6 +11,7 @@ import io
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -23,6 +24,7 @@ from ..storage.files import remove_stale, write_whole
 STUB = ".url"
 #: Files of a dataset that are read when a run is planned, and so are fetched whole.
 _SMALL = (".csv", ".toml", ".tum", ".txt")
+_REQUESTS_AT_ONCE = 16
 _LARGEST_SMALL = 100_000_000
 _MANIFEST = "pairs.csv"
 
@@ -84,18 +86,18 @@ def mirror_dataset(url: str) -> Path:
     return folder
 
 
-def stub_of(url: str) -> Path:
-    """The stub of one object.
+def stubs_of(urls: Iterable[str]) -> dict[str, Path | str]:
+    """The stub of each object, or the reason why there is none."""
 
-    Raises
-    ------
-    ScanError
-        There is no such object.
-    """
-    try:
-        return _mirror(url, cache_of(url), describe_object(url))
-    except StoreError as error:
-        raise ScanError(str(error)) from error
+    def stub_of(url: str) -> Path | str:
+        try:
+            return _mirror(url, cache_of(url), describe_object(url))
+        except StoreError as error:
+            return str(error)
+
+    once = list(dict.fromkeys(urls))
+    with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
+        return dict(zip(once, pool.map(stub_of, once), strict=True))
 
 
 def n_bytes_of(path: Path) -> int:
