@@ -1,0 +1,111 @@
+"""What does a run from and to an object store cost next to a local one?
+
+    python benchmarks/remote.py DATASET [N_SMALL] [POINTS]      by default 1000 small pairs of 300 points
+
+An S3 server (moto, in Python) runs on the same machine and takes part of it, so that ratios of wall time are upper
+limits. Local and remote runs of DATASET alternate; then N_SMALL small pairs, as in small_pairs.py.
+"""
+
+import collections
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from urllib.request import Request, urlopen
+
+import psutil
+from measure import machine, repeated, scratch, weigh
+from small_pairs import N_FILES
+
+from fidpipe.pipeline.object_store import list_objects, write_object
+
+WORKERS, PORT, REPEATS = 2, 5599, 2
+URL = "s3://bench"
+SERVER = f"""
+import time
+from moto.server import ThreadedMotoServer
+ThreadedMotoServer(ip_address="127.0.0.1", port={PORT}).start()
+time.sleep(1e6)
+"""
+
+
+class Server:
+    """An S3 server, which logs its requests."""
+
+    def __init__(self, folder):
+        self._log = folder / "requests.log"
+        self._process = subprocess.Popen([sys.executable, "-c", SERVER], stderr=self._log.open("w"))
+        os.environ.update(
+            {
+                **{"AWS_ENDPOINT_URL": f"http://127.0.0.1:{PORT}", "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1"},
+                **{"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret"},
+                "FIDPIPE_CACHE": str(folder / "cache"),
+            }
+        )
+        for _ in range(100):
+            try:
+                urlopen(Request(f"http://127.0.0.1:{PORT}/bench", method="PUT"))
+                return
+            except OSError:
+                time.sleep(0.2)
+        sys.exit("the server did not start")
+
+    def cpu_s(self):
+        times = psutil.Process(self._process.pid).cpu_times()
+        return times.user + times.system
+
+    def requests(self):
+        """Requests so far, by verb."""
+        return collections.Counter(re.findall(r'"([A-Z]+) /', self._log.read_text()))
+
+    def end(self):
+        self._process.kill()
+
+
+def upload(dataset, url):
+    """All files of a dataset; a manifest with URLs in place of absolute paths."""
+    for path in dataset.rglob("*"):
+        if path.is_file():
+            write_object(f"{url}/{path.relative_to(dataset).as_posix()}", path.read_bytes())
+
+
+def pair_of_runs(server, folder, dataset, url, name):
+    """A local run and a remote one, in this order; seconds of both."""
+    before, server_s = server.requests(), server.cpu_s()
+    remote = weigh("run", url, "--out", f"{URL}/runs/{name}", "--workers", WORKERS)
+    used, server_s = server.requests() - before, server.cpu_s() - server_s
+    local = weigh("run", dataset, "--out", folder / name, "--workers", WORKERS)
+    stored = list_objects(f"{URL}/runs/{name}")
+    print(f"{name}: wall {local.wall_s:.1f} s local, {remote.wall_s:.1f} s remote: {remote.wall_s / local.wall_s:.2f}")
+    print(f"  CPU {local.cpu_s:.1f} s local, {remote.cpu_s:.1f} s remote: {remote.cpu_s / local.cpu_s:.2f}", end="")
+    print(f" (and {server_s:.1f} s of the server)")
+    print(f"  requests {dict(used)}; {len(stored)} objects, {sum(one.size for one in stored) / 1e6:.1f} MB written")
+    peaks = [f"{of:.0f}" for of in (local.peaks[0], remote.peaks[0])]
+    print(f"  peak memory of the command: {peaks[0]} MiB local, {peaks[1]} MiB remote", flush=True)
+
+
+def main(dataset, n_small=1000, points=300):
+    print(machine())
+    with scratch() as folder:
+        server = Server(folder)
+        try:
+            upload(Path(dataset), f"{URL}/set")
+            for i in range(REPEATS):
+                pair_of_runs(server, folder, dataset, f"{URL}/set", f"whole{i}")
+            small = folder / "small"
+            weigh("synth", small, "--pairs", min(N_FILES, n_small), "--points", points, "--workers", WORKERS)
+            upload(small, f"{URL}/small")
+            listed = repeated(small, n_small, folder / "listed")
+            remote = folder / "remote"
+            remote.mkdir()
+            text = (listed / "pairs.csv").read_text()
+            (remote / "pairs.csv").write_text(text.replace(str(small.resolve()), f"{URL}/small"))
+            pair_of_runs(server, folder, listed, remote, f"small{n_small}")
+        finally:
+            server.end()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], *map(int, sys.argv[2:]))
