@@ -5,10 +5,12 @@ Credentials come from the environment or profiles, as obstore documents; no mess
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -54,6 +56,40 @@ class StoredObject:
 def is_url(text: str) -> bool:
     """True for text such as s3://bucket/key."""
     return bool(_URL.match(text))
+
+
+def cache_base() -> Path:
+    """The folder of all that is fetched: FIDPIPE_CACHE, by default ~/.cache/fidpipe."""
+    return Path(os.environ.get("FIDPIPE_CACHE") or Path.home() / ".cache" / "fidpipe").absolute()
+
+
+def cache_of(url: str) -> Path:
+    """The local folder that mirrors a URL."""
+    check_url(url)
+    parts = urlsplit(url)
+    names = parts.path.strip("/").split("/")
+    if ".." in names:
+        raise StoreError(url, "expected no .. in a URL")
+    return cache_base().joinpath(parts.scheme, parts.netloc, *names)
+
+
+def url_of_cache(folder: Path) -> str:
+    """The URL that a folder mirrors; "" outside of the cache."""
+    folder, base = folder.absolute(), cache_base()
+    if base not in folder.parents:
+        return ""
+    scheme, *names = folder.relative_to(base).parts
+    return f"{scheme}://{'/'.join(names)}"
+
+
+def name_in_records(folder: Path) -> str:
+    """A dataset's URL, or the absolute path of its folder."""
+    return url_of_cache(folder) or str(folder.resolve())
+
+
+def recorded_path(name: str) -> Path:
+    """The folder, in the cache for a URL, that a record names."""
+    return cache_of(name) if is_url(name) else Path(name)
 
 
 def list_objects(url: str) -> list[StoredObject]:

@@ -1,7 +1,8 @@
 """A run in an object store: a local folder that is kept equal to a URL, table by table.
 
-Each finished file is written by one PUT, which is atomic, and never renamed. The ledger stays local and is rebuilt from
-the tables. One object, written under a condition, says who writes; its owner renews it.
+Each finished file is written by one PUT, which is atomic, and never renamed. A copy of the ledger, written when a run
+has ended, serves those who read; without it they rebuild it from the tables. One object, written under a condition,
+says who writes; its owner renews it.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from pathlib import Path
 import orjson
 
 from ..schemas.errors import FidpipeError, RunError
-from .datasets.stubs import cache_of, mirror_dataset
+from .datasets.stubs import mirror_dataset
 from .object_store import (
     StoredObject,
     StoreError,
+    cache_of,
     delete_object,
     is_url,
     list_objects,
@@ -30,12 +32,13 @@ from .object_store import (
     write_object,
 )
 from .storage.files import remove_stale, write_whole
-from .storage.ledger import LEDGER
-from .storage.table_files import TOKEN_OBJECT
+from .storage.folder import RunFolder
+from .storage.ledger import LEDGER, SEAL
+from .storage.table_files import AT_URL, TOKEN_OBJECT
 
 LOCK = "_writer.json"
 #: Files of a run that stay on this machine.
-_LOCAL = (LEDGER, f"{LEDGER}-journal", "ledger.sha256", "report.html")
+_LOCAL = (LEDGER, f"{LEDGER}-journal", SEAL, "report.html")
 _PUSH_S, _RENEW_S, _DEAD_S = 5.0, 60.0, 300.0
 _AT_ONCE, _PER_RENEWAL = 16, 1000  # requests
 _PAUSES_PER_PUSH = 4.0
@@ -52,7 +55,8 @@ def local_of(url: str) -> Path:
     url = url.rstrip("/")
     if not url.startswith("http") and any(one.name == "run.json" for one in list_objects(url)):
         run = RemoteRun(url)
-        run.pull()
+        if not RunFolder(run.folder).is_locked:  # by a command of this machine that works on it now
+            run.pull(for_reading=True)
         return run.folder
     return mirror_dataset(url)
 
@@ -67,11 +71,22 @@ class RemoteRun:
         self._own, self._etag, self._renewed = b"", "", 0.0
         self._pushing = threading.Lock()
 
-    def pull(self) -> None:
-        """Fetch what the URL has and the folder lacks, and remove what the URL has not."""
+    def pull(self, *, for_reading: bool = False) -> None:
+        """Fetch what the URL has and the folder lacks, and remove what the URL has not.
+
+        Parameters
+        ----------
+        for_reading : leave tables of pairs there, to be fetched when they are read, if the run has ended in order
+        """
         known, found = self._known(), {one.name: one for one in list_objects(self.url)}
-        for name in (LOCK, TOKEN_OBJECT):
-            found.pop(name, None)
+        of_ledger = [found.pop(name, None) for name in (SEAL, LEDGER, LOCK, TOKEN_OBJECT)][:2]
+        if for_reading and None not in of_ledger:
+            found = {name: one for name, one in found.items() if "/" not in name}
+            for one in filter(None, of_ledger):
+                self._get(one)
+            (self.folder / AT_URL).touch()
+        else:
+            (self.folder / AT_URL).unlink(missing_ok=True)
         if found and "run.json" not in found:  # of a run that was killed, or no run at all
             if not all(name.endswith((".parquet", "settings.toml")) for name in found):
                 raise RunError(f"run {self.url}: the URL holds other things than a run; give another --out")
@@ -84,6 +99,12 @@ class RemoteRun:
         ]
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             known |= zip((one.name for one in missing), pool.map(self._get, missing), strict=True)
+        if (self.folder / AT_URL).exists():
+            self._keep(known)
+            return
+        if any("/" in one.name for one in missing):  # what this machine knows of them is out of date
+            (self.folder / SEAL).unlink(missing_ok=True)
+            (self.folder / LEDGER).write_bytes(b"")
         for name in (self._files().keys() & known.keys()) - found.keys():  # others are newer than the last push
             remove_stale(self.folder / name)
         self._keep({name: marks for name, marks in known.items() if name in found})
@@ -143,6 +164,7 @@ class RemoteRun:
         follow = threading.Thread(target=self._follow, args=(ended,), daemon=True)
         try:
             self.pull()
+            delete_object(f"{self.url}/{SEAL}")
             self.folder.mkdir(parents=True, exist_ok=True)
             _WRITTEN[self.folder] = self
             follow.start()
@@ -153,6 +175,9 @@ class RemoteRun:
             if follow.is_alive():
                 follow.join()
             self.push()
+            if (self.folder / SEAL).exists():  # for those who read, when all tables are there
+                for name in (LEDGER, SEAL):
+                    self._put(name)
             if read_object(self._lock) == self._own:
                 delete_object(f"{self.url}/{TOKEN_OBJECT}")
                 delete_object(self._lock)
@@ -243,6 +268,7 @@ def url_for_workers(folder: Path, token: str) -> str:
     run = _WRITTEN.get(folder.absolute())
     if run is None:
         return ""
+    (run.folder / AT_URL).touch()
     run.push()  # so that no later push deletes what a worker writes under the same name
     write_object(f"{run.url}/{TOKEN_OBJECT}", token.encode())
     return run.url

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +17,16 @@ from urllib.parse import urlsplit
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, ScanError
-from ..object_store import StoredObject, StoreError, check_url, describe_object, is_url, list_objects, read_object
+from ..object_store import (
+    StoredObject,
+    StoreError,
+    cache_base,
+    cache_of,
+    describe_object,
+    is_url,
+    list_objects,
+    read_object,
+)
 from ..storage.files import remove_stale, write_whole
 
 STUB = ".url"
@@ -29,19 +37,9 @@ _LARGEST_SMALL = 100_000_000
 _MANIFEST = "pairs.csv"
 
 
-def cache_of(url: str) -> Path:
-    """The local folder that mirrors a URL: below FIDPIPE_CACHE, by default ~/.cache/fidpipe."""
-    check_url(url)
-    parts = urlsplit(url)
-    names = parts.path.strip("/").split("/")
-    if ".." in names:
-        raise StoreError(url, "expected no .. in a URL")
-    return _base().joinpath(parts.scheme, parts.netloc, *names)
-
-
 def is_stub(path: Path) -> bool:
     """True for a stub in the cache. Elsewhere it is ignored: a dataset of others could name any address."""
-    return path.suffix == STUB and (path in _RESTORED or _base() in path.absolute().parents)
+    return path.suffix == STUB and (path in _RESTORED or cache_base() in path.absolute().parents)
 
 
 def stub_texts(paths: Iterable[Path]) -> dict[Path, str]:
@@ -131,10 +129,6 @@ def local_scan(path: Path, labels: Path) -> Iterator[Path]:
 
 
 _RESTORED: set[Path] = set()
-
-
-def _base() -> Path:
-    return Path(os.environ.get("FIDPIPE_CACHE") or Path.home() / ".cache" / "fidpipe").absolute()
 
 
 def _mirror_one(url: str) -> Path:

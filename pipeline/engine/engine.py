@@ -165,7 +165,7 @@ class RunEngine:
     def _share_folder(self) -> None:
         """Make the URL of a remote run, on a cluster, the place of its tables: workers need not see the folder."""
         if self._machines.scheduler and (url := url_for_workers(self.folder.folder, self.folder.token)):
-            self.folder.written_at(url)
+            self.folder.url = url
 
     def _for_workers(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
         """The plans with all that workers of a cluster need that may not see the files of the command."""

@@ -27,6 +27,7 @@ from ..datasets.readers.scan import Scan
 from ..engine.engine import Machines
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
+from ..object_store import name_in_records, recorded_path
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, run_dataset, select_pairs
 from ..storage.files import key_of, path_exists, refuse_link, write_whole
@@ -97,7 +98,7 @@ def run_floor(
     noise, lost = (AS_MEASURED if value is None else value for value in (noise_m, lost_share))
     amounts = ("neighbours", 0.0, 0.0, 0) if neighbours else ("again", noise, lost, seed)
     source = read_dataset(dataset)
-    recipe = FloorRecipe(RECIPE_VERSION, *amounts, str(dataset.resolve()))
+    recipe = FloorRecipe(RECIPE_VERSION, *amounts, name_in_records(dataset))
     selected = {pair.pair_id for pair in select_pairs(source, pattern)}
     partners = _neighbours(source) if neighbours else {pair.pair_id: pair for pair in source.pairs}
     _refuse_other_recipe(out, recipe, replace=replace)
@@ -143,7 +144,7 @@ def _refuse_other_recipe(out: Path, recipe: FloorRecipe, *, replace: bool) -> No
         raise RunError(f"run {out}: holds a run of {record.get('dataset')}, not a floor; give another --out")
     if before is None or before == recipe:
         return
-    if before.dataset != recipe.dataset and path_exists(Path(before.dataset)):
+    if before.dataset != recipe.dataset and path_exists(recorded_path(before.dataset)):
         raise RunError(f"run {out}: holds the floor of {before.dataset}, not of {recipe.dataset}; give another --out")
     if before.words != recipe.words and has_ended(record) and not replace:
         refuse_overwrite(f"run {out}", "its scans", [before.words, f"requested: {recipe.words}"])

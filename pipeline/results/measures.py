@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, read_dataset
+from ..object_store import recorded_path
 from .finished import FinishedRun
 from .floor import RunExcess
 from .measure_names import (
@@ -76,7 +76,7 @@ class Measures:
     def dataset_is_gone(self) -> bool:
         """True if the dataset's folder is not on this machine; a broken one is not gone."""
         try:
-            Path(self.run.record.dataset).stat()
+            recorded_path(self.run.record.dataset).stat()
         except (FileNotFoundError, NotADirectoryError, ValueError):
             return True
         except OSError:
@@ -162,7 +162,7 @@ class Measures:
     def _dataset(self) -> Dataset:
         """The dataset of the run as it is now."""
         try:
-            return read_dataset(Path(self.run.record.dataset))
+            return read_dataset(recorded_path(self.run.record.dataset))
         except (DatasetError, OSError) as error:
             raise _AbsentError(str(error)) from error
 

@@ -23,6 +23,7 @@ from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
 from ...stages.statistics.findings import BAND_NAMES
+from ..object_store import recorded_path
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
@@ -256,7 +257,7 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
     if record.preset != "reference":
         words = "each scan is segmented separately, so scores vary with the segmentation; to compare simulators: "
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
-    if path_exists(Path(record.dataset) / FLOOR_RECIPE):
+    if path_exists(recorded_path(record.dataset) / FLOOR_RECIPE):
         return  # it is a floor itself
     floor = shlex.join(["fidpipe", "floor", record.dataset, "--preset", record.preset])
     yield Caution(kind="floor", words=f"no floor yet; the scores of a perfect simulator: {floor}")

@@ -15,6 +15,7 @@ from ..engine.engine import Machines, RunEngine, current_records
 from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
+from ..object_store import recorded_path
 from ..storage.folder import RunFolder
 from ..storage.run_record import StageSeconds, finished_record
 
@@ -54,7 +55,7 @@ def run_status(folder: Path) -> RunStatus:
             f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is run again; "
             "status is for runs"
         )
-    dataset = read_dataset(Path(record["dataset"]))
+    dataset = read_dataset(recorded_path(record["dataset"]))
     settings = parse(record["settings"])
     stages, run_folder = stages_under(settings), RunFolder(folder)
     ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)

@@ -16,14 +16,12 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
-from ..object_store import delete_object, list_objects
+from ..object_store import delete_object, is_url, list_objects, name_in_records, url_of_cache
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, other_version, read_run
 from .table_files import AT_URL, JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
-#: By folder, the URL that workers of this process write to.
-_URLS: dict[Path, str] = {}
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)  # such as NFS without lockd
 
 
@@ -31,7 +29,7 @@ class RunFolder(TableFolder):
     """A run's folder; to be read, or, while `locked`, to be written."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder, secrets.token_hex(8), _URLS.get(folder.absolute(), ""))
+        super().__init__(folder, secrets.token_hex(8), url_of_cache(folder) if (folder / AT_URL).exists() else "")
         self._ledger: Ledger | None = None
 
     @property
@@ -40,10 +38,6 @@ class RunFolder(TableFolder):
         if self._ledger is None:
             self._ledger = self._open_ledger(is_writable=False)
         return self._ledger
-
-    def written_at(self, url: str) -> None:
-        """Workers of this command write the tables to a URL from now on."""
-        self.url = _URLS[self.folder.absolute()] = url
 
     @property
     def is_locked(self) -> bool:
@@ -160,16 +154,21 @@ class RunFolder(TableFolder):
     def is_whole(self, record: JobRecord, *, by_content: bool = False) -> bool:
         """True if the files of a job are as they were written; see `StoredFile.is_at`."""
         files = record.files.items()
-        if self.url and all(stored.mtime_ns == AT_URL for _, stored in files):
-            return True
-        return all(stored.is_at(f"{self.folder}/{name}", by_content=by_content) for name, stored in files)
+        return all(
+            stored.is_at(f"{self.folder}/{name}", by_content=by_content) or self._is_at_url(name)
+            for name, stored in files
+        )
+
+    def _is_at_url(self, name: str) -> bool:
+        """True if a file is expected at the URL alone; it is checked as it is read."""
+        return bool(self.url) and not (self.folder / name).exists()
 
     def forget(self, record: JobRecord) -> None:
         """Removes a job's files and takes it out of the ledger."""
-        for name, stored in record.files.items():
-            (self.folder / name).unlink(missing_ok=True)
-            if self.url and stored.mtime_ns == AT_URL:
+        for name in record.files:
+            if self._is_at_url(name):
                 delete_object(f"{self.url}/{name}")
+            (self.folder / name).unlink(missing_ok=True)
         self.ledger.drop_job(record)
 
     def remove_strays(self) -> int:
@@ -231,7 +230,7 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run", *, replace: 
     before, made_by = record.get("dataset"), record.get("experiment", "run")
     if before and made_by != experiment:
         raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
-    if before and Path(before) != dataset.resolve() and os.path.lexists(before):
+    if before and before != name_in_records(dataset) and (is_url(before) or os.path.lexists(before)):
         raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
     if not replace and (version := other_version(record)):
         refuse_overwrite(f"run {out}", "all its results", [f"{version} wrote it"])

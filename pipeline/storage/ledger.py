@@ -23,7 +23,7 @@ from .files import disk_full, file_marks, hash_file, write_whole
 from .table_files import JobRecord, job_record
 
 LEDGER = "ledger.sqlite"
-_SEAL = "ledger.sha256"
+SEAL = "ledger.sha256"
 _SECONDS_BETWEEN_COMMITS = 1.0
 _LONGEST_PATH = 511
 _SECONDS_FOR_READERS = 60.0
@@ -58,7 +58,7 @@ class Ledger:
     def __init__(self, path: Path, *, is_writable: bool) -> None:
         self._path, self.is_writable = path, is_writable
         self._begun: float | None = None
-        self._seal = path.with_name(_SEAL)
+        self._seal = path.with_name(SEAL)
         try:
             self.is_complete = self._is_sealed()
             self._db = self._open() if is_writable else _read_only(path, self.is_complete)

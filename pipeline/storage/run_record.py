@@ -26,6 +26,7 @@ from ...schemas.record import FrameSuspect, Machine, MetricsSummary, PairCounts,
 from ...schemas.results import Findings, PreviousRun, ScoreSummary
 from ...schemas.settings import Settings, overrides, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
+from ..object_store import name_in_records
 from .files import write_whole
 from .table_files import JobRecord
 
@@ -172,7 +173,7 @@ def run_header(
     return RunHeader(
         fidpipe=_version("fidpipe"),
         written=datetime.now(UTC).isoformat(timespec="seconds"),
-        dataset=str(dataset.resolve()),
+        dataset=name_in_records(dataset),
         preset=preset_of(settings),
         departures=tuple(overrides(settings)),
         settings=settings.model_dump(mode="json"),

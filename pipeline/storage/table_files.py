@@ -30,7 +30,7 @@ from .files import key_of, write_whole
 
 _TOKEN = ".writer"
 TOKEN_OBJECT = "_token"  #: the same at a URL, while workers write there
-AT_URL = 0  #: time of a file that is only there
+AT_URL = ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
 _ASK_S = 10.0
 _READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
@@ -248,10 +248,10 @@ class TableFolder:
         RunError
             The file is damaged or gone.
         """
-        path, schema = self.folder / name, TABLES[table]
+        schema = TABLES[table]
         wanted = schema.schema if columns is None else pa.schema([schema.schema.field(column) for column in columns])
         try:
-            content = stored.read(path) or self._fetch(stored, name)
+            content = self.content(stored, name)
             if content is None:
                 raise self.damaged(name)
             same = [] if is_plain else [column for column in schema.same if column in wanted.names]
@@ -269,9 +269,18 @@ class TableFolder:
         status = path.stat()
         return StoredFile(status.st_size, sha256, status.st_mtime_ns, status.st_ctime_ns)
 
-    def _fetch(self, stored: StoredFile, name: str) -> bytes | None:
-        """The content at the URL as it was written; None if it is another one, or there is no URL."""
-        content = read_object(f"{self.url}/{name}") if self.url else b""
+    def content(self, stored: StoredFile, name: str) -> bytes | None:
+        """The content of a file as it was written, here or else at the URL; None if it is another one.
+
+        Raises
+        ------
+        OSError, StoreError
+            It cannot be read.
+        """
+        content = stored.read(self.folder / name)
+        if content is not None or not self.url:
+            return content
+        content = read_object(f"{self.url}/{name}")
         return content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
 
     def damaged(self, name: str, cause: str = "") -> RunError:
@@ -305,7 +314,7 @@ class TablesAtUrl(TableFolder):
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
         self.check_token()
         write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
-        return StoredFile(len(content), sha256, AT_URL, AT_URL)
+        return StoredFile(len(content), sha256, 0, 0)
 
 
 _ASKED: dict[str, float] = {}

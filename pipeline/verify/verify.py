@@ -25,6 +25,7 @@ from ...stages.literal.literal_method import mean_and_std
 from ..datasets.content import input_hashes
 from ..datasets.pairs import ScanPair, read_dataset
 from ..jobs import EXTRAS, STAGES
+from ..object_store import recorded_path
 from ..results.finished import FinishedRun
 from ..storage.run_record import unmatched_worst
 from .compare_frames import NOT_COMPARED, ColumnComparison, compare
@@ -307,7 +308,7 @@ def _unchanged_scans(
     """Pairs of the dataset whose scans are those of the run, its class names, and reasons why other pairs are not."""
     what = "points kept of the scans"
     try:
-        dataset = read_dataset(Path(run.record.dataset))
+        dataset = read_dataset(recorded_path(run.record.dataset))
     except (FidpipeError, OSError) as error:
         return {}, {}, [f"{what}, and their coordinates: {error}"]
     pairs, unchanged, faults = {pair.pair_id: pair for pair in dataset.pairs}, {}, []
@@ -330,9 +331,9 @@ def _files(run: FinishedRun) -> Iterator[Part]:
         for record in run.store.ledger.jobs(pair_id).values():
             for name, stored in record.files.items():
                 try:
-                    found = stored.sha256 if stored.read(run.folder / name) is not None else "another file, or none"
-                except OSError as error:
-                    found = f"cannot be read ({error.strerror})"
+                    found = stored.sha256 if run.store.content(stored, name) is not None else "another file, or none"
+                except (OSError, FidpipeError) as error:
+                    found = f"cannot be read ({getattr(error, 'strerror', error)})"
                 yield values("files", {f"SHA-256 of {name}": stored.sha256}, {f"SHA-256 of {name}": found})
 
 

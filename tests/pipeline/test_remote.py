@@ -15,9 +15,17 @@ import pytest
 from clusters import Cluster
 
 from fidpipe import open_run
-from fidpipe.pipeline.datasets.stubs import cache_of, mirror_dataset
-from fidpipe.pipeline.object_store import StoreError, list_objects, read_object, write_object
+from fidpipe.pipeline.datasets.stubs import mirror_dataset
+from fidpipe.pipeline.object_store import (
+    StoreError,
+    cache_of,
+    delete_object,
+    list_objects,
+    read_object,
+    write_object,
+)
 from fidpipe.pipeline.remote_run import LOCK, RemoteRun
+from fidpipe.pipeline.storage.ledger import SEAL
 from fidpipe.schemas.errors import DatasetError, RunError
 from runs import assert_same_tables, command, run
 from scenes import write_dataset
@@ -117,9 +125,11 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     assert len(set(fetched)) == 2
     names = {one.name for one in list_objects(f"{bucket}/runs/x")}
     assert {"run.json", "pairs.parquet", "graph/000.real.parquet"} <= names
-    assert not {"ledger.sqlite", LOCK, ".lock"} & names
+    assert not {LOCK, ".lock", "_token"} & names
     shutil.rmtree(tmp_path / "cache")
+    Faulty.requests = []
     assert "2 pairs" in command("show", f"{bucket}/runs/x").stdout
+    assert not any("/graph/" in path or "/rays/" in path for _, path in Faulty.requests), "fetched when read"
     assert len(open_run(f"{bucket}/runs/x").pairs) == 2
     verified = command("verify", f"{bucket}/runs/x")
     assert verified.returncode == 0, verified.stdout + verified.stderr
@@ -127,7 +137,7 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     assert not any(SECRET.encode() in text for text in (*texts, ended.stdout.encode(), ended.stderr.encode()))
 
 
-def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, tmp_path):
+def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, tmp_path, monkeypatch):
     upload(local / "set", f"{bucket}/set")
     words = ("run", f"{bucket}/set", "--workers", "1", "--preset", "paper", "--out")
     assert command(*words, f"{bucket}/runs/whole").returncode == 0
@@ -141,6 +151,14 @@ def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, t
         written = {path.split("/half/")[1].split("/")[0] for verb, path in Faulty.requests if verb == "PUT"}
         assert not {"graph", "ground", "sensor"} & written, "they were there"
         assert ("metrics" in written) == writes_all
+    monkeypatch.setenv("FIDPIPE_CACHE", str(tmp_path / "elsewhere"))
+    changed = command(*words, f"{bucket}/runs/half", "--replace", "--set", "graph.k=8")
+    assert changed.returncode == 0, changed.stderr
+    monkeypatch.setenv("FIDPIPE_CACHE", str(tmp_path / "cache"))
+    assert open_run(f"{bucket}/runs/half").record.settings["graph"]["k"] == 8
+    delete_object(f"{bucket}/runs/half/{SEAL}")  # as a command leaves it that was killed
+    metrics = open_run(f"{bucket}/runs/half").metrics
+    assert len(metrics) and not metrics.equals(open_run(local / "run").metrics)
 
 
 def test_two_commands_do_not_write_to_one_run_and_a_dead_one_is_replaced(bucket, local):
