@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC
-from ...stages.arrays import IntArray
 from ..results.quadrants import QUADRANTS, UNKNOWN
 from .look import OUTCOME_COLOURS
 from .run_frames import RunResults
 
 #: The two scores that are drawn side by side.
 SCORES = ("r_lambda", "cdc")
-_BINS = 25
-_FEWEST_IN_BOX = 3
+#: Fewer objects have no quartiles.
+FEWEST_IN_BOX = 3
 _FATES = ("matched", "missing", "hallucinated")
 _RANGE_BIN_M, _MOST_RANGE_BINS = 10.0, 12
 _QUARTILES = {"q1": 0.25, "median": 0.5, "q3": 0.75}
@@ -29,21 +27,6 @@ _COLOURED = (0.02, 0.98)
 def axis_title(score: str) -> str:
     """Label of the axis of a score: its heading and its best end."""
     return f"{METRIC[score].label} ({METRIC[score].scale})"
-
-
-def histograms(results: RunResults) -> dict[str, dict[str, Any]]:
-    """By score: counts in equal bins over its whole range, their edges, median, number with (n) and without a score.
-
-    Where no object has a score, all counts are 0 and the median is None.
-    """
-    by_score = {}
-    for score in SCORES:
-        values = results.matched[score].dropna().to_numpy(dtype=float)
-        counts, edges = np.histogram(values, bins=_BINS, range=(0.0, METRIC[score].high or 1.0))
-        median = float(np.median(values)) if len(values) else None
-        n_null = len(results.matched) - len(values)
-        by_score[score] = {"counts": counts, "edges": edges, "median": median, "n": len(values), "n_null": n_null}
-    return by_score
 
 
 def quadrants(results: RunResults) -> dict[str, dict[str, Any]]:
@@ -64,29 +47,6 @@ def evenly(n: int, most: int) -> list[int]:
     return list(map(int, np.unique(np.linspace(0, n - 1, min(n, most)).round())))
 
 
-def boxes(results: RunResults, column: str, groups: Iterable[str]) -> list[dict[str, Any]]:
-    """Name, number (n) and box plot statistics of both scores for each group of objects.
-
-    By score med, q1, q3, whislo, whishi and fliers, as matplotlib calls them (whiskers at 1.5 quartile distances); None
-    for fewer than three values.
-
-    Parameters
-    ----------
-    column : of `RunResults.matched` to group by
-    groups : values of that column, in the order of the boxes; one that no object has is left out
-    """
-    from matplotlib.cbook import boxplot_stats
-
-    by_group = dict(list(results.matched.groupby(column)))
-    made = []
-    for name in groups:
-        if name in by_group:
-            values = {score: by_group[name][score].dropna().to_numpy(dtype=float) for score in SCORES}
-            stats = {k: boxplot_stats(v)[0] if len(v) >= _FEWEST_IN_BOX else None for k, v in values.items()}
-            made.append({"name": name, "n": len(by_group[name]), **stats})
-    return made
-
-
 def ray_outcomes(results: RunResults) -> pd.DataFrame:
     """Shares of the outcomes of rays (columns) by range (rows, near to far), and `n_rays`, over the scored pairs."""
     outcomes = {f"rays_{name}": name for name in OUTCOME_COLOURS}
@@ -100,88 +60,61 @@ def ray_outcomes(results: RunResults) -> pd.DataFrame:
     return total
 
 
-@dataclass(frozen=True)
-class Bins:
-    """Equal bins of the distance from the sensor, from 0.
+def range_bins(results: RunResults) -> tuple[list[str], pd.Series, pd.Series]:
+    """Names of bins of the distance from the sensor, and the bin of each matched and of each unmatched object.
 
-    width : metres
-    names : of the bins, such as "10 to 20 m"
+    Bins of 10 m from 0 to the farthest object; of 20, 30 ... m where those were more than twelve.
     """
-
-    width: float
-    names: tuple[str, ...]
-
-    @property
-    def middles(self) -> list[float]:
-        """The middle of each bin."""
-        return [(i + 0.5) * self.width for i in range(len(self.names))]
-
-    def index(self, objects: pd.DataFrame) -> IntArray:
-        """The bin of each object, (n,) int32."""
-        index: IntArray = np.floor(objects.range_m.to_numpy(dtype=float) / self.width).astype(np.int32)
-        return index
-
-
-def range_bins(results: RunResults) -> Bins:
-    """Bins of 10 m from 0 to the farthest object; of 20, 30 ... m where those were more than twelve."""
-    ranges_m = pd.concat([results.matched.range_m, results.unmatched.range_m])
-    farthest_m = float(ranges_m.max()) if len(ranges_m) else 0.0
+    ranges_m = [results.matched.range_m, results.unmatched.range_m]
+    farthest_m = max((float(rows.max()) for rows in ranges_m if len(rows)), default=0.0)
     width = _RANGE_BIN_M * max(1, math.ceil(farthest_m / (_RANGE_BIN_M * _MOST_RANGE_BINS)))
     lows = [width * i for i in range(math.floor(farthest_m / width) + 1)]
-    return Bins(width, tuple(f"{low:g} to {low + width:g} m" for low in lows))
+    names = [f"{low:g} to {low + width:g} m" for low in lows]
+    matched, unmatched = ((rows // width).astype(int).map(dict(enumerate(names))) for rows in ranges_m)
+    return names, matched, unmatched
 
 
-def binned_scores(results: RunResults, bins: Bins) -> dict[str, pd.DataFrame]:
-    """By score and bin (of the real object): how many objects have the score (n), and its q1, median and q3.
+def score_spread(matched: pd.DataFrame, group: pd.Series, names: Sequence[str]) -> dict[str, pd.DataFrame]:
+    """By score, for each named group of objects: how many have the score (n), and its q1, median and q3.
 
-    The median of fewer than three is given, their quartiles are NaN; without any all three are.
+    Fewer than three have no quartiles (NaN), none have no median.
     """
-    index, by_score = bins.index(results.matched), {}
+    by_score = {}
     for score in SCORES:
-        values = results.matched[score].astype(float).groupby(index)
+        values = matched[score].astype(float).groupby(group)
         rows = pd.DataFrame({"n": values.count()} | {q: values.quantile(at) for q, at in _QUARTILES.items()})
-        rows = rows.reindex(range(len(bins.names)))
+        rows = rows.reindex(names)
         rows["n"] = rows.n.fillna(0).astype(int)
-        rows.loc[rows.n < _FEWEST_IN_BOX, ["q1", "q3"]] = np.nan
-        by_score[score] = rows.set_axis(bins.names)
+        rows.loc[rows.n < FEWEST_IN_BOX, ["q1", "q3"]] = np.nan
+        by_score[score] = rows
     return by_score
 
 
-def binned_fates(results: RunResults, bins: Bins) -> pd.DataFrame:
-    """By bin: objects by fate, matched ones at their real side, and which share is missing and hallucinated.
+def binned_fates(results: RunResults) -> pd.DataFrame:
+    """By bin of range: objects by fate, matched ones at their real side, and the missing and hallucinated shares.
 
     missing_share = missing / (matched + missing), hallucinated_share = hallucinated / (matched + hallucinated); NaN
     for sides without objects.
     """
-    objects = pd.concat([results.matched.assign(status="matched"), results.unmatched], ignore_index=True)
-    counts = pd.crosstab(pd.Series(bins.index(objects), name="bin"), objects.status)
-    counts = counts.reindex(index=range(len(bins.names)), columns=list(_FATES), fill_value=0)
+    names, matched, unmatched = range_bins(results)
+    fates = [*["matched"] * len(matched), *results.unmatched.status]
+    counts = pd.crosstab(np.array([*matched, *unmatched], dtype=object), np.array(fates, dtype=object))
+    counts = counts.reindex(index=names, columns=list(_FATES), fill_value=0)
     for fate in ("missing", "hallucinated"):
         n_all = counts.matched + counts[fate]
         counts[f"{fate}_share"] = (counts[fate] / n_all).where(n_all > 0)
-    return counts.set_axis(bins.names)
+    return counts
 
 
-@dataclass(frozen=True)
-class PairsInOrder:
-    """The scored pairs along the sequence.
+def along_the_sequence(results: RunResults, times_s: Mapping[str, float]) -> tuple[bool, pd.DataFrame]:
+    """The scored pairs by the time of their real scans if known of each (then True), else by name.
 
-    has_times : whether the dataset says of each when it was taken; else they are in the order of their names
-    rows : of `RunResults.pairs`, first to last, with `place`, seconds since the first one, or its number from 1
+    Their `place` is the number of seconds since the first one, or their number from 1.
     """
-
-    has_times: bool
-    rows: pd.DataFrame
-
-
-def along_the_sequence(results: RunResults, times_s: Mapping[str, float]) -> PairsInOrder:
-    """The scored pairs by the time of their real scans, if that is known of each, else by name."""
     rows = results.pairs.assign(time_s=results.pairs.pair_id.map(times_s).astype(float))
-    if rows.time_s.notna().all():
-        rows = rows.sort_values(["time_s", "pair_id"], ignore_index=True)
-        return PairsInOrder(True, rows.assign(place=rows.time_s - rows.time_s[0]))
-    rows = rows.sort_values("pair_id", ignore_index=True)
-    return PairsInOrder(False, rows.assign(place=np.arange(1.0, len(rows) + 1)))
+    has_times = bool(rows.time_s.notna().all())
+    rows = rows.sort_values(["time_s", "pair_id"] if has_times else "pair_id", ignore_index=True)
+    return has_times, rows.assign(place=rows.time_s - rows.time_s[0] if has_times else np.arange(1.0, len(rows) + 1))
 
 
 def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:

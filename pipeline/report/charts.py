@@ -23,19 +23,14 @@ from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..terminal import shown
 from .aggregates import (  # fmt: skip
     SCORES,
-    Bins,
-    PairsInOrder,
     along_the_sequence,
     axis_title,
     binned_fates,
-    binned_scores,
-    boxes,
     evenly,
-    histograms,
     quadrants,
     range_bins,
     ray_outcomes,
-    stage_times,
+    score_spread,
 )
 from .look import (
     FATE_COLOURS,
@@ -44,7 +39,6 @@ from .look import (
     OUTCOME_WORDS,
     QUADRANT_COLOURS,
     SCORE_COLOURS,
-    SERIES,
     in_chart,
     of_theme,
     on_page,
@@ -56,8 +50,7 @@ CaptionedChart = tuple[Chart, str]  #: a chart, and a sentence with its main num
 
 #: More dots than these would make a page slow; the texts next to the charts then name the part that they show.
 MOST_DOTS = 3000
-MOST_SCANS, MOST_CLASSES = 16, 10
-_MOST_CHANGES, _MOST_MEDIANS = 300, 10
+MOST_CLASSES, _MOST_CHANGES = 10, 300
 
 _INK, _SOFT, _LINE = map(of_theme, ("ink", "soft", "line"))
 _CLEAR = "rgba(0,0,0,0)"
@@ -89,50 +82,31 @@ TEMPLATE: Chart = {
 
 def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
     """The charts of a whole run with their sentences, by the id of their place in the page."""
-    names = results.pairs.pair_id.tolist()
-    scans = [names[i] for i in evenly(len(names), MOST_SCANS)]
-    classes = results.matched.group.value_counts().index[:MOST_CLASSES]
-    bins = range_bins(results)
+    matched = results.matched
+    ranges, range_of, _ = range_bins(results)
+    classes = matched.group.value_counts().index[:MOST_CLASSES].tolist()
     return {
-        **{f"hist_{score}": _histogram(score, counted) for score, counted in histograms(results).items()},
         "quadrants": _quadrants(results),
-        "box_scan": _boxes("of the scans", boxes(results, "pair_id", scans)),
-        "box_class": _boxes(f"by {results.class_is}", boxes(results, "group", classes)),
-        "scores_range": _scores_by(bins, binned_scores(results, bins)),
-        "sequence": _sequence(along_the_sequence(results, recorded_times_s(results.run))),
+        "scores_range": _spread("distance", score_spread(matched, range_of, ranges)),
+        "scores_class": _spread(results.class_is, score_spread(matched, matched.group, classes)),
+        "sequence": _sequence(*along_the_sequence(results, recorded_times_s(results.run))),
         "polar": _polar(results.unmatched),
-        "fates_range": _fates_by(bins, binned_fates(results, bins)),
+        "fates_range": _fates_by(binned_fates(results)),
         **({"rays_range": _rays(rays)} if len(rays := ray_outcomes(results)) else {}),
-        "times": _times(stage_times(results)),
     }
-
-
-def _histogram(score: str, counted: dict[str, Any]) -> CaptionedChart:
-    edges, median = counted["edges"], counted["median"]
-    bars = {
-        "type": "bar",
-        "x": (edges[:-1] + edges[1:]) / 2,
-        "y": counted["counts"],
-        "width": edges[1] - edges[0],
-        "marker": {"color": on_page(SCORE_COLOURS[score])},
-        "hovertemplate": "%{x:.2f}: %{y} objects<extra></extra>",
-    }
-    title = f"{METRIC[score].label}, {counted['n']:,} objects"
-    title += "" if median is None else f", median {median:.2f}"
-    layout = {
-        "title": {"text": title, "font": {"size": 13}},
-        "xaxis": {"range": [0, METRIC[score].high], "title": {"text": axis_title(score)}},
-        "yaxis": {"title": {"text": "objects"}},
-        "shapes": [] if median is None else [_line(x=median, dash="dash", width=1.5)],
-    }
-    return _chart([bars], layout), f"Histogram of {title}."
 
 
 def _quadrants(results: RunResults) -> CaptionedChart:
-    """r_lambda over CDC, one dot per object; evenly over the order from worst to best where they are too many."""
+    """r_lambda over CDC, one dot per object, evenly over the order from worst to best where too many; histograms."""
     scored = results.matched[results.matched.r_lambda.notna()]
     dots = scored.iloc[evenly(len(scored), MOST_DOTS)]
-    counted, data = quadrants(results), []
+    counted = quadrants(results)
+    data: list[Chart] = [
+        {"x": dots.cdc.to_numpy(np.float32), "yaxis": "y2", "xbins": {"start": 0, "end": 2, "size": 0.08}},
+        {"y": dots.r_lambda.to_numpy(np.float32), "xaxis": "x2", "ybins": {"start": 0, "end": 1, "size": 0.04}},
+    ]
+    histogram = {"type": "histogram", "marker": {"color": GREY}, "showlegend": False, "hoverinfo": "skip"}
+    data = [histogram | values for values in data]
     for key, title in QUADRANTS.items():
         own = dots[dots.quadrant == key]
         data.append(
@@ -148,41 +122,16 @@ def _quadrants(results: RunResults) -> CaptionedChart:
             }
         )
     layout = {
-        "xaxis": {"range": [0, 2.02], "title": {"text": axis_title("cdc")}},
-        "yaxis": {"range": [0, 1.02], "title": {"text": axis_title("r_lambda")}},
+        "xaxis": {"range": [0, 2.02], "domain": [0, 0.84], "title": {"text": axis_title("cdc")}},
+        "yaxis": {"range": [0, 1.02], "domain": [0, 0.84], "title": {"text": axis_title("r_lambda")}},
+        **{axis: {"domain": [0.86, 1], "visible": False} for axis in ("xaxis2", "yaxis2")},
+        "bargap": 0.1,
         "shapes": [_line(x=CDC_LIMIT, width=1), _line(y=R_LAMBDA_LIMIT, width=1)],
         "legend": {"font": {"size": 11}},
     }
     counts = _listed(f"{title} {counted[key]['n']:,}" for key, title in QUADRANTS.items())
-    return _chart(data, layout), f"r_lambda over CDC of each object: {counts}"
-
-
-def _boxes(what: str, groups: Sequence[dict[str, Any]]) -> CaptionedChart:
-    """Both scores of each group side by side; shortened names may be equal, so that boxes are placed at numbers."""
-    names = {"q1": "q1", "median": "med", "q3": "q3", "lowerfence": "whislo", "upperfence": "whishi"}
-    data: list[Chart] = []
-    for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
-        known = [(i + offset, group[score]) for i, group in enumerate(groups) if group[score]]
-        outside = [(x, y) for x, box in known for y in box["fliers"]]
-        look = {"marker": {"color": on_page(SCORE_COLOURS[score]), "size": 3}, "hoverinfo": "y"}
-        box = {"type": "box", "name": METRIC[score].label, "x": [x for x, _ in known], "width": 0.34}
-        box |= {theirs: [own[ours] for _, own in known] for theirs, ours in names.items()}
-        data.append({**box, "line": {"width": 1.2}, **look})
-        xs, ys = [x for x, _ in outside], [y for _, y in outside]
-        data.append({"mode": "markers", "showlegend": False, "x": xs, "y": ys, **look})
-    ticks = [f"{in_chart(group['name'], 14)} ({group['n']})" for group in groups]
-    places = {"tickvals": list(range(len(groups))), "range": [-0.6, len(groups) - 0.4]}
-    layout = {
-        "xaxis": {"ticktext": ticks, "showgrid": False, "tickangle": -90 if len(groups) > 2 else 0, **places},
-        "yaxis": {"range": [0, 2.05], "title": {"text": "score of an object"}},
-        "boxmode": "overlay",
-        "margin": {"t": 30},
-    }
-    medians = _listed(
-        f"{shown(group['name'])} {_both({score: group[score] and group[score]['med'] for score in SCORES})}"
-        for group in groups[:_MOST_MEDIANS]
-    )
-    return _chart(data, layout), f"Box plots {what}. Medians: {medians}"
+    medians = _both({score: results.matched[score].median() for score in SCORES})
+    return _chart(data, layout), f"r_lambda over CDC of each object: {counts} Medians: {medians}."
 
 
 def _polar(unmatched: pd.DataFrame) -> CaptionedChart:
@@ -245,40 +194,38 @@ def _rays(rays: pd.DataFrame) -> CaptionedChart:
     return _chart(data, layout), f"Outcomes of the rays by range: {counts}"
 
 
-def _scores_by(bins: Bins, scores: dict[str, pd.DataFrame]) -> CaptionedChart:
-    """Median and quartiles of both scores in each bin, above the number of objects that they are of."""
+def _spread(what: str, scores: dict[str, pd.DataFrame]) -> CaptionedChart:
+    """Median and quartiles of both scores in each group, above the number of objects that they are of."""
     data: list[Chart] = []
     for offset, (score, rows) in zip((-0.1, 0.1), scores.items(), strict=True):
         colour = on_page(SCORE_COLOURS[score])
         data.append(
             {
-                "mode": "lines+markers",
+                "mode": "markers",
                 "name": f"{METRIC[score].label}, median and quartiles",
-                "x": np.array(bins.middles) + offset * bins.width,
+                "x": np.arange(len(rows)) + offset,
                 "y": rows["median"].to_numpy(),
                 "error_y": {
                     "array": (rows.q3 - rows["median"]).fillna(0).to_numpy(),
                     "arrayminus": (rows["median"] - rows.q1).fillna(0).to_numpy(),
                     **{"symmetric": False, "thickness": 1.5, "width": 3, "color": colour},
                 },
-                "customdata": [f"{name}, {n:,} objects" for name, n in rows.n.items()],
+                "customdata": [f"{in_chart(name)}, {n:,} objects" for name, n in rows.n.items()],
                 "hovertemplate": f"%{{customdata}}<br>{METRIC[score].label} %{{y:.2f}}<extra></extra>",
-                "line": {"color": colour, "width": 1, "dash": "dot"},
                 "marker": {"color": colour, "size": 7},
             }
         )
     highest = max(np.nanmax(rows[["median", "q3"]].to_numpy(), initial=0.0) for rows in scores.values())
     n = max((rows.n for rows in scores.values()), key=sum)
     medians = _listed(
-        f"{name} {_both({score: rows['median'][name] for score, rows in scores.items()})} of {n[name]}"
-        for name in bins.names
-        if n[name]
+        f"{shown(name)} {_both({score: rows['median'][name] for score, rows in scores.items()})} of {n[name]}"
+        for name in n.index[n > 0]
     )
     axis = {"range": [0, 1.08 * highest or 1], "title": {"text": "score"}}
-    return _above_counts(data, axis, bins, n), f"Medians by distance: {medians}"
+    return _above_counts(data, axis, n), f"Medians by {what}: {medians}"
 
 
-def _fates_by(bins: Bins, fates: pd.DataFrame) -> CaptionedChart:
+def _fates_by(fates: pd.DataFrame) -> CaptionedChart:
     """Share of the real objects missing in each bin, and of the simulated ones hallucinated; their number."""
     data: list[Chart] = []
     for fate, side, symbol in (("missing", "real", "circle-open"), ("hallucinated", "simulated", "x-thin")):
@@ -288,7 +235,7 @@ def _fates_by(bins: Bins, fates: pd.DataFrame) -> CaptionedChart:
             {
                 "mode": "lines+markers",
                 "name": f"{fate}, share of the {side}",
-                "x": bins.middles,
+                "x": np.arange(len(fates)),
                 "y": fates[f"{fate}_share"].to_numpy(),
                 "customdata": words,
                 "hovertemplate": f"%{{customdata}} {side} objects {fate}, %{{y:.0%}}<extra></extra>",
@@ -304,18 +251,19 @@ def _fates_by(bins: Bins, fates: pd.DataFrame) -> CaptionedChart:
     )
     axis = {"range": [-0.03, 1.03], "tickformat": ".0%", "title": {"text": "share"}}
     title = "Missing share of the real and hallucinated share of the simulated objects by distance"
-    return _above_counts(data, axis, bins, n), f"{title}: {shares}"
+    return _above_counts(data, axis, n), f"{title}: {shares}"
 
 
-def _above_counts(data: list[Chart], axis: Chart, bins: Bins, counts: pd.Series[int]) -> Chart:
-    """The same traces with the number of objects in each bin below."""
+def _above_counts(data: list[Chart], axis: Chart, counts: pd.Series[int]) -> Chart:
+    """The same traces with the number of objects in each group below."""
+    places = np.arange(len(counts))
     bars = {
-        **{"type": "bar", "name": "number of objects", "x": bins.middles, "y": counts.to_numpy(), "yaxis": "y2"},
-        **{"width": 0.85 * bins.width, "marker": {"color": _SOFT}, "hovertemplate": "%{y} objects<extra></extra>"},
+        **{"type": "bar", "name": "number of objects", "x": places, "y": counts.to_numpy(), "yaxis": "y2"},
+        **{"marker": {"color": _SOFT}, "hovertemplate": "%{y} objects<extra></extra>"},
     }
-    reach = [0, bins.width * len(bins.names)]
+    ticks = {"tickvals": places, "ticktext": [in_chart(name, 14) for name in counts.index]}
     layout = {
-        "xaxis": {"anchor": "y2", "title": {"text": "distance from the sensor (m)"}, "range": reach},
+        "xaxis": {"anchor": "y2", "range": [-0.6, len(counts) - 0.4], "showgrid": False, **ticks},
         "yaxis": {"domain": [0.34, 1], **axis},
         "yaxis2": {"domain": [0, 0.22], "rangemode": "tozero", "nticks": 3},
         "margin": {"t": 30},
@@ -323,13 +271,13 @@ def _above_counts(data: list[Chart], axis: Chart, bins: Bins, counts: pd.Series[
     return _chart([*data, bars], layout)
 
 
-def _sequence(pairs: PairsInOrder) -> CaptionedChart:
+def _sequence(has_times: bool, pairs: pd.DataFrame) -> CaptionedChart:
     """Match rate and the means of both scores of each pair, one after the other."""
-    data, ends, rows = [], [], pairs.rows.iloc[evenly(len(pairs.rows), MOST_DOTS)]
+    data, ends, rows = [], [], pairs.iloc[evenly(len(pairs), MOST_DOTS)]
     names = [f"pair {in_chart(name)}, {n:,} matched" for name, n in zip(rows.pair_id, rows.n_matched, strict=True)]
     colours = {"match_rate": GREY, **{METRIC[score].mean_column: SCORE_COLOURS[score] for score in SCORES}}
     for (column, colour), symbol in zip(colours.items(), ("square", "circle", "diamond"), strict=True):
-        metric, values = METRIC[column.removesuffix("_mean")], pairs.rows[column].dropna()
+        metric, values = METRIC[column.removesuffix("_mean")], pairs[column].dropna()
         if len(values):
             ends.append(f"{metric.label} {values.min():.2f} to {values.max():.2f}")
         data.append(
@@ -344,46 +292,14 @@ def _sequence(pairs: PairsInOrder) -> CaptionedChart:
                 "marker": {"color": on_page(colour), "size": 6, "symbol": symbol},
             }
         )
-    along = "time since the first scan (s)" if pairs.has_times else "number of the pair, by name"
+    along = "time since the first scan (s)" if has_times else "number of the pair, by name"
     layout = {
-        "xaxis": {
-            "title": {"text": along},
-            "dtick": 1 if len(rows) <= 10 and not pairs.has_times else None,
-        },
+        "xaxis": {"title": {"text": along}, "dtick": 1 if len(rows) <= 10 and not has_times else None},
         "yaxis": {"rangemode": "tozero", "title": {"text": "match rate, means of scores"}},
         "margin": {"t": 30},
     }
-    order = "time" if pairs.has_times else "name"
-    return _chart(data, layout), f"Each of {len(pairs.rows)} pairs by {order}, lowest to highest: {_listed(ends)}"
-
-
-def _times(times: pd.DataFrame) -> CaptionedChart:
-    patterns = ("", "/", "x")
-    data = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": step,
-            "x": own.seconds.to_numpy(),
-            "y": own.stage.tolist(),
-            "marker": {
-                "color": SERIES[i % len(SERIES)],
-                "pattern": {"shape": patterns[i // len(SERIES) % len(patterns)]},
-            },
-            "hovertemplate": f"%{{y}}, {in_chart(str(step))}: %{{x:.3f}} s<extra></extra>",
-        }
-        for i, (step, own) in enumerate(times.groupby("step", sort=False))
-    ]
-    layout = {
-        "barmode": "stack",
-        "xaxis": {"title": {"text": "seconds per pair"}},
-        "yaxis": {"categoryorder": "array", "categoryarray": times.stage.unique().tolist()[::-1]},
-        "legend": {"font": {"size": 11}, "traceorder": "normal"},
-        "margin": {"t": 30},
-    }
-    seconds = times.groupby("stage", observed=True).seconds.sum()
-    words = _listed(f"{stage} {value:.2f}" for stage, value in seconds.items())
-    return _chart(data, layout), f"Median seconds per pair by stage: {words}"
+    order = "time" if has_times else "name"
+    return _chart(data, layout), f"Each of {len(pairs)} pairs by {order}, lowest to highest: {_listed(ends)}"
 
 
 def change_chart(scores: Sequence[ScoreChange]) -> Chart:

@@ -12,7 +12,6 @@ BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, GREY = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#999999",
 )  # fmt: skip
 OLIVE, CRIMSON = "#9A8500", "#D81B60"
-SERIES = (GREEN, ORANGE, PURPLE, SKY, GREY)
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
 SCORE_COLOURS = {"r_lambda": PURPLE, "cdc": GREEN}
 FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILION, "too small": PURPLE}

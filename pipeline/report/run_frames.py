@@ -1,12 +1,11 @@
-"""A finished run as a report reads it: its tables in one frozen object, and the points and spectra of one pair.
+"""A finished run as a report reads it: its tables in one frozen object, and the points of one pair.
 
-Everything is checked before anything is drawn. Two things are recomputed: spectra, from the stored nodes, and shown
-only if their largest shift is the stored one; and the distance of each point to the other side.
+Everything is checked before anything is drawn. Recomputed are the distance of each point to the other side, and which
+points are in a piece.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,11 +21,7 @@ from ...schemas.settings import PieceSettings
 from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.coverage import nearest_distances
 from ...stages.inspect.sensor_description import SensorDescription
-from ...stages.linalg.laplacian import induced_laplacian
-from ...stages.linalg.spectrum import eigenvalues
-from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ...stages.pieces import CutScan, label_pieces
-from ..engine.pool import one_blas_thread
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
 from .look import OUTCOME_COLOURS
@@ -35,9 +30,6 @@ from .look import OUTCOME_COLOURS
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 #: How much of an object is road to the other side (below its ground cut): of the real one, and of the simulated one.
 OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
-#: Objects with more nodes have their spectra left out: one of 1,500 costs about half a second, one of 3,000 four.
-MOST_SPECTRUM_NODES, MOST_SPECTRA = 1500, 6
-_AGREES = 1e-6
 
 
 @dataclass(frozen=True)
@@ -145,15 +137,6 @@ class Cloud:
         return members
 
 
-@dataclass(frozen=True)
-class Spectra:
-    """The ordered spectra of one matched object, (n_keep,) each, or the reason why they are not drawn."""
-
-    real: FloatArray | None = None
-    sim: FloatArray | None = None
-    reason: str = ""
-
-
 class PairFrames:
     """The tables of one scored pair, each read when first requested.
 
@@ -233,35 +216,6 @@ class PairFrames:
         """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
         return self._columns("selection", "", ["real_id", "real_point_id", "sim_point_id"])
 
-    def spectra(self) -> Iterator[tuple[int, Spectra]]:
-        """The spectra of each matched object, by real id; with a reason in their place where they are not drawn."""
-        graphs = {side: self._graphs(side, self.matched[:MOST_SPECTRA]) for side in SIDES}
-        nodes = dict(iter(self.selection.groupby("real_id")))
-        with one_blas_thread():
-            for i, row in enumerate(self.matched.to_dict("records")):
-                if i >= MOST_SPECTRA:
-                    yield (
-                        row["real_id"],
-                        Spectra(reason=f"spectra are drawn of the {MOST_SPECTRA} worst objects of a pair"),
-                    )
-                elif row["status"] == "too_small":
-                    yield row["real_id"], Spectra(reason="too few nodes for a spectrum")
-                else:
-                    pair = graphs["real"][row["real_id"]], graphs["sim"][row["sim_id"]]
-                    yield row["real_id"], _spectra_of(pair, nodes[row["real_id"]], row["max_eigenvalue_shift"])
-
-    def _graphs(self, side: str, objects: pd.DataFrame) -> dict[int, Subgraph]:
-        """The graph of each of some matched objects of a side, by the object's id."""
-        cloud, ids = self.clouds[side], objects[f"{side}_id"].tolist()
-        graph = self._columns("graph", side, ["src", "dst", "length_m"])
-        place = np.zeros(int(cloud.point_ids.max(initial=0)) + 1, dtype=np.int32)
-        place[cloud.point_ids] = np.arange(len(cloud.point_ids))
-        src, dst = (place[graph[end].to_numpy()] for end in ("src", "dst"))
-        is_own = np.isin(cloud.community, ids)
-        kept = is_own[src] & is_own[dst]
-        edges = Edges(src[kept], dst[kept], graph.length_m.to_numpy()[kept])
-        return split_by_community(cloud.point_ids, cloud.points, edges, cloud.community, ids)
-
     def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:
         rows: pd.DataFrame = self._run.read_table(table, self._pair_id, side, columns).to_pandas()
         return rows
@@ -307,17 +261,3 @@ def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
     ordered = rows.assign(_order=order).sort_values(["_order", "pair_id"], na_position="last", kind="stable")
     plain: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
     return plain
-
-
-def _spectra_of(graphs: tuple[Subgraph, Subgraph], nodes: pd.DataFrame, stored_shift: float) -> Spectra:
-    """Both spectra of one object from its graphs and its kept nodes, in aligned pairs."""
-    if len(nodes) > MOST_SPECTRUM_NODES:
-        return Spectra(reason=f"{len(nodes):,} nodes: spectra are drawn of objects of up to {MOST_SPECTRUM_NODES:,}")
-    real, sim = (
-        eigenvalues(induced_laplacian(graph, np.searchsorted(graph.point_ids, nodes[f"{side}_point_id"].to_numpy())))
-        for side, graph in zip(SIDES, graphs, strict=True)
-    )
-    shift = float(np.max(np.abs(sim - real)))
-    if abs(shift - stored_shift) > _AGREES:
-        return Spectra(reason=f"recomputed shift {shift:.6f} is not the stored {stored_shift:.6f}: not drawn")
-    return Spectra(real=real, sim=sim)

@@ -1,6 +1,6 @@
 """The first screen of a run's page: surface, pieces, what to fix first, worst places, object scores, and trust.
 
-The answers of `results.overview`, which the terminal also gives, with references, links and pictures.
+The answers of `results.overview`, which the terminal also shows, with links and pictures.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ import orjson
 from pydantic import TypeAdapter
 
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import metric_of
-from ...schemas.record import RunRecord
 from ...schemas.results import Cause
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
@@ -23,7 +21,7 @@ from .aggregates import quadrants
 from .pictures import Picture, draw_pieces
 from .run_frames import RunResults
 from .view import Note, View, number, percent, sentence
-from .views.answer_view import change_words, headline_scores, pieces_words, surface_words
+from .views.answer_view import change_words, pieces_words, surface_words
 from .views.run_view import coverage_table, dataset_table, surface_line, surface_table, unmatched_lines
 
 _SCORES = (
@@ -50,18 +48,6 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Tile:
-    """A score: `good` names its best value, `references` are further values by name."""
-
-    name: str
-    mean: str
-    std: str
-    good: str
-    reading: str
-    references: dict[str, str]
-
-
-@dataclass(frozen=True)
 class Verdict:
     """The first screen.
 
@@ -79,7 +65,6 @@ class Verdict:
     bars: list[Bar]
     causes: tuple[Cause, ...]
     worst: list[Picture]
-    numbers: list[Tile]
     is_met: bool | None
     good_enough: list[str]
     warning: str
@@ -101,7 +86,6 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
         bars=_bars(results, excess),
         causes=overview.causes[:_MOST_CAUSES],
         worst=draw_pieces(results, overview.pieces),
-        numbers=[_tile(column, record, excess) for column in headline_scores(record)],
         is_met=is_met,
         good_enough=good_enough,
         warning=" ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
@@ -180,24 +164,3 @@ def _last_criteria(path: Path) -> list[Criterion] | None:
         return _CRITERIA.validate_python(orjson.loads(path.read_bytes())["criteria"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-def _tile(column: str, record: RunRecord, excess: RunExcess | None) -> Tile:
-    metric, score = metric_of(column), record.summary[column]
-    references = {}
-    if excess and column in excess.scores:
-        references["floor"] = number(excess.scores[column].floor)
-    if record.previous and (last := record.previous.means.get(column)) is not None:
-        references["last run"] = number(last)
-    if metric.paper and record.preset == "paper":
-        references["paper"] = number(metric.paper.mean)
-    n_all = record.pairs.scored
-    count = f"; mean of {score.n_pairs} of {n_all} pairs" if score.n_pairs < n_all else ""
-    return Tile(
-        name=metric.label,
-        mean=number(score.mean),
-        std=number(score.std),
-        good=f"{'1' if metric.higher_is_better else '0'} is best",
-        reading=f"{metric.reading}{count}",
-        references=references,
-    )

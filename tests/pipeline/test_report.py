@@ -20,11 +20,10 @@ from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.aggregates import (
     along_the_sequence,
     binned_fates,
-    binned_scores,
-    histograms,
     quadrants,
     range_bins,
     score_limits,
+    score_spread,
 )
 from fidpipe.pipeline.report.charts import run_charts
 from fidpipe.pipeline.report.figures import style
@@ -33,7 +32,7 @@ from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.run_data import page_data, page_words
 from fidpipe.pipeline.report.page.run_page import MOST_VIEWS, some_of, views_of, write_report
 from fidpipe.pipeline.report.render import terminal
-from fidpipe.pipeline.report.run_frames import PairFrames, read_results
+from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.report.view import Note, Table
 from fidpipe.pipeline.report.views.run_view import summary_view
@@ -241,21 +240,6 @@ def test_objects_carry_the_numbers_of_the_parquet(report_run, written):
     assert n == len(metrics) > 0
 
 
-def test_spectra_that_are_drawn_have_the_stored_largest_shift(report_run):
-    results = read_results(report_run)
-    n = 0
-    for pair in results.select(None):
-        rows = results.matched[results.matched.pair_id == pair].set_index("real_id")
-        for real_id, spectra in PairFrames(results, pair).spectra():
-            assert spectra.reason == ""
-            assert np.abs(spectra.sim - spectra.real).max() == pytest.approx(
-                rows.max_eigenvalue_shift[real_id], abs=1e-9
-            )
-            assert len(spectra.real) == rows.n_keep[real_id]
-            n += 1
-    assert n == len(results.matched)
-
-
 def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
     verdict = verdict_of(read_results(report_run))
@@ -269,17 +253,18 @@ def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
         assert cause.setting in page
 
 
-@pytest.mark.parametrize(("run_of", "first"), [("report_run", "match rate"), ("by_reference", "found")])
-def test_tiles_are_means_of_pairs_parquet_with_the_papers_only_under_its_preset(run_of, first, request):
+@pytest.mark.parametrize("run_of", ["report_run", "by_reference"])
+def test_scores_are_means_of_pairs_parquet_with_the_papers_only_under_its_preset(run_of, request):
     folder = request.getfixturevalue(run_of)
     pairs = pd.read_parquet(folder / "pairs.parquet").query("status == 'scored'")
-    tiles = {tile.name: tile for tile in verdict_of(read_results(folder)).numbers}
-    assert list(tiles) == [first, "CDC", "r_lambda", "r_gap"]
-    assert tiles["r_lambda"].mean == f"{pairs.r_lambda_mean.mean():.3f}"
-    assert tiles["r_lambda"].std == f"{pairs.r_lambda_mean.std(ddof=1):.3f}"
-    assert tiles[first].mean == f"{pairs[first.replace(' ', '_')].mean():.3f}"
-    assert (tiles[first].good, tiles["CDC"].good) == ("1 is best", "0 is best")
-    assert tiles["CDC"].references == ({"paper": "0.750"} if first == "match rate" else {})
+    scores = verdict_of(read_results(folder)).details[0]
+    rows = {row[0]: dict(zip(scores.headings, row, strict=True)) for row in scores.cells}
+    assert (rows["r_lambda"]["mean"], rows["r_lambda"]["std"]) == (
+        f"{pairs.r_lambda_mean.mean():.3f}",
+        f"{pairs.r_lambda_mean.std(ddof=1):.3f}",
+    )
+    assert rows["found"]["mean"] == f"{pairs.found.mean():.3f}"
+    assert rows["CDC"].get("paper") == ("0.750" if run_of == "report_run" else None)
 
 
 def test_object_scores_say_of_how_many_pairs_they_are_and_what_they_are_with_unmatched_as_worst(report_run, written):
@@ -399,11 +384,11 @@ def test_a_damaged_table_of_points_is_refused_before_anything_is_written(copied_
 def test_charts_have_every_object_once_and_no_name_as_markup(report_run):
     results = read_results(report_run)
     charts = {name: chart for name, (chart, _) in run_charts(results).items()}
-    opened = [(pair, name) for trace in charts["quadrants"]["data"] for pair, name in trace["customdata"]]
+    opened = [(pair, name) for trace in charts["quadrants"]["data"] for pair, name in trace.get("customdata", ())]
     scored = results.matched[results.matched.r_lambda.notna()]
     assert sorted(opened) == sorted((pair, f"real {i}") for pair, i in zip(scored.pair, scored.real_id, strict=True))
-    bars = sum(sum(counted["counts"]) for counted in histograms(results).values())
-    assert bars == len(scored) + results.matched.cdc.notna().sum()
+    bars = charts["scores_class"]["data"][-1]["y"]
+    assert sum(bars) == results.matched.cdc.notna().sum()
     assert "<script>" not in json.dumps(charts)
     assert "<img" not in json.dumps(charts)
 
@@ -421,11 +406,8 @@ def test_objects_without_a_score_are_in_no_quadrant(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["graph.edges=intersection", "graph.tau_m=0.01"]))
     results = read_results(tmp_path / "run")
-    counted = histograms(results)["r_lambda"]
-    assert counted["n"] == 0
-    assert counted["n_null"] == len(results.matched) > 0
-    assert quadrants(results)["no score"]["n"] == len(results.matched)
-    means = {tile.name: tile.mean for tile in verdict_of(results).numbers}
+    assert quadrants(results)["no score"]["n"] == len(results.matched) > 0
+    means = {row[0]: row[1] for row in verdict_of(results).details[0].cells}
     assert means["r_lambda"] == "-" != means["CDC"]
     assert write_report(tmp_path / "run").page.exists()
 
@@ -442,10 +424,9 @@ def placed(range_m, bearing_deg, **columns):
 def test_scores_are_binned_by_range_with_median_quartiles_and_number():
     scores = {"r_lambda": [0.1, 0.2, 0.3, 0.6, np.nan], "cdc": [1.0, 1.2, 1.4, 0.5, 0.7]}
     results = placed([1.0, 5.0, 9.9, 10.0, 35.0], [0.0] * 5, **scores)
-    bins = range_bins(results)
-    assert bins.names == ("0 to 10 m", "10 to 20 m", "20 to 30 m", "30 to 40 m")
-    assert bins.middles == [5, 15, 25, 35]
-    rows = binned_scores(results, bins)
+    names, own, _ = range_bins(results)
+    assert names == ["0 to 10 m", "10 to 20 m", "20 to 30 m", "30 to 40 m"]
+    rows = score_spread(results.matched, own, names)
     assert rows["r_lambda"].n.tolist() == [3, 1, 0, 0]
     assert rows["r_lambda"].loc["0 to 10 m", ["q1", "median", "q3"]].tolist() == pytest.approx([0.15, 0.2, 0.25])
     assert rows["r_lambda"].loc["10 to 20 m", "median"] == 0.6
@@ -456,13 +437,13 @@ def test_scores_are_binned_by_range_with_median_quartiles_and_number():
 
 def test_far_objects_are_binned_more_coarsely():
     results = placed([1.0, 125.0], [0.0, 0.0])
-    assert range_bins(results).names[-1] == "120 to 140 m"
-    assert len(range_bins(results).names) == 7
+    names, *_ = range_bins(results)
+    assert (names[-1], len(names)) == ("120 to 140 m", 7)
 
 
 def test_shares_of_missing_and_hallucinated_objects_are_of_the_objects_of_their_own_side():
     results = placed([1.0, 12.0, 15.0, 39.0], [0.0, 10.0, 178.0, 90.0])
-    fates = binned_fates(results, range_bins(results))
+    fates = binned_fates(results)
     assert fates.matched.tolist() == [1, 2, 0, 1]
     assert fates.missing_share.tolist() == pytest.approx([0, 1 / 3, np.nan, 0], nan_ok=True)
     assert fates.hallucinated_share.tolist() == pytest.approx([0, 0, np.nan, 1 / 2], nan_ok=True)
@@ -470,14 +451,14 @@ def test_shares_of_missing_and_hallucinated_objects_are_of_the_objects_of_their_
 
 def test_pairs_are_in_the_order_of_time_only_where_each_has_one():
     results = SimpleNamespace(pairs=pd.DataFrame({"pair_id": ["c", "a", "b"]}))
-    timed = along_the_sequence(results, {"a": 100.0, "b": 130.5, "c": 90.0})
-    assert timed.has_times
-    assert timed.rows.pair_id.tolist() == ["c", "a", "b"]
-    assert timed.rows.place.tolist() == [0, 10, 40.5]
-    named = along_the_sequence(results, {"a": 100.0})
-    assert not named.has_times
-    assert named.rows.pair_id.tolist() == ["a", "b", "c"]
-    assert named.rows.place.tolist() == [1, 2, 3]
+    has_times, rows = along_the_sequence(results, {"a": 100.0, "b": 130.5, "c": 90.0})
+    assert has_times
+    assert rows.pair_id.tolist() == ["c", "a", "b"]
+    assert rows.place.tolist() == [0, 10, 40.5]
+    has_times, rows = along_the_sequence(results, {"a": 100.0})
+    assert not has_times
+    assert rows.pair_id.tolist() == ["a", "b", "c"]
+    assert rows.place.tolist() == [1, 2, 3]
 
 
 def test_colours_span_the_scores_that_occur():
@@ -492,6 +473,6 @@ def test_every_chart_of_a_run_has_a_text_alternative_with_its_numbers(report_run
     results = read_results(report_run)
     texts = {name: text for name, (_, text) in run_charts(results).items()}
     assert all(re.search(r"\d", text) for text in texts.values())
-    assert f"median {results.matched.cdc.median():.2f}" in texts["hist_cdc"]
+    assert f"CDC {results.matched.cdc.median():.2f}." in texts["quadrants"]
     ends = results.pairs.match_rate.min(), results.pairs.match_rate.max()
     assert "match rate {:.2f} to {:.2f}".format(*ends) in texts["sequence"]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC
@@ -13,7 +14,7 @@ from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.statistics.typical_objects import SHAPES
 from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
-from ..aggregates import SCORES, axis_title, boxes, histograms, quadrants
+from ..aggregates import FEWEST_IN_BOX, SCORES, axis_title, quadrants
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
 from ..run_frames import PairFrames, RunResults
 from . import style
@@ -171,16 +172,16 @@ def draw_distributions(results: RunResults, folder: Any) -> Any:
     """Histograms of r_lambda and CDC over all matched objects, and one against the other with the four quadrants."""
     with style.new_figure(10, 3.3) as figure:
         *axes, cross = figure.subplots(1, 3, width_ratios=(1, 1, 1.35))
-        for axis, (score, counted) in zip(axes, histograms(results).items(), strict=True):
-            shares = counted["counts"] / max(1, counted["n"])
-            axis.stairs(shares, counted["edges"], fill=True, color=SCORE_COLOURS[score], alpha=0.85)
-            if counted["median"] is not None:
-                axis.axvline(counted["median"], color="black", linewidth=1, linestyle="--")
-                place = {"xycoords": ("data", "axes fraction"), "xytext": (4, -2), "textcoords": "offset points"}
-                words = f"median {counted['median']:.2f}"
-                axis.annotate(words, (counted["median"], 1), va="top", fontsize=8, **place)
-            axis.set(xlim=(0, METRIC[score].high), ylim=(0, max(0.01, *shares) * 1.15))
-            axis.set(xlabel=axis_title(score), ylabel="share of matched objects", title=f"{counted['n']:,} objects")
+        for axis, score in zip(axes, SCORES, strict=True):
+            values = results.matched[score].dropna().to_numpy(dtype=float)
+            high, shares = METRIC[score].high, np.full(len(values), 1 / max(1, len(values)))
+            look = {"bins": 25, "range": (0, high), "histtype": "stepfilled", "alpha": 0.85}
+            axis.hist(values, weights=shares, color=SCORE_COLOURS[score], **look)
+            if len(values):
+                axis.axvline(np.median(values), color="black", linewidth=1, linestyle="--")
+            median = f", median {np.median(values):.2f}" if len(values) else ""
+            axis.set(xlim=(0, high), xlabel=axis_title(score), ylabel="share of matched objects")
+            axis.set_title(f"{len(values):,} objects{median}")
         _draw_quadrants(cross, results)
         return style.save(figure, folder, "distributions")
 
@@ -204,7 +205,10 @@ def draw_boxes(results: RunResults, folder: Any) -> Any:
     findings = results.run.record.findings
     scans = [scan.pair for scan in findings.scans.scans] if findings else []
     classes = results.matched.group.value_counts().index[:_MOST_CLASSES]
-    parts = {"scan": boxes(results, "pair_id", scans), results.class_is: boxes(results, "group", classes)}
+    parts = {
+        kind: {name: rows for name in names if len(rows := results.matched[results.matched[column] == name])}
+        for kind, column, names in (("scan", "pair_id", scans), (results.class_is, "group", classes))
+    }
     width = [1 + len(groups) for groups in parts.values()]
     with style.new_figure(10, 3.3) as figure:
         axes = figure.subplots(1, 2, width_ratios=width, sharey=True)
@@ -216,16 +220,17 @@ def draw_boxes(results: RunResults, folder: Any) -> Any:
         return style.save(figure, folder, "box_plots")
 
 
-def _draw_groups(axis: Any, groups: list[dict[str, Any]]) -> list[Any]:
+def _draw_groups(axis: Any, groups: dict[str, pd.DataFrame]) -> list[Any]:
     """Two boxes per group; returns the legend entry of each score."""
     handles = []
     for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
-        known = [(i + offset, group[score]) for i, group in enumerate(groups) if group[score]]
+        values = {i + offset: rows[score].dropna().to_numpy() for i, rows in enumerate(groups.values())}
+        known = {place: own for place, own in values.items() if len(own) >= FEWEST_IN_BOX}
         box = {"facecolor": SCORE_COLOURS[score], "linewidth": 0.6}
         flier = {"marker": "o", "markersize": 2.5, "markerfacecolor": box["facecolor"], "markeredgewidth": 0}
-        axis.bxp(
-            [stats for _, stats in known],
-            positions=[place for place, _ in known],
+        axis.boxplot(
+            [*known.values()] or [[]],
+            positions=[*known] or [0],
             widths=0.32,
             patch_artist=True,
             boxprops=box,
@@ -234,10 +239,10 @@ def _draw_groups(axis: Any, groups: list[dict[str, Any]]) -> list[Any]:
             manage_ticks=False,
         )
         handles.append(axis.bar(0, 0, edgecolor="black", label=METRIC[score].label, **box))
-    names = [style.shown_name(group["name"], most=16) for group in groups]
-    is_narrow = len(names) * max(map(len, names), default=0) > _MOST_LETTERS
+    names = [(style.shown_name(name, most=16), len(rows)) for name, rows in groups.items()]
+    is_narrow = len(names) * max((len(name) for name, _ in names), default=0) > _MOST_LETTERS
     tilted = {"rotation": 25, "ha": "right", "rotation_mode": "anchor"} if is_narrow else {}
-    ticks = [f"{name}{' ' if is_narrow else chr(10)}({group['n']})" for name, group in zip(names, groups, strict=True)]
+    ticks = [f"{name}{' ' if is_narrow else chr(10)}({n})" for name, n in names]
     axis.set_xticks(range(len(groups)), ticks, **tilted)
     axis.set(xlim=(-0.6, len(groups) - 0.4), ylim=(0, 2.02))
     axis.grid(axis="y")

@@ -6,7 +6,6 @@ Everything is inside the page: style, code, data, and plotly.js as installed.
 from __future__ import annotations
 
 import json
-import math
 import re
 from functools import cache
 from importlib import resources
@@ -46,7 +45,6 @@ def _environment() -> Environment:
         "shown": shown,
         "sentence": sentence,
         "clipped": clipped,
-        "fixed": _fixed,
         "plain": _in_words,
     }
     environment.globals |= {"quadrant_colours": QUADRANT_COLOURS}
@@ -75,7 +73,3 @@ def _in_words(value: Any) -> str:
     if value is None:
         return "none"
     return value if isinstance(value, str) else json.dumps(value)
-
-
-def _fixed(value: float, digits: int) -> str:
-    return "\N{EN DASH}" if math.isnan(value) else f"{value:.{digits}f}"

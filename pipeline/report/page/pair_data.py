@@ -1,4 +1,4 @@
-"""Content of a page about one pair: its objects, the points of both sides, road, aligned nodes, spectra.
+"""Content of a page about one pair: its objects, the points of both sides, road, aligned nodes.
 
 Points are integers in units of a small step. Large arrays are packed: sorted so that neighbours follow one another,
 as differences of successive numbers, low bytes before high ones, deflated, in base64. The browser reverses that.
@@ -18,7 +18,7 @@ from ....stages.arrays import BoolArray, FloatArray, IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from ....stages.surface import signed_distances
 from ..aggregates import plain_rows
-from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, Spectra
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
 
 #: Properties shown of a chosen object.
 FACTS = (
@@ -48,13 +48,12 @@ _NO_SIGN = 255
 MOST_POINTS = 1_000_000
 _MOST_OF_OBJECT, _FEWEST = 20_000, 80
 _MOST_ROAD_POINTS, _ROAD_CELL_M = 4000, 0.4
-_CURVE_POINTS = 200
 _STEPS = 32767
 _RINGS_PER_RADIAN = 400
 
 
 def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS) -> dict[str, Any]:
-    """One pair for the page: points of both sides, objects, aligned nodes, spectra.
+    """One pair for the page: points of both sides, objects, aligned nodes.
 
     Parameters
     ----------
@@ -77,7 +76,6 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
         "matched": plain_rows(tables.matched, MATCHED_COLUMNS),
         "unmatched": plain_rows(tables.unmatched, UNMATCHED_COLUMNS),
-        "spectra": {str(real_id): _curve(spectra) for real_id, spectra in tables.spectra()},
     }
 
 
@@ -201,23 +199,3 @@ def _packed(columns: dict[str, Any]) -> dict[str, Any]:
         content += np.ascontiguousarray(steps).view(np.uint8).reshape(-1, width).T.tobytes()
         parts.append([name, width, len(values)])
     return {"parts": parts, "deflated": base64.b64encode(zlib.compress(content, 6)).decode("ascii")}
-
-
-def _curve(spectra: Spectra) -> dict[str, Any]:
-    if spectra.real is None or spectra.sim is None:
-        return {"reason": spectra.reason}
-    worst = int(np.argmax(np.abs(spectra.sim - spectra.real)))
-    n = len(spectra.real)
-    index = np.unique(np.append(np.linspace(0, n - 1, min(n, _CURVE_POINTS)).round(), worst)).astype(np.intp)
-    return {
-        "n": n,
-        "worst": int(np.searchsorted(index, worst)),
-        "index": _base64(index, "<i4"),
-        "real": _base64(spectra.real[index], "<f4"),
-        "sim": _base64(spectra.sim[index], "<f4"),
-    }
-
-
-def _base64(values: Any, dtype: str) -> str:
-    """Numbers as base64 of a little-endian type."""
-    return base64.b64encode(np.ascontiguousarray(values).astype(dtype).tobytes()).decode("ascii")

@@ -15,8 +15,8 @@ from ...results.compare import recorded_times_s
 from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
 from ...terminal import STEERING
-from ..aggregates import along_the_sequence, plain_rows, score_limits
-from ..charts import MOST_DOTS, MOST_SCANS, run_charts
+from ..aggregates import along_the_sequence, plain_rows, score_limits, stage_times
+from ..charts import MOST_DOTS, run_charts
 from ..look import (
     FATE_COLOURS,
     GREY,
@@ -32,6 +32,7 @@ from ..look import (
 from ..pictures import FRAME, draw_evidence
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
 from ..verdict import limits_in_words, verdict_of
+from ..view import Table
 from ..views.floor_view import excess_view
 from ..views.run_view import preset_line
 from .pair_data import FACTS, FAR_M, FIRST_FACTS, MATCHED_COLUMNS, SIGNED_M, UNMATCHED_COLUMNS
@@ -105,7 +106,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
 
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
     """Values of the whole run for the page's template: versions by group, and scores over a floor if any."""
-    record = results.run.record
+    record, times = results.run.record, ("stage", "step", "seconds")
     return {
         "title": results.run.folder.resolve().name,
         "preset": preset_line(record),
@@ -118,6 +119,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "notes": _notes(results),
         "floor": excess_view(excess) if excess else [],
         "sensors": _sensors(results),
+        "times": Table("", times, plain_rows(stage_times(results), times), words=(0, 1)),
         "settings": record.settings,
         "versions": {
             "": {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}
@@ -199,27 +201,22 @@ def _objects(results: RunResults) -> dict[str, Any]:
 
 def _notes(results: RunResults) -> dict[str, str]:
     """Notes below charts that may show only a part."""
-    n_pairs, n_matched, n_unmatched = len(results.pairs), len(results.matched), len(results.unmatched)
+    n_matched, n_unmatched = len(results.matched), len(results.unmatched)
     n_scored = int(results.matched.r_lambda.notna().sum())
     kind = "class (label)" if results.class_is == "class" else "shape of the real object (the scans have no labels)"
-    whiskers = (
-        "Boxes: quartiles and median; whiskers to 1.5 times the quartile distance; in brackets, how many objects."
-    )
-    chosen = f"{MOST_SCANS} of {n_pairs}, evenly from worst to best" if n_pairs > MOST_SCANS else "worst first"
     dots = " objects are drawn, evenly over the order from worst to best; the counts are of all"
-    binned = "Bars: the middle half of the objects, only for three or more; below, their number."
+    binned = "Dots: medians; bars: the middle half of the objects, only for three or more; below, their number."
     order = (
         "by the time of the real scan"
-        if along_the_sequence(results, recorded_times_s(results.run)).has_times
+        if along_the_sequence(results, recorded_times_s(results.run))[0]
         else "in the order of their names: the dataset does not say when the scans were taken"
     )
     seen = "Unmatched objects of all pairs around the sensor, at their centroids, seen from above."
-    limits = f"Shares are of the matched objects. Limits: {limits_in_words()}."
+    limits = f"Shares are of the matched objects. Limits: {limits_in_words()}. Grey: the distribution of each score."
     return {
         "quadrants": f"{limits}{_part(min(n_scored, MOST_DOTS), n_matched, dots)}",
         "polar": f"{seen}{_part(MOST_DOTS, n_unmatched, ' are drawn, largest first')}",
-        "box_scan": f"By scan, {chosen}. {whiskers}",
-        "box_class": f"By {kind}, the most frequent first. {whiskers}",
+        "scores_class": f"By {kind}, the most frequent first. {binned}",
         "scores_range": f"Matched objects by the distance of the real one. {binned}",
         "sequence": f"Match rate and the mean scores of each pair, {order}.",
         "fates": "Shares of all pairs together, below of how many objects: of few a share says little.",

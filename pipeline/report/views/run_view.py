@@ -199,17 +199,18 @@ def _pairs_table(scored: Sequence[Row], most: int) -> Table:
 
 
 def dataset_table(record: RunRecord, columns: Sequence[str]) -> Table:
-    """Means over pairs, the number of pairs, and the means with unmatched objects counted as worst."""
-    rows = []
+    """Means over pairs, number of pairs, means with unmatched objects as worst, and the paper's under its preset."""
+    rows, with_paper = [], record.preset == "paper"
     for column in columns:
         metric, score = metric_of(column), record.summary[column]
         worst = record.summary.get(unmatched_worst(metric.column))
         pairs = f"{score.n_pairs} of {record.pairs.scored}"
-        reading = metric.reading or metric.meaning
-        rows.append((metric.label, score.mean, score.std, pairs, worst.mean if worst else "", reading))
+        values = (metric.label, score.mean, score.std, pairs, worst.mean if worst else "")
+        paper = [metric.paper.mean if metric.paper else ""] * with_paper
+        rows.append((*values, metric.reading or metric.meaning, *paper))
     title = "Dataset (mean and standard deviation over pairs; pairs without a match have no object scores)"
-    headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it")
-    return Table(title, headings, rows, words=(0, 5))
+    headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it", *["paper"] * with_paper)
+    return Table(title, headings, rows, words=(0, 5), wide=(6,))
 
 
 def coverage_table(record: RunRecord) -> Table:

@@ -1,7 +1,7 @@
 // The comparison of runs: charts, and the worst changes in 3D, before and after side by side.
 
 import { drawInView, paint, ready, report, startCharts } from "./draw.js";
-import { cameraAt, dots, drawInSpace, extent, sideColour, turnTogether } from "./points.js";
+import { cameraAt, dots, drawInSpace, extent, sideColour, sizeOf, turnTogether } from "./points.js";
 
 const MARGIN_M = 0.3;
 const WHEN = ["before", "after"];
@@ -11,10 +11,7 @@ const setOf = ([x, y, z]) => ({ x, y, z });
 function drawPlace(section, place) {
   const [real, ...sims] = report.places[section][place];
   const sets = [real, ...sims].flatMap((layers) => Object.values(layers).map(setOf));
-  const ranges = Object.fromEntries(
-    Object.entries(extent(sets)).map(([axis, [low, high]]) => [axis, [low - MARGIN_M, high + MARGIN_M]]),
-  );
-  const size_m = Math.hypot(...Object.values(ranges).map(([low, high]) => high - low));
+  const ranges = extent(sets, MARGIN_M);
   const ids = WHEN.map((when) => `${when}_${section}`);
   ids.forEach((id, k) => {
     const data = [
@@ -23,7 +20,7 @@ function drawPlace(section, place) {
       dots("simulated", sideColour("sim"), 2.4, setOf(sims[k].sim)),
     ];
     drawInView(id, () => {
-      drawInSpace(id, data, cameraAt(ranges, ranges, 1.1 * size_m), ranges);
+      drawInSpace(id, data, cameraAt(ranges, ranges, 1.1 * sizeOf(ranges)), ranges);
       turnTogether(ids);
     });
   });

@@ -1,4 +1,4 @@
-// The points of a pair as the page holds them, and what the views of a pair share to draw them in space.
+// The points of a pair as the page holds them, how they are coloured, and what all views in space share.
 // An object is called by side and community: "real 3", "sim 7"; a matched one has one name, that of its real side.
 
 import { byId, draw, isDark, paint, report } from "./draw.js";
@@ -8,18 +8,17 @@ export const SIDES = ["real", "sim"];
 export const SIDE_WORDS = { real: "real", sim: "simulated" };
 export const FAR = 255; // the distance to the other side is a byte, this one for report.far_m and more
 const AXES = { x: "x forward (m)", y: "y left (m)", z: "z up (m)" };
-export const other = (side) => (side === "real" ? "sim" : "real");
 export const sideColour = (side) => paint(report.colours.sides[side]);
-const ramp = () => report.colours.ramps[isDark() ? "dark" : "light"];
 export const say = (id, text) => {
   byId(id).textContent = shown(text);
 };
+export const xyz = (make) => ({ x: make("x"), y: make("y"), z: make("z") });
 
-export const decode = (text, Type) => new Type(Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0)).buffer);
+const decode = (text) => Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
 
-// The columns of a pair by name; see page/pair.py for how they are packed.
+// The columns of a pair by name; see page/pair_data.py for how they are packed.
 async function inflate({ parts, deflated }) {
-  const stream = new Blob([decode(deflated, Uint8Array)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const stream = new Blob([decode(deflated)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
   const columns = {};
   let at = 0;
@@ -33,13 +32,10 @@ async function inflate({ parts, deflated }) {
 // Integers from their differences; sums beyond the width begin again, as they do in the type of the result.
 function summed(bytes, width, n) {
   const values = width === 2 ? new Int16Array(n) : new Int32Array(n);
-  let sum = 0;
   for (let i = 0; i < n; i += 1) {
     let step = 0;
     for (let k = 0; k < width; k += 1) step |= bytes[k * n + i] << (8 * k);
-    sum += step;
-    values[i] = sum;
-    sum = values[i];
+    values[i] = (i ? values[i - 1] : 0) + step;
   }
   return values;
 }
@@ -67,18 +63,12 @@ export function objectsOf(view) {
 // By side the points, each with the place of its object among the objects (`object`), whether it is a kept node, its
 // distance to the other side (`distance`) and to its aligned partner (`aligned`), whether a piece that only one side has
 // holds it (`piece`), if simulated its signed distance to the planes of the real side (`signed`), and by place where the
-// points of an object are (`ranges`); the road points; and between which points lines of alignment are. Where the real side fixes
-// the objects, the few simulated points of a missing one bear its number and belong to it.
+// points of an object are (`ranges`); the road points; and between which points lines of alignment are. Where the real
+// side fixes the objects, the few simulated points of a missing one bear its number and belong to it.
 export async function pointsOf(view, objects) {
   const columns = await inflate(view.packed);
-  const inSpace = (name) =>
-    Object.fromEntries(
-      ["x", "y", "z"].map((axis) => [
-        axis,
-        Float32Array.from(columns[`${name}_${axis}`], (step) => step * view.step_m),
-      ]),
-    );
-  const points = {};
+  const inSpace = (name) => xyz((axis) => Float32Array.from(columns[`${name}_${axis}`], (step) => step * view.step_m));
+  const points = { road: {}, rays: columns.rays, lines: { real: columns.real_line, sim: columns.sim_line } };
   for (const side of SIDES) {
     const { ids, counts } = view.sides[side];
     const owner = new Map();
@@ -98,11 +88,9 @@ export async function pointsOf(view, objects) {
     });
     const own = ["kept", "distance", "aligned", "piece", "signed"].map((name) => [name, columns[`${side}_${name}`]]);
     points[side] = { ...inSpace(side), object, ranges, ...Object.fromEntries(own) };
+    points.road[side] = { ...inSpace(`${side}_road`), signed: columns[`${side}_road_signed`] };
   }
-  const road = Object.fromEntries(
-    SIDES.map((side) => [side, { ...inSpace(`${side}_road`), signed: columns[`${side}_road_signed`] }]),
-  );
-  return { ...points, road, rays: columns.rays, lines: { real: columns.real_line, sim: columns.sim_line } };
+  return points;
 }
 
 // Places among the points of a side that an object has.
@@ -111,26 +99,21 @@ export function ownPlaces(points, side, place) {
   return Array.from({ length: to - from }, (_, i) => from + i);
 }
 
-export const at = ({ x, y, z }, places) => ({
-  x: places.map((i) => x[i]),
-  y: places.map((i) => y[i]),
-  z: places.map((i) => z[i]),
-});
+export const at = (set, places) => xyz((axis) => places.map((i) => set[axis][i]));
 
-// Smallest and largest coordinate of sets of points by axis.
-export function extent(sets) {
-  const found = {};
-  for (const axis of ["x", "y", "z"]) {
+// Smallest and largest coordinate of sets of points by axis, with a margin.
+export const extent = (sets, margin_m = 0) =>
+  xyz((axis) => {
     let [low, high] = [Infinity, -Infinity];
     for (const set of sets)
       for (const value of set[axis]) {
         low = Math.min(low, value);
         high = Math.max(high, value);
       }
-    found[axis] = [low, high];
-  }
-  return found;
-}
+    return [low - margin_m, high + margin_m];
+  });
+
+export const sizeOf = ({ x, y, z }) => Math.hypot(x[1] - x[0], y[1] - y[0], z[1] - z[0]);
 
 export function objectTitle(object) {
   const ids = object.side ? object.name : `real ${object.real_id}, sim ${object.sim_id}`;
@@ -141,46 +124,106 @@ export function objectTitle(object) {
 // Share of an unmatched object that is road to the other side, as text; "" for 0.
 export function roadWords(object) {
   const share = object.side ? object[`road_share_${object.side}`] : null;
-  return share >= 0.005
-    ? `${Math.round(100 * share)} % of it is road on the ${SIDE_WORDS[other(object.side)]} side`
-    : "";
+  const other = object.side === "real" ? "simulated" : "real";
+  return share >= 0.005 ? `${Math.round(100 * share)} % of it is road on the ${other} side` : "";
 }
 
 // plotly reads a little markup in its texts: its meaning is taken away.
 export const plotText = (text) =>
   shorten(shown(text), 80).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
-export function rampColour(share, stops = ramp()) {
+function rampColour(share, stops) {
   const along = Math.min(0.9999, Math.max(0, share)) * (stops.length - 1);
-  const [a, b] = [stops[Math.floor(along)], stops[Math.floor(along) + 1]];
-  const mix = (k) =>
-    Math.round(
-      Number.parseInt(a.slice(k, k + 2), 16) * (1 - (along % 1)) + Number.parseInt(b.slice(k, k + 2), 16) * (along % 1),
-    );
-  return `rgb(${mix(1)},${mix(3)},${mix(5)})`;
+  const [a, b] = [0, 1].map((k) =>
+    stops[Math.floor(along) + k].match(/\w\w/g).map((part) => Number.parseInt(part, 16)),
+  );
+  return `rgb(${a.map((value, k) => Math.round(value * (1 - (along % 1)) + b[k] * (along % 1))).join(",")})`;
 }
-
-export const rampBar = (stops = ramp()) =>
-  element("span", null, { class: "ramp", style: `background: linear-gradient(to right, ${stops.join(",")})` });
-
-// The colour of each distance that a byte can be.
-export const distanceShades = () => Array.from({ length: FAR + 1 }, (_, step) => rampColour(step / FAR));
 
 // The signed distance to the real side is a byte from -report.signed_m to report.signed_m, FAR for none.
 export const signedMetres = (step) => ((2 * step) / (FAR - 1) - 1) * report.signed_m;
-export const signedShades = () =>
-  Array.from({ length: FAR + 1 }, (_, step) =>
-    step === FAR
-      ? paint("var(--line)")
-      : rampColour((signedMetres(step) / report.signed_ramp_m + 1) / 2, report.colours.signed),
-  );
-export const signedWords = (step) =>
+const signedWords = (step) =>
   step === FAR
     ? "no real plane next to it"
     : `${number(Math.abs(signedMetres(step)), 2)} m ${signedMetres(step) < 0 ? "behind" : "in front of"} the real surface`;
-
 export const distanceWords = (step) =>
   step === FAR ? `${report.far_m} m or more` : `${number((step / FAR) * report.far_m, 2)} m`;
+
+// An entry of a legend: a colour, or a ramp from one value to another.
+export const swatch = (colour, text) =>
+  element("span", null, {}, element("i", null, { style: `background: ${colour}` }), text);
+const rampBar = (from, stops, to) => {
+  const style = `background: linear-gradient(to right, ${stops.join(",")})`;
+  return element("span", null, {}, from, element("span", null, { class: "ramp", style }), to);
+};
+
+// How points are coloured: `colours` of some places of a side (one for all or one each), `words` of a place (or none),
+// the colour of a road point, and the legend. isAligned: distances are to the partner, moved onto it.
+export function colouring({ objects, points }, by, isAligned = false) {
+  const { none, sides, fates, quadrants, signed, ramps } = report.colours;
+  const ramp = ramps[isDark() ? "dark" : "light"];
+  const bytes = Array.from({ length: FAR + 1 }, (_, step) => step);
+  const ofPoints = (shade) => (side, places) => places.map((i) => shade(side, i));
+  const ofObjects = (shade) => {
+    const shades = objects.map(shade);
+    return ofPoints((side, i) => shades[points[side].object[i]]);
+  };
+  const kinds = {
+    side: () => ({ colours: sideColour, legend: SIDES.map((side) => swatch(sides[side], SIDE_WORDS[side])) }),
+    status: () => {
+      const known = Object.entries(fates).filter(([fate]) => objects.some((object) => object.fate === fate));
+      const legend = known.map(([fate, colour]) => swatch(colour, fate));
+      return { colours: ofObjects(({ fate }) => paint(fates[fate])), legend };
+    },
+    quadrant: () => ({
+      colours: ofObjects(({ quadrant }) => paint(quadrants[quadrant] ?? none)),
+      legend: Object.entries(quadrants).map(([quadrant, colour]) => swatch(colour, quadrant)),
+    }),
+    community: () => ({
+      colours: ofObjects(({ side }, i) =>
+        side ? none : `hsl(${Math.round((i * 137.508) % 360)}, 65%, ${[48, 62, 38][i % 3]}%)`,
+      ),
+      legend: ["One colour per object; matched objects have the same on both sides.", swatch(none, "unmatched")],
+    }),
+    kept: () => ({
+      colours: ofPoints((side, i) => (points[side].kept[i] ? sideColour(side) : none)),
+      legend: [...kinds.side().legend, swatch(none, "left out of the spectral scores")],
+    }),
+    distance: () => {
+      const shades = bytes.map((step) => rampColour(step / FAR, ramp));
+      const steps = (side) => points[side][isAligned ? "aligned" : "distance"];
+      return {
+        colours: ofPoints((side, i) => shades[steps(side)[i]]),
+        words: (side, i) => `${distanceWords(steps(side)[i])} to the other side`,
+        legend: [
+          rampBar("0", ramp, `${report.far_m} m or more to the nearest point of the other side`),
+          "Far real points are missing surface, far simulated ones invented surface.",
+        ],
+      };
+    },
+    signed: () => {
+      const line = paint("var(--line)");
+      const shades = bytes.map((step) =>
+        step === FAR ? line : rampColour((signedMetres(step) / report.signed_ramp_m + 1) / 2, signed),
+      );
+      const reach = `${report.signed_ramp_m} m or more`;
+      return {
+        colours: ofPoints((side, i) => (side === "real" ? line : shades[points.sim.signed[i]])),
+        road: (step) => shades[step],
+        words: (side, i) => (side === "sim" ? signedWords(points.sim.signed[i]) : ""),
+        legend: [
+          rampBar(`${reach} behind`, signed, `${reach} in front of the real surface, seen from the sensor`),
+          swatch("var(--line)", "real, or no real plane next to it"),
+        ],
+      };
+    },
+  };
+  if (by in kinds) return kinds[by]();
+  const { name, low, high } = report.scores[by];
+  const shade = (object) => (object[by] === null ? none : rampColour((object[by] - low) / (high - low), ramp));
+  const from = `${name}, 2 to 98 % of the run's objects: ${number(low, 2)} `;
+  return { colours: ofObjects(shade), legend: [rampBar(from, ramp, ` ${number(high, 2)} `), swatch(none, "no score")] };
+}
 
 export function dots(name, color, size, { symbol = "circle", opacity = 1, ...more }) {
   const marker = { color, size, symbol, opacity, line: { width: 0 } };
@@ -188,35 +231,22 @@ export function dots(name, color, size, { symbol = "circle", opacity = 1, ...mor
 }
 
 // Road points of a side, all or some of them, as a context that nothing is asked of.
-export function roadDots(side, road, size, places = null, colour = paint("var(--line)")) {
-  const set = places ? at(road, places) : { x: road.x, y: road.y, z: road.z };
-  return dots(`road ${side}`, colour, size, { ...set, hoverinfo: "skip" });
+export function roadDots(side, road, places, { road: shade } = {}) {
+  const own = places ?? [...road.x.keys()];
+  const isShaded = shade && road.signed;
+  const colour = isShaded ? own.map((i) => shade(road.signed[i])) : paint("var(--line)");
+  return dots(`road ${side}`, colour, isShaded ? 2 : 1.6, { ...at(road, own), hoverinfo: "skip" });
 }
 
 // Lines between pairs of points: ends [a, b, a, b ...] of which each two are one.
-export function strokes(name, color, ends, width = 2, more = {}) {
-  const axis = (key) => ends.flatMap((end, i) => (i % 2 ? [end[key], null] : [end[key]]));
-  const line = { color, width };
-  return {
-    type: "scatter3d",
-    mode: "lines",
-    name,
-    x: axis("x"),
-    y: axis("y"),
-    z: axis("z"),
-    line,
-    hoverinfo: "skip",
-    ...more,
-  };
+export function strokes(name, color, ends, width) {
+  const axes = xyz((axis) => ends.flatMap((end, i) => (i % 2 ? [end[axis], null] : [end[axis]])));
+  return { type: "scatter3d", mode: "lines", name, ...axes, line: { color, width }, hoverinfo: "skip" };
 }
 
 // The twelve edges of the box around an extent.
-export function boxEdges({ x, y, z }, margin_m = 0) {
-  const corner = (i) => ({
-    x: i & 1 ? x[1] + margin_m : x[0] - margin_m,
-    y: i & 2 ? y[1] + margin_m : y[0] - margin_m,
-    z: i & 4 ? z[1] + margin_m : z[0] - margin_m,
-  });
+export function boxEdges({ x, y, z }) {
+  const corner = (i) => ({ x: x[i & 1], y: y[(i >> 1) & 1], z: z[(i >> 2) & 1] });
   const ends = [];
   for (let i = 0; i < 8; i += 1) for (const bit of [1, 2, 4]) if (!(i & bit)) ends.push(corner(i), corner(i | bit));
   return ends;
@@ -224,47 +254,39 @@ export function boxEdges({ x, y, z }, margin_m = 0) {
 
 // The same direction of view at a place's own distance, for two places that turn together.
 export function turnTogether(ids) {
-  let isTurning = false;
-  const turned = (from) => () => {
-    const own = byId(from)._fullLayout.scene._scene.getCamera();
-    if (isTurning) return;
-    isTurning = true;
-    const away = ({ eye, center }) => ["x", "y", "z"].map((axis) => eye[axis] - center[axis]);
-    const direction = away(own);
-    const length = Math.hypot(...direction);
-    const others = ids.filter((id) => id !== from && byId(id)?.data);
-    Promise.all(
-      others.map((id) => {
-        const camera = byId(id)._fullLayout.scene._scene.getCamera();
-        const far = Math.hypot(...away(camera));
-        const eye = Object.fromEntries(
-          ["x", "y", "z"].map((axis, k) => [axis, camera.center[axis] + (direction[k] / length) * far]),
-        );
-        return Plotly.relayout(id, { "scene.camera": { ...camera, eye, up: own.up } });
-      }),
-    ).finally(() => {
-      isTurning = false;
-    });
+  const cameraOf = (id) => byId(id)._fullLayout.scene._scene.getCamera();
+  const away = ({ eye, center }) => xyz((axis) => eye[axis] - center[axis]);
+  const length = ({ x, y, z }) => Math.hypot(x, y, z);
+  const turn = (from) => {
+    const own = cameraOf(from);
+    for (const id of ids.filter((one) => one !== from && byId(one).data)) {
+      const camera = cameraOf(id);
+      const scale = length(away(camera)) / length(away(own));
+      const eye = xyz((axis) => camera.center[axis] + scale * away(own)[axis]);
+      // The other place answers with its own event: what is turned already ends that.
+      if (length(xyz((axis) => eye[axis] - camera.eye[axis] + own.up[axis] - camera.up[axis])) > 1e-6)
+        Plotly.relayout(id, { "scene.camera": { ...camera, eye, up: own.up } });
+    }
   };
   for (const id of ids) {
     const place = byId(id);
     if (place.dataset.turns || !place.on) continue;
     place.dataset.turns = "yes";
-    for (const name of ["plotly_relayout", "plotly_relayouting"]) place.on(name, turned(id));
+    for (const name of ["plotly_relayout", "plotly_relayouting"]) place.on(name, () => turn(id));
   }
 }
 
 // Draws points in space. ranges: by axis from where to where; the box has their proportions.
 export function drawInSpace(id, data, camera, ranges, config) {
-  const axes = Object.entries(AXES).map(([axis, text]) => [
-    `${axis}axis`,
-    { title: { text }, range: ranges[axis], autorange: false, nticks: 5 },
-  ]);
   const unit = unitOf(ranges);
-  const ratio = Object.fromEntries(Object.entries(ranges).map(([axis, [low, high]]) => [axis, (high - low) / unit]));
-  const scene = { ...Object.fromEntries(axes), aspectmode: "manual", aspectratio: ratio, camera };
-  const layout = { margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, scene };
-  draw(id, { data, layout }, config);
+  const scene = {
+    aspectmode: "manual",
+    aspectratio: xyz((axis) => (ranges[axis][1] - ranges[axis][0]) / unit),
+    camera,
+  };
+  for (const [axis, text] of Object.entries(AXES))
+    scene[`${axis}axis`] = { title: { text }, range: ranges[axis], autorange: false, nticks: 5 };
+  draw(id, { data, layout: { margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, scene } }, config);
 }
 
 // How many metres are one unit of plotly's camera: the geometric mean of the sides of the box.
@@ -275,15 +297,10 @@ function unitOf(ranges) {
 // A camera that looks at the middle of an extent, from the side of the sensor and from above.
 export function cameraAt(target, ranges, distance_m) {
   const unit = unitOf(ranges);
-  const middle = ([low, high]) => (low + high) / 2;
-  const [x, y] = [middle(target.x), middle(target.y)];
-  const away = Math.hypot(x, y) || 1;
-  const steps = { x: (-0.75 * x) / away, y: (-0.75 * y) / away, z: 0.66 };
-  const center = {};
-  const eye = {};
-  for (const axis of ["x", "y", "z"]) {
-    center[axis] = (middle(target[axis]) - middle(ranges[axis])) / unit;
-    eye[axis] = center[axis] + (steps[axis] * distance_m) / unit;
-  }
+  const middle = xyz((axis) => (target[axis][0] + target[axis][1]) / 2);
+  const far = Math.hypot(middle.x, middle.y) || 1;
+  const steps = { x: (-0.75 * middle.x) / far, y: (-0.75 * middle.y) / far, z: 0.66 };
+  const center = xyz((axis) => (middle[axis] - (ranges[axis][0] + ranges[axis][1]) / 2) / unit);
+  const eye = xyz((axis) => center[axis] + (steps[axis] * distance_m) / unit);
   return { center, eye, up: { x: 0, y: 0, z: 1 } };
 }
