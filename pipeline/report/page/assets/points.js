@@ -263,7 +263,7 @@ export function turnTogether(ids) {
       const camera = cameraOf(id);
       const scale = length(away(camera)) / length(away(own));
       const eye = xyz((axis) => camera.center[axis] + scale * away(own)[axis]);
-      // The other place answers with its own event: what is turned already ends that.
+      // The other place answers with its own event, which ends where both agree.
       if (length(xyz((axis) => eye[axis] - camera.eye[axis] + own.up[axis] - camera.up[axis])) > 1e-6)
         Plotly.relayout(id, { "scene.camera": { ...camera, eye, up: own.up } });
     }
