@@ -74,7 +74,7 @@ def range_bins(results: RunResults) -> tuple[list[str], pd.Series, pd.Series]:
     return names, matched, unmatched
 
 
-def score_spread(matched: pd.DataFrame, group: pd.Series, names: Sequence[str]) -> dict[str, pd.DataFrame]:
+def score_spread(matched: pd.DataFrame, group: pd.Series, names: list[str]) -> dict[str, pd.DataFrame]:
     """By score, for each named group of objects: how many have the score (n), and its q1, median and q3.
 
     Fewer than three have no quartiles (NaN), none have no median.

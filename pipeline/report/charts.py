@@ -210,7 +210,7 @@ def _spread(what: str, scores: dict[str, pd.DataFrame]) -> CaptionedChart:
                     "arrayminus": (rows["median"] - rows.q1).fillna(0).to_numpy(),
                     **{"symmetric": False, "thickness": 1.5, "width": 3, "color": colour},
                 },
-                "customdata": [f"{in_chart(name)}, {n:,} objects" for name, n in rows.n.items()],
+                "customdata": [f"{in_chart(str(name))}, {n:,} objects" for name, n in rows.n.items()],
                 "hovertemplate": f"%{{customdata}}<br>{METRIC[score].label} %{{y:.2f}}<extra></extra>",
                 "marker": {"color": colour, "size": 7},
             }

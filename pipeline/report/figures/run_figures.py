@@ -224,7 +224,9 @@ def _draw_groups(axis: Any, groups: dict[str, pd.DataFrame]) -> list[Any]:
     """Two boxes per group; returns the legend entry of each score."""
     handles = []
     for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
-        values = {i + offset: rows[score].dropna().to_numpy() for i, rows in enumerate(groups.values())}
+        values: dict[float, Any] = {
+            i + offset: rows[score].dropna().to_numpy() for i, rows in enumerate(groups.values())
+        }
         known = {place: own for place, own in values.items() if len(own) >= FEWEST_IN_BOX}
         box = {"facecolor": SCORE_COLOURS[score], "linewidth": 0.6}
         flier = {"marker": "o", "markersize": 2.5, "markerfacecolor": box["facecolor"], "markeredgewidth": 0}
