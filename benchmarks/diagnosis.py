@@ -263,7 +263,6 @@ def diagnose(pairs, floor):
 
     amounts = floor and [own for own, _ in floor]
     named, _, found = confirm(name_causes([own.amounts for _, own in pairs], amounts, np.arange(len(pairs))), correct)
-    named.sort(key=lambda one: -np.mean([pair.by_cause.get(one.model.name, 0.0) for pair in found]))
     rows = [(one.model.name, one.mean, one.low, one.high) for one in named]
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
     if floor and is_unexplained(before_m - floor_m, after_m - floor_m):

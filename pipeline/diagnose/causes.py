@@ -20,6 +20,8 @@ LEAST_EXCESS_M = 0.005
 LEAST_PART, LEAST_PART_MOVED = 0.03, 0.15
 _RANDOM = ("lost returns", "lost far returns")
 _UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
+_BENT = 0.03  # more of the points in other places are a bent world
+_ENOUGH = 4  # blocks that all lie beyond a tolerance
 
 
 @dataclass(frozen=True)
@@ -155,11 +157,14 @@ def name_causes(
         is_known = ~np.isnan(values)
         if 2 * is_known.sum() < len(values):
             continue
-        mean, low, high = mean_interval(block_means(values[is_known], blocks[is_known]))
-        if model.name in _RANDOM and uneven > _UNEVEN + mean**2:
+        means = block_means(values[is_known], blocks[is_known])
+        mean, low, high = mean_interval(means)
+        is_bent = floor and model.name == "moved pieces" and mean > _BENT
+        if is_bent or (model.name in _RANDOM and uneven > _UNEVEN + mean**2):
             continue
         limit = model.resolution if floor else model.tolerance
-        if low > limit or (high < -limit and len(model.words) > 1):
+        least, most = (means.min(), means.max()) if floor and len(means) >= _ENOUGH else (low, high)
+        if max(low, least) > limit or (min(high, most) < -limit and len(model.words) > 1):
             reach = float(np.hypot((high - low) / 2, model.resolution))
             named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
     return sorted(named, key=lambda cause: -cause.strength)
@@ -168,7 +173,7 @@ def name_causes(
 def confirm(
     named: Sequence[NamedCause], correct: Callable[[Sequence[NamedCause]], Sequence[Shares]]
 ) -> tuple[list[NamedCause], list[NamedCause], Sequence[Shares]]:
-    """The causes whose correction brings the sides closer, the others, and the shares of the former.
+    """The causes whose correction brings the sides closer, most important first; the others; the shares of the former.
 
     Something that is not in the catalogue also changes estimates, but correcting these does not remove it. So a cause
     must explain a part of the distance that the other causes leave, unless there is hardly any.
@@ -182,14 +187,16 @@ def confirm(
     while True:
         found = correct(kept)
         before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
-        weak = [
-            own.model.name
+        gain_m = {
+            own.model.name: float(np.mean([pair.by_cause[own.model.name] for pair in found]))
             for own in kept
-            if (parts := [pair.by_cause[own.model.name] for pair in found if own.model.name in pair.by_cause])
-            and np.mean(parts)
-            <= (LEAST_PART_MOVED if own.model.name in PARAMETERS else LEAST_PART) * (np.mean(parts) + after_m - floor_m)
-        ]
-        if not weak or before_m - floor_m < LEAST_EXCESS_M:
+            if own.model.name in found[0].by_cause
+        }
+        if before_m - floor_m < LEAST_EXCESS_M:
             return kept, doubtful, found
+        least = {name: LEAST_PART_MOVED if name in PARAMETERS else LEAST_PART for name in gain_m}
+        weak = [name for name, own_m in gain_m.items() if own_m <= least[name] * (own_m + after_m - floor_m)]
+        if not weak:
+            return sorted(kept, key=lambda own: -gain_m.get(own.model.name, 0.0)), doubtful, found
         doubtful += [own for own in kept if own.model.name in weak]
         kept = [own for own in kept if own.model.name not in weak]

@@ -107,7 +107,7 @@ def diagnose_run(
         distance_m=before_m,
         floor_m=floor_m,
         unexplained=None if excess_m is None else min(max((after_m - floor_m) / excess_m, 0.0), 1.0),
-        causes=tuple(sorted(causes, key=lambda own: (own.name != UNEXPLAINED, -(own.gain_m or 0.0)))),  # stable
+        causes=tuple(causes),
         estimates=tuple(_estimate_rows(names, amounts)),
         doubtful=tuple(own.sentence for own in doubtful),
         left_out=tuple(name for name in chosen if name not in found),

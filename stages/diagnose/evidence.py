@@ -27,9 +27,8 @@ _DOUBTFUL_BEAMS = 3
 _FEWEST = 5  # returns of a cell
 _ALIKE = 0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 _APART_M, _APART_PER_M = 0.25, 0.01  # a point without a counterpart is farther than this, and this times its range
-_CLUSTER_M, _CLUSTER = 0.6, 5  # a piece: other points without a counterpart around one
-_DEEP = 1.5  # and one of them is farther than this times the limit
-_MOVED_M = 1.0  # from a missing to an invented piece
+_CLUSTER_M, _CLUSTER = 0.6, 5  # a piece: other points without a counterpart around one, at 6 m and beyond
+_MOVED_M = 1.5  # from a missing to an invented piece
 _FEWEST_FAR = 100  # far returns
 _LEAVES, _FEWEST_LEAVES, _LEAF_SPREAD_M = 20, 50, 1.0
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
@@ -104,17 +103,13 @@ def find_unmatched(a: Side, b: Side, step_deg: float = 0.0) -> tuple[Unmatched, 
 
 def _unmatched(side: Side, other: Side, step_deg: float) -> Unmatched:
     apart, _ = cKDTree(other.points).query(side.points)
-    limit_m = _APART_M + max(_APART_PER_M, np.radians(step_deg)) * side.range_m
-    is_apart = apart > limit_m
+    is_apart = apart > _APART_M + max(_APART_PER_M, np.radians(step_deg)) * side.range_m
     is_beyond = side.range_m > other.range_m.max()
     is_piece = is_apart & ~is_beyond
     rows = np.flatnonzero(is_piece)
     if len(rows):
-        tree = cKDTree(side.points[rows])
-        n_near = tree.query_ball_point(side.points[rows], _CLUSTER_M, return_length=True)
-        is_core = (n_near > _CLUSTER) & (apart[rows] > _DEEP * limit_m[rows])
-        to_core_m, _ = cKDTree(side.points[rows[is_core]].reshape(-1, 3)).query(side.points[rows])
-        is_piece[rows] = (n_near > _CLUSTER) & (to_core_m < _CLUSTER_M)
+        n_near = cKDTree(side.points[rows]).query_ball_point(side.points[rows], _CLUSTER_M, return_length=True)
+        is_piece[rows] = n_near > _CLUSTER * np.maximum(CLUTTER_M / side.range_m[rows], 1.0) ** 2
     is_clutter = is_apart & ~is_piece & (side.range_m < CLUTTER_M)
     return Unmatched(is_beyond, is_clutter, is_piece, np.zeros(len(is_piece), np.bool_))
 
