@@ -159,7 +159,7 @@ def name_causes(
             continue
         means = block_means(values[is_known], blocks[is_known])
         mean, low, high = mean_interval(means)
-        is_bent = floor and model.name == "moved pieces" and mean > _BENT
+        is_bent = model.name == "moved pieces" and mean > _BENT
         if is_bent or (model.name in _RANDOM and uneven > _UNEVEN + mean**2):
             continue
         limit = model.resolution if floor else model.tolerance

@@ -95,9 +95,9 @@ def diagnose_run(
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
     excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
     causes = [_cause(own, gains, drawn, excess_m) for own in named]
-    if base and is_unexplained(before_m - floor_m, after_m - floor_m):
+    if is_unexplained(before_m - floor_m, after_m - floor_m):
         left = mean_interval(block_means(np.array([own.after_m - own.floor_m for own in gains]), blocks))
-        causes.insert(0, _unexplained(left, before_m - floor_m, len(gains)))
+        causes.insert(0, _unexplained(left, before_m - floor_m, len(gains), bool(base)))
     diagnosis = Diagnosis(
         of=results_identity(run.record),
         floor=None if floor is None else str(floor),
@@ -121,16 +121,17 @@ def diagnose_run(
 
 
 def is_unexplained(excess_m: float, left_m: float) -> bool:
-    """True if most of the distance over the floor remains after all corrections: no named cause explains it."""
+    """True if most of the distance (over the floor) remains after all corrections: no named cause explains it."""
     return left_m >= MOST_LEFT_M and left_m > excess_m / 2
 
 
-def _unexplained(left: tuple[float, float, float], excess_m: float, n_pairs: int) -> DiagnosedCause:
+def _unexplained(left: tuple[float, float, float], excess_m: float, n_pairs: int, is_over: bool) -> DiagnosedCause:
     """The rest as the first cause."""
     mean, low, high = left
+    words = f"no cause in the catalogue for {mean / excess_m:.0%} of the distance".replace("%", " %")
     return DiagnosedCause(
         name=UNEXPLAINED,
-        words=f"no cause in the catalogue for {mean / excess_m:.0%} of the distance".replace("%", " %"),
+        words=words if is_over else f"{words}, unless a second measurement has it too (--floor)",
         estimate=mean, low=low, high=high, unit="m", n_pairs=n_pairs, gain_m=None, gain=None, is_upper_bound=False,
         setting="the worst places; diagnose --tell-apart", limbs=(),
     )  # fmt: skip

@@ -5,12 +5,9 @@ from __future__ import annotations
 from ...schemas.results import Diagnosis
 from ..report.view import Note, Table, View, percent
 from ..results.diagnosis import gain_words, interval_words
+from .diagnose import UNEXPLAINED
 
 _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
-_HEADLINE = (
-    "The largest part of the distance has no cause in the catalogue, or a second measurement has it too (--floor): "
-    "see the worst places and diagnose --tell-apart"
-)
 
 
 def diagnosis_records(found: Diagnosis) -> Table:
@@ -21,7 +18,11 @@ def diagnosis_records(found: Diagnosis) -> Table:
 def diagnosis_view(found: Diagnosis) -> View:
     """A row per cause, most important first, and notes on the base, the intervals and the pairs left out."""
     rows = [
-        (i, own.words, interval_words(own), gain_words(own).removeprefix("gain ") or "not in the distance", own.setting)
+        (
+            *(i, own.words, interval_words(own)),
+            gain_words(own).removeprefix("gain ") or ("" if own.name == UNEXPLAINED else "not in the distance"),
+            own.setting,
+        )
         for i, own in enumerate(found.causes, 1)
     ]
     over = f" (floor {100 * found.floor_m:.1f} cm)" if found.floor else ""
@@ -40,12 +41,9 @@ def diagnosis_view(found: Diagnosis) -> View:
         notes.append(f"left out, too little surface in common: {', '.join(found.left_out)}")
     if found.doubtful:
         notes.append(f"measured, but hardly closer if corrected: {'; '.join(found.doubtful)}")
-    is_open = (found.unexplained or 0.0) > 0.5 and not found.floor  # over a floor, the rest is the first cause
-    head = [Note(_HEADLINE, "bold")] if is_open else []
     if not rows:
-        return [*head, Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
+        return [Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
     return [
-        *head,
         Table(title, ("", "cause", "95 % interval", "gain if corrected", "setting"), rows, words=(1, 2, 3, 4)),
         *map(Note, notes),
     ]

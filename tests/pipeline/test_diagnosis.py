@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
-from fidpipe.pipeline.diagnose.diagnosis_view import diagnosis_view
 from fidpipe.pipeline.report.page.run_data import page_words
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.compare import compare_runs
@@ -88,15 +87,14 @@ def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_ar
     assert found.unexplained == 1
     assert "world 15 cm too low" in found.doubtful
     assert "no cause in the catalogue for 100 % of the distance" in command("show", low).stdout
-    alone = diagnose_run(low)
-    assert alone.causes == (), "without a floor the rest is not known"
-    heads = [diagnosis_view(one)[0].text for one in (alone, alone.model_copy(update={"unexplained": 0.5}))]
-    assert [head.startswith("The largest part of the distance has no cause") for head in heads] == [True, False]
+    assert [cause.name for cause in diagnose_run(low).causes] == ["unexplained"]
+    alone = "no cause in the catalogue for 100 % of the distance, unless a second measurement has it too (--floor)"
+    assert alone in FinishedRun(low).overview.causes[0].words
 
 
 def test_a_diagnosis_of_other_results_is_not_used(runs):
-    _, low = runs
-    diagnose_run(low)
+    good, low = runs
+    diagnose_run(low, good)
     assert FinishedRun(low).overview.causes[0].detail.startswith("gain")
     stored = json.loads((low / DIAGNOSIS).read_text())
     (low / DIAGNOSIS).write_text(json.dumps(stored | {"of": "another run"}))
