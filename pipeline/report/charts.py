@@ -358,12 +358,11 @@ def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
     names : of the runs, in their order; they may be equal
     """
     steps, x = score.steps, list(range(1, len(names) + 1))
+    symbols = {"better": "triangle-up", "worse": "triangle-down"}
+    verdicts = [step.since_first if step.since_first in symbols else "" for step in steps]
     above, below = (
-        [
-            0.0 if end is None or step.mean is None else abs(end - step.mean)
-            for step, end in zip(steps, ends, strict=True)
-        ]
-        for ends in ([step.high for step in steps], [step.low for step in steps])
+        [0.0 if end is None or step.mean is None else abs(end - step.mean) for step, end in ends]
+        for ends in ([(step, step.high) for step in steps], [(step, step.low) for step in steps])
     )
     line = {
         "mode": "lines+markers",
@@ -378,15 +377,13 @@ def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
             "array": above, "arrayminus": below, "symmetric": False, "color": _SOFT, "thickness": 1.5, "width": 3,
         },
         "line": {"color": _SOFT, "width": 1.5},
-        "marker": {"size": 7, "color": _SOFT},
+        "marker": {
+            "size": [13 if verdict else 7 for verdict in verdicts],
+            "color": [of_theme(verdict) if verdict else _SOFT for verdict in verdicts],
+            "symbol": [symbols.get(verdict, "circle") for verdict in verdicts],
+        },
         "cliponaxis": False,
     }  # fmt: skip
-    marks = []
-    for verdict, symbol in (("better", "triangle-up"), ("worse", "triangle-down")):
-        own = [(place, step.mean) for place, step in zip(x, steps, strict=True) if step.since_first == verdict]
-        look = {"size": 13, "color": of_theme(verdict), "symbol": symbol}
-        places = {"x": [place for place, _ in own], "y": [mean for _, mean in own]}
-        marks.append({"mode": "markers", **places, "hoverinfo": "skip", "marker": look, "cliponaxis": False})
     first = steps[0].mean
     layout = {
         "shapes": [] if first is None else [_line(y=first, color=_SOFT, width=1, dash="dot")],
@@ -395,7 +392,7 @@ def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
         "showlegend": False,
         "margin": {"l": 50, "r": 12, "t": 10, "b": 40},
     }
-    return _chart([line, *marks], layout)
+    return _chart([line], layout)
 
 
 def _line(x: float | None = None, y: float | None = None, **look: Any) -> Chart:

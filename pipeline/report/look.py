@@ -71,3 +71,17 @@ def clipped(text: str, most: int = 22) -> str:
 def in_chart(name: str, most: int = 22) -> str:
     """A name for a text of plotly, which reads a little markup: shown, shortened, and without meaning as markup."""
     return escape(clipped(shown(name), most), quote=False)
+
+
+#: Colours that the pages' JavaScript draws with.
+PAGE_COLOURS = {
+    "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
+    "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
+    "ramps": RAMPS,
+    "signed": SIGNED_RAMP,
+    "quadrants": QUADRANT_COLOURS,
+    "outcomes": {
+        name: {"colour": on_page(colour), "words": OUTCOME_WORDS[name]} for name, colour in OUTCOME_COLOURS.items()
+    },
+    "none": GREY,
+}

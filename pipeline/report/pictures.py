@@ -1,4 +1,4 @@
-"""Pictures of one object: dots as seen by a camera, and the address at which a report shows it in 3D.
+"""Pictures of pieces as seen by a camera, the points of objects that changed, and addresses of objects in a report.
 
 The camera looks from the sensor's side, where the points are; the drawings have the colours of the page.
 """
@@ -18,6 +18,7 @@ from ...schemas.results import Evidence, Piece
 from ...stages.arrays import BoolArray, FloatArray
 from ..results.finished import FinishedRun
 from ..results.followed import SHARED_SCORES, ObjectChange
+from .aggregates import evenly
 from .figures.style import VIEW
 from .run_frames import GROUND_COLUMNS, Cloud, PairFrames, RunResults
 from .view import number
@@ -37,10 +38,9 @@ _AROUND_M = 1.0
 class Picture:
     """A drawing with its title and words.
 
-    link : address of the object in a report; "" if there is none
+    link : address of the object in the report
     layers : SVG paths of points: "others" in grey, then those of the sides
     bar, bar_m : a bar of some metres as the scale
-    points : the same dots in metres by layer: lists of x, y and z
     """
 
     title: str
@@ -49,28 +49,25 @@ class Picture:
     layers: dict[str, str]
     bar: float
     bar_m: float
-    points: dict[str, list[list[float]]]
 
 
 @dataclass(frozen=True)
 class _Box:
-    """Content of a picture.
+    """Content of a picture: points by kind, (n, 3), and the address of an object."""
 
-    low, high : corners of a box, (3,) each, whose middle the camera looks at
-    layers : points by kind, (n, 3)
-    framed : points that the picture is as wide and as high as, (n, 3)
-    """
-
-    low: FloatArray
-    high: FloatArray
     layers: dict[str, FloatArray]
-    framed: FloatArray
+    link: str
+
+    @property
+    def points(self) -> FloatArray:
+        """All points, which the picture is as wide and as high as."""
+        return np.concatenate([*self.layers.values()])
 
     @property
     def axes(self) -> FloatArray:
         """Right and up of the picture, (2, 3): from the sensor's side, turned by 25 degrees, and from above."""
-        centre = (self.low + self.high) / 2
-        azimuth = np.arctan2(-centre[1], -centre[0]) + np.radians(_TURN_DEG)
+        x, y, _ = (self.points.min(axis=0) + self.points.max(axis=0)) / 2
+        azimuth = np.arctan2(-y, -x) + np.radians(_TURN_DEG)
         elevation = np.radians(VIEW["elev"])
         up = [-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)]
         return np.array([[-np.sin(azimuth), np.cos(azimuth), 0.0], up])
@@ -78,7 +75,7 @@ class _Box:
     @property
     def span(self) -> FloatArray:
         """Lowest and highest place of the points along right and up, (2, 2)."""
-        places = self.framed @ self.axes.T
+        places = self.points @ self.axes.T
         return np.stack([places.min(axis=0), places.max(axis=0)])
 
     @property
@@ -86,32 +83,27 @@ class _Box:
         """The largest scale at which the box fits into a drawing, units per metre."""
         return float(((np.array(FRAME) - 2 * _MARGIN) / (np.ptp(self.span, axis=0) + _PAD_M)).min())
 
-    def drawn(self, scale: float, title: str, words: str, link: str = "") -> Picture:
+    def drawn(self, scale: float, title: str, words: str) -> Picture:
         """A picture without perspective, true to scale; points evenly over their order where they are too many."""
-        middle, paths, kept = self.span.mean(axis=0), {}, {}
+        middle, paths = self.span.mean(axis=0), {}
         for kind, points in self.layers.items():
-            n = min(len(points), _MOST_DOTS)
-            chosen = points[np.unique(np.linspace(0, len(points) - 1, n).round().astype(int))]
-            kept[kind] = chosen.T.round(2).tolist()
-            right, up = ((chosen @ self.axes.T - middle) * scale).T
+            right, up = ((_few(points) @ self.axes.T - middle) * scale).T
             dots = zip(FRAME[0] / 2 + right, FRAME[1] / 2 - up, strict=True)
             paths[kind] = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in dots)
         bar_m = max((m for m in _BARS_M if m * scale <= FRAME[0] / 3), default=_BARS_M[0])
-        return Picture(title, words, link, paths, bar_m * scale, bar_m, kept)
+        return Picture(title, words, self.link, paths, bar_m * scale, bar_m)
 
 
 def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[Picture]:
     """Pictures of the largest pieces, all to one scale: in colour the piece's points, everything else in grey."""
-    found = [_piece(results, piece) for piece in pieces]
-    scale = min((box.scale for box, _ in found), default=1.0)
+    boxes = [_piece(results, piece) for piece in pieces]
+    scale = min((box.scale for box in boxes), default=1.0)
     words = [f"{one.fate_words}; pair {one.pair_id}, {one.n_points:,} points" for one in pieces]
-    return [
-        box.drawn(scale, one.words, text, link) for one, text, (box, link) in zip(pieces, words, found, strict=True)
-    ]
+    return [box.drawn(scale, one.words, text) for one, text, box in zip(pieces, words, boxes, strict=True)]
 
 
-def _piece(results: RunResults, piece: Piece) -> tuple[_Box, str]:
-    """The box around a piece, and the address of the object that most of its points belong to."""
+def _piece(results: RunResults, piece: Piece) -> _Box:
+    """The points of a piece and those around it, with the address of the object that most of its points belong to."""
     tables = PairFrames(results, piece.pair_id)
     clouds = tables.clouds
     row = next(
@@ -134,48 +126,35 @@ def _piece(results: RunResults, piece: Piece) -> tuple[_Box, str]:
     others = np.concatenate([points[inside(points, low, high)] for points in around])
     layers = {"others": others, **{side: clouds[side].points[own] for side, own in is_own.items()}}
     communities = clouds[piece.side].community[is_own[piece.side]]
-    return _Box(low, high, layers, np.concatenate([*layers.values()])), object_address(
-        piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}"
-    )
+    return _Box(layers, object_address(piece.pair_id, f"{piece.side} {np.bincount(communities).argmax()}"))
 
 
-def draw_change(change: ObjectChange, runs: Sequence[FinishedRun], links: Sequence[str]) -> list[Picture]:
-    """Fate of an object: real points, simulated before and after, in one box and from one side.
+def draw_change(change: ObjectChange, runs: Sequence[FinishedRun]) -> list[dict[str, Any]]:
+    """The points of a real object, and the simulated ones before and after: words, own points, others in its box.
 
     Parameters
     ----------
     runs : the base and the other run
-    links : address of the object in the report of each; "" if there is none
 
     Raises
     ------
     RunError
         A table is damaged or gone.
     """
-    real = _cloud(runs[0], change.pair_id, "real")
-    clouds = [real, *(_cloud(run, change.pair_id, "sim") for run in runs)]
-    is_own = [
-        np.zeros(len(cloud.points), dtype=np.bool_) if own is None else cloud.community == own
-        for cloud, own in zip(clouds, (change.real_id, change.sim_before, change.sim_after), strict=True)
-    ]
+    clouds = [_cloud(runs[0], change.pair_id, "real"), *(_cloud(run, change.pair_id, "sim") for run in runs)]
+    ids = (change.real_id, change.sim_before, change.sim_after)
+    is_own = [np.equal(cloud.community, np.nan if i is None else i) for cloud, i in zip(clouds, ids, strict=True)]
     low, high = box_around(np.concatenate([cloud.points[own] for cloud, own in zip(clouds, is_own, strict=True)]))
-    framed = np.concatenate([cloud.points[inside(cloud.points, low, high)] for cloud in clouds])
-    words = [f"{change.n_points:,} points"]
-    for cloud, own, when in zip(clouds[1:], is_own[1:], ("before", "after"), strict=True):
-        scores = [f"{METRIC[score].label} {number(getattr(change, f'{score}_{when}'))}" for score in SHARED_SCORES]
-        n_others = np.count_nonzero(inside(cloud.points, low, high))
-        words.append(
-            f"{own.sum():,} points, {', '.join(scores)}"
-            if own.any()
-            else f"not matched; {n_others:,} points of other objects here"
-        )
-    pictures = []
-    titles = ("real", "simulated, before", "simulated, after")
-    for title, text, cloud, own, link in zip(titles, words, clouds, is_own, ("", *links), strict=True):
-        others = cloud.points[~own & inside(cloud.points, low, high)]
-        box = _Box(low, high, {"others": others, "real" if cloud is real else "sim": cloud.points[own]}, framed)
-        pictures.append(box.drawn(box.scale, title, text, link))
-    return pictures
+    places = []
+    for cloud, own, when in zip(clouds, is_own, ("", "before", "after"), strict=True):
+        others = inside(cloud.points, low, high) & ~own
+        scores = {METRIC[score].label: getattr(change, f"{score}_{when}") for score in SHARED_SCORES if when}
+        words = ", ".join([f"{own.sum():,} points", *(f"{name} {number(value)}" for name, value in scores.items())])
+        if not own.any():
+            words = f"not matched; {others.sum():,} points of other objects here"
+        layers = {"own": cloud.points[own], "others": cloud.points[others]}
+        places.append({"words": words} | {kind: _few(points).T.round(2).tolist() for kind, points in layers.items()})
+    return places
 
 
 def draw_evidence(evidence: Evidence) -> dict[str, Any]:
@@ -214,6 +193,12 @@ def object_address(pair_id: str, name: str) -> str:
     '#pair=0007&object=real%203'
     """
     return f"#{urlencode({'pair': pair_id, 'object': name}, quote_via=quote)}"
+
+
+def _few(points: FloatArray) -> FloatArray:
+    """At most `_MOST_DOTS` of some points, evenly over their order."""
+    few: FloatArray = points[np.array(evenly(len(points), _MOST_DOTS), dtype=np.intp)]
+    return few
 
 
 def _cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:

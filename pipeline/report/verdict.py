@@ -5,22 +5,21 @@ The answers of `results.overview`, which the terminal also shows, with links and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import orjson
 from pydantic import TypeAdapter
 
 from ...schemas.errors import RunError
-from ...schemas.results import Cause
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
 from ..results.overview import over_floor
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
 from .aggregates import quadrants
-from .pictures import Picture, draw_pieces
+from .pictures import draw_pieces
 from .run_frames import RunResults
-from .view import Note, View, number, percent, sentence
+from .view import Note, number, percent, sentence
 from .views.answer_view import change_words, pieces_words, surface_words
 from .views.run_view import coverage_table, dataset_table, surface_line, surface_table, unmatched_lines
 
@@ -32,66 +31,28 @@ _SCORES = (
 _MOST_CAUSES = 6
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A stacked bar.
+def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
+    """The first screen of a run's page, over a floor if there is one, and the section `details`.
 
-    name, value : what it is of, and the number that decides
-    note : the floor's number; "" without a floor
-    parts : from good to bad: kind (its look), words, share of the whole
+    is_met is True if the acceptance criteria of the last gate are met, None without any.
     """
-
-    name: str
-    value: str
-    note: str
-    parts: list[tuple[str, str, float]]
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The first screen.
-
-    sentence, pieces : surface and pieces
-    bars : surface of both sides by distance to the other one, and real objects by quadrant
-    causes : most severe first
-    is_met, good_enough : True if the acceptance criteria of the last gate are met, None without any; sentences
-    warning : that scans seem to lie in another frame, which makes all numbers wrong; "" if none does
-    change : since the results that this run replaced
-    details : the section that follows: scores, surface, its displacement, what is behind the unmatched objects
-    """
-
-    sentence: str
-    pieces: str
-    bars: list[Bar]
-    causes: tuple[Cause, ...]
-    worst: list[Picture]
-    is_met: bool | None
-    good_enough: list[str]
-    warning: str
-    change: str
-    trust: list[str]
-    details: View
-
-
-def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
-    """The first screen of a run's page, over a floor if there is one."""
     record = results.run.record
     overview = over_floor(results.run, excess.floor) if excess else results.run.overview
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)
-    return Verdict(
-        sentence=sentence(surface_words(record, excess)),
-        pieces=sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
-        bars=_bars(results, excess),
-        causes=overview.causes[:_MOST_CAUSES],
-        worst=draw_pieces(results, overview.pieces),
-        is_met=is_met,
-        good_enough=good_enough,
-        warning=" ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
-        change=sentence(change_words(record)) if record.previous else "",
-        trust=[sentence(one.words) for one in overview.trust if one.kind not in ("frames", "failed")],
-        details=[
+    return {
+        "sentence": sentence(surface_words(record, excess)),
+        "pieces": sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
+        "bars": _bars(results, excess),
+        "causes": overview.causes[:_MOST_CAUSES],
+        "worst": draw_pieces(results, overview.pieces),
+        "is_met": is_met,
+        "good_enough": good_enough,
+        "warning": " ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
+        "change": sentence(change_words(record)) if record.previous else "",
+        "trust": [sentence(one.words) for one in overview.trust if one.kind not in ("frames", "failed")],
+        "details": [
             dataset_table(record, _SCORES),
             Note("Unmatched as worst: each missing and each invented object counted with the worst value."),
             coverage_table(record),
@@ -99,11 +60,15 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> Verdict:
             surface_table(overview),
             *map(Note, (*unmatched_lines(record), surface_line(record))),
         ],
-    )
+    }
 
 
-def _bars(results: RunResults, excess: RunExcess | None) -> list[Bar]:
-    summary, bars = results.run.record.summary, []
+def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]:
+    """Stacked bars: surface of both sides by distance to the other one, and real objects by quadrant.
+
+    The parts of each, from good to bad, are kind (its look), words, and share of the whole.
+    """
+    summary, bars = results.run.record.summary, list[dict[str, Any]]()
     for side, name, alone in (("real", "Real surface", "missing"), ("sim", "Simulated surface", "invented")):
         reaches = [f"covered_{side}_{reach}" for reach in ("0p1m", "0p3m", "1m")]
         ends = [0.0, *(summary[column].mean or 0.0 for column in reaches), 1.0]
@@ -113,15 +78,14 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[Bar]:
             for i, (text, low, high) in enumerate(zip(words, ends[:-1], ends[1:], strict=True))
         ]
         note = f"floor {percent(excess.scores[reaches[1]].floor)}" if excess else ""
-        bars.append(Bar(name, f"{percent(ends[2])} within 0.3 m", note, parts))
+        bars.append({"name": name, "value": f"{percent(ends[2])} within 0.3 m", "note": note, "parts": parts})
     counted = quadrants(results)
     n_missing = int((results.unmatched.status == "missing").sum())
     n_all = max(1, len(results.matched) + n_missing)
     fates = {**{name: counted[key]["n"] for key, name in {**QUADRANTS, UNKNOWN: UNKNOWN}.items()}, "missing": n_missing}
     kinds = (*QUADRANTS, "unknown", "real step3")
     shares = [(kind, name, n / n_all) for kind, (name, n) in zip(kinds, fates.items(), strict=True)]
-    bars.append(Bar("Real objects", f"{percent(shares[0][2])} faithful", "", shares))
-    return bars
+    return [*bars, {"name": "Real objects", "value": f"{percent(shares[0][2])} faithful", "parts": shares}]
 
 
 def limits_in_words() -> str:

@@ -316,7 +316,7 @@ def test_markdown_and_csv_hold_the_scores_and_the_notes_name_what_is_left_out(ve
 
 
 @pytest.mark.exhaustive
-def test_the_worst_changes_have_pictures_linked_into_both_reports(versions, tmp_path):
+def test_the_worst_changes_are_in_3d_and_linked_into_both_reports(versions, tmp_path):
     runs = [shutil.copytree(folder, tmp_path / folder.name) for folder in versions]
     for folder in runs:
         write_report(folder)
@@ -326,7 +326,7 @@ def test_the_worst_changes_have_pictures_linked_into_both_reports(versions, tmp_
     assert {one.kind for one in worst} <= {"worse", "vanished"}
     page = Tags()
     page.feed(compare_page(found, tmp_path / "pages"))
-    assert page.tags.count("svg") == 3 * len(worst)
+    assert page.tags.count("option") == len(worst) + 3, "and three themes"
     links = [urlsplit(link) for link in page.links if link != "data:," and not link.startswith("#")]
     wanted = {(one.pair_id, f"real {one.real_id}") for one in worst}
     for folder in runs:
@@ -336,14 +336,14 @@ def test_the_worst_changes_have_pictures_linked_into_both_reports(versions, tmp_
     assert all("+" not in link.fragment and " " not in link.fragment for link in links)
 
 
-def test_a_picture_shows_the_points_of_its_object(versions):
+def test_a_changed_object_has_its_points_before_and_after(versions):
     found = compare_runs(versions)[0]
     one = next(change for change in found.objects if change.kind == "vanished")
-    real, before, after = draw_change(one, [*map(FinishedRun, versions)], ["", ""])
-    assert real.layers["real"].count("M") == min(one.n_points, 1000)
-    assert before.layers["sim"].count("M") > 0
-    assert after.layers["sim"] == ""
-    assert after.words.startswith("not matched; ")
+    real, before, after = draw_change(one, [*map(FinishedRun, versions)])
+    assert [len(axis) for axis in real["own"]] == [min(one.n_points, 1000)] * 3
+    assert len(before["own"][0]) > 0
+    assert after["own"] == [[], [], []]
+    assert after["words"].startswith("not matched; ")
 
 
 def gate(*words):

@@ -128,7 +128,7 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ru
     folder = request.getfixturevalue(run_of)
     matching, covered = pd.read_parquet(folder / "matching"), coverage_of(folder).covered_0p3m
     pairs = pd.read_parquet(folder / "pairs.parquet").query("status == 'scored'")
-    details = verdict_of(read_results(folder)).details
+    details = verdict_of(read_results(folder))["details"]
     said = " ".join(part.text for part in details if isinstance(part, Note))
     for status, side in (("missing", "real"), ("hallucinated", "sim")):
         alone = matching[matching.status == status]
@@ -146,11 +146,11 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ru
 def test_the_verdict_has_coverage_displacement_and_roughness_over_pairs(by_reference):
     pairs = pd.read_parquet(by_reference / "pairs.parquet")
     verdict = verdict_of(read_results(by_reference))
-    surface = next(part.text for part in verdict.details if isinstance(part, Note) and "displaced" in part.text)
+    surface = next(part.text for part in verdict["details"] if isinstance(part, Note) and "displaced" in part.text)
     vector = ", ".join(f"{axis} {pairs[f'shift_{axis}_m'].mean():.3f}" for axis in "xyz")
     assert f"displaced by {vector} m (mean over pairs; mean length {pairs.shift_m.mean():.3f} m)" in surface
     assert f"median roughness is {pairs.roughness_sim_m.mean():.3f} m, that of the real one" in surface
-    coverage = next(part for part in verdict.details if isinstance(part, Table) and part.headings[0] == "share of")
+    coverage = next(part for part in verdict["details"] if isinstance(part, Table) and part.headings[0] == "share of")
     real, sim = coverage.rows
     assert list(coverage.headings[1:]) == ["within 0.1 m", "within 0.3 m", "within 1 m"]
     for side, row in (("real", real), ("sim", sim)):
@@ -244,11 +244,11 @@ def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
     verdict = verdict_of(read_results(report_run))
     real, sim = (f"{100 * pairs[f'covered_{side}_0p3m'].mean():.0f} %" for side in ("real", "sim"))
-    assert verdict.sentence.startswith(f"{real} of the real surface is simulated within 0.3 m, {sim} of the")
+    assert verdict["sentence"].startswith(f"{real} of the real surface is simulated within 0.3 m, {sim} of the")
     counts = [pairs[f"n_{kind}_pieces"].mean() for kind in ("missing", "invented")]
-    assert verdict.pieces == "{:.1f} pieces missing and {:.1f} invented per pair.".format(*counts)
+    assert verdict["pieces"] == "{:.1f} pieces missing and {:.1f} invented per pair.".format(*counts)
     page = words(page_of(written))
-    for cause in verdict.causes:
+    for cause in verdict["causes"]:
         assert cause.words in page
         assert cause.setting in page
 
@@ -257,7 +257,7 @@ def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
 def test_scores_are_means_of_pairs_parquet_with_the_papers_only_under_its_preset(run_of, request):
     folder = request.getfixturevalue(run_of)
     pairs = pd.read_parquet(folder / "pairs.parquet").query("status == 'scored'")
-    scores = verdict_of(read_results(folder)).details[0]
+    scores = verdict_of(read_results(folder))["details"][0]
     rows = {row[0]: dict(zip(scores.headings, row, strict=True)) for row in scores.cells}
     assert (rows["r_lambda"]["mean"], rows["r_lambda"]["std"]) == (
         f"{pairs.r_lambda_mean.mean():.3f}",
@@ -271,7 +271,7 @@ def test_object_scores_say_of_how_many_pairs_they_are_and_what_they_are_with_unm
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
     n_unmatched = pairs.n_missing + pairs.n_hallucinated
     worst = (pairs.cdc_mean.fillna(0) * pairs.n_matched + 2 * n_unmatched) / (pairs.n_matched + n_unmatched)
-    scores = verdict_of(read_results(report_run)).details[0]
+    scores = verdict_of(read_results(report_run))["details"][0]
     of = {row[0]: dict(zip(scores.headings, row, strict=True)) for row in scores.cells}
     assert of["CDC"]["pairs"] == f"{pairs.cdc_mean.count()} of {len(pairs)}"
     assert of["CDC"]["unmatched\nas worst"] == f"{worst.mean():.3f}"
@@ -283,7 +283,7 @@ def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_referenc
     pieces = FinishedRun(by_reference).record.overview.pieces
     made = write_report(by_reference, out=tmp_path)
     page = made.page.read_text("utf-8")
-    pictures = verdict_of(read_results(by_reference)).worst
+    pictures = verdict_of(read_results(by_reference))["worst"]
     assert len(pictures) == len(pieces) > 0
     for picture, piece in zip(pictures, pieces, strict=True):
         asked = parse_qs(picture.link.removeprefix("#"))
@@ -298,15 +298,15 @@ def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_referenc
 def test_a_gate_of_before_is_judged_anew_and_the_first_screen_says_whether_it_is_met(report_run, tmp_path):
     folder = shutil.copytree(report_run, tmp_path / "run")
     verdict = verdict_of(read_results(folder))
-    assert verdict.is_met is None
-    assert "No acceptance limits are set yet" in verdict.good_enough[0]
+    assert verdict["is_met"] is None
+    assert "No acceptance limits are set yet" in verdict["good_enough"][0]
     for limit, is_met, said in (("1", True, "Yes: "), ("0", False, "No: ")):
         command("gate", folder, "--max", f"cdc.mean={limit}", "--max", "pairs.failed=9", "--max", "pairs.changed=9")
         verdict = verdict_of(read_results(folder))
-        assert (verdict.is_met, verdict.good_enough[0][: len(said)]) == (is_met, said)
-    assert any("cdc.mean <= 0: " in text.lower() for text in verdict.good_enough)
+        assert (verdict["is_met"], verdict["good_enough"][0][: len(said)]) == (is_met, said)
+    assert any("cdc.mean <= 0: " in text.lower() for text in verdict["good_enough"])
     (folder / "gate.json").write_text('{"criteria": [{"name": 1}]}')
-    assert verdict_of(read_results(folder)).is_met is None
+    assert verdict_of(read_results(folder))["is_met"] is None
 
 
 def test_a_class_says_of_how_many_objects_a_mean_is_where_some_have_no_score(report_run):
@@ -407,7 +407,7 @@ def test_objects_without_a_score_are_in_no_quadrant(tmp_path):
     run(dataset, tmp_path / "run", load(None, ["graph.edges=intersection", "graph.tau_m=0.01"]))
     results = read_results(tmp_path / "run")
     assert quadrants(results)["no score"]["n"] == len(results.matched) > 0
-    means = {row[0]: row[1] for row in verdict_of(results).details[0].cells}
+    means = {row[0]: row[1] for row in verdict_of(results)["details"][0].cells}
     assert means["r_lambda"] == "-" != means["CDC"]
     assert write_report(tmp_path / "run").page.exists()
 

@@ -16,8 +16,8 @@ from ...results.history import History
 from ...storage.table_files import file_stem
 from ...terminal import STEERING
 from ..charts import change_chart, history_chart
-from ..look import SIDE_COLOURS, on_page
-from ..pictures import FRAME, draw_change, object_address
+from ..look import PAGE_COLOURS
+from ..pictures import draw_change, object_address
 from ..view import Table, shortened, signed
 from ..views.compare_view import (
     OBJECTS_NOTE,
@@ -62,10 +62,8 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
     data = {
         "charts": {f"changes_{i}": change_chart(section["by_effect"]) for i, section in enumerate(sections)},
         "steering": STEERING,
-        "colours": {"sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()}},
-        "places": [
-            [[picture.points for picture in pictures] for _, pictures in section["pictures"]] for section in sections
-        ],
+        "colours": PAGE_COLOURS,
+        "places": [[draw_change(one, section["runs"]) for one in section["worst"]] for section in sections],
     }
     return render(
         "compare.html",
@@ -73,7 +71,6 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
         sections=sections,
         method=method,
         arrows=MARKS_NOTE,
-        frame=FRAME,
     )
 
 
@@ -92,7 +89,7 @@ def history_page(history: History) -> str:
 
 
 def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
-    """One run against the base: `comparison` itself, its tables, pictures of the worst changes, and links."""
+    """One run against the base: `comparison` itself, its tables, its worst changes, and links."""
     objects = changed(comparison)
     by_effect = sorted(comparison.scores, key=lambda score: (score.verdict not in DECIDED, -abs(score.clarity)))
     families = {
@@ -104,7 +101,6 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
     pairs = comparison.pairs[:MOST_PAIRS]
     runs = [FinishedRun(folder) for folder in (comparison.base, comparison.other)]
     links = [[_report_link(run.folder, one, start) for run in runs] for one in objects[:MOST_OBJECTS]]
-    worst = worst_changes(comparison.objects)
     first = f" (the first {MOST_OBJECTS} of {len(objects)})" if len(objects) > MOST_OBJECTS else ""
     pairs_title = (
         f"Pairs (the first {MOST_PAIRS} of {len(comparison.pairs)})" if len(comparison.pairs) > MOST_PAIRS else "Pairs"
@@ -119,9 +115,8 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
         "n_decided": (len(families[True]), len(families[False])),
         "causes": [cause_table(comparison)] if comparison.causes else [],
         "remarks": remarks(comparison),
-        "pictures": [
-            (one, draw_change(one, runs, [_report_link(run.folder, one, start) for run in runs])) for one in worst
-        ],
+        "runs": runs,
+        "worst": worst_changes(comparison.objects),
         "without_report": [
             run.folder for run, own in zip(runs, zip(*links, strict=True), strict=False) if not any(own)
         ],

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ....schemas.columns import SIDES
-from ....stages.arrays import BoolArray, FloatArray, IndexArray
-from ....stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
+from ....stages.arrays import FloatArray, IndexArray
+from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
 from ..aggregates import plain_rows
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
@@ -123,7 +123,6 @@ def _counted(tables: PairFrames, side: str, shown: IndexArray) -> dict[str, Any]
 def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> dict[str, Any]:
     """Packed columns of a pair by name; `lines` are the places of aligned nodes among the points of either side."""
     columns: dict[str, Any] = {}
-    aligned = _aligned_distances(tables)
     lines = np.ones(len(tables.selection), dtype=bool)
     places = {}
     real = np.concatenate([tables.clouds["real"].points, tables.road["real"]])
@@ -136,8 +135,7 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
         lines &= places[side] >= 0
         columns |= _in_steps(side, cloud.points[own], step_m)
         columns[f"{side}_distance"] = _as_bytes(tables.distances_m[side][own])
-        columns[f"{side}_aligned"] = _as_bytes(aligned[side][own])
-        columns[f"{side}_kept"] = _marked(len(place), nodes)[own].astype(np.uint8)
+        columns[f"{side}_kept"] = np.isin(own, nodes).astype(np.uint8)
         columns[f"{side}_piece"] = tables.is_piece(side)[own].astype(np.uint8)
         columns |= _in_steps(f"{side}_road", road, step_m)
         if side == "sim":
@@ -145,27 +143,6 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
             columns["sim_signed"], columns["sim_road_signed"] = np.split(_signed_bytes(signed), [len(own)])
     order = np.argsort(places["real"][lines], kind="stable")
     return columns | {f"{side}_line": places[side][lines][order].astype(np.int32) for side in SIDES}
-
-
-def _marked(n: int, places: IndexArray) -> BoolArray:
-    marked = np.zeros(n, dtype=bool)
-    marked[places] = True
-    return marked
-
-
-def _aligned_distances(tables: PairFrames) -> dict[str, FloatArray]:
-    """Distance of each point of a matched object to its partner, the simulated object moved onto the real one.
-
-    Infinite for the points of other objects.
-    """
-    real, sim = (tables.clouds[side] for side in SIDES)
-    found = {side: np.full(len(tables.clouds[side].points), np.inf) for side in SIDES}
-    for real_id, sim_id in zip(tables.matched.real_id, tables.matched.sim_id, strict=True):
-        moved = sim.members(sim_id) + tables.alignment_moves[real_id]
-        to_sim, to_real = nearest_distances(real.members(real_id), moved)
-        found["real"][real.community == real_id] = to_sim
-        found["sim"][sim.community == sim_id] = to_real
-    return found
 
 
 def _some_road(road: FloatArray) -> FloatArray:

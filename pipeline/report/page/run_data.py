@@ -17,18 +17,7 @@ from ...results.floor import RunExcess
 from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits, stage_times
 from ..charts import MOST_DOTS, run_charts
-from ..look import (
-    FATE_COLOURS,
-    GREY,
-    OUTCOME_COLOURS,
-    OUTCOME_WORDS,
-    QUADRANT_COLOURS,
-    RAMPS,
-    SIDE_COLOURS,
-    SIGNED_RAMP,
-    SIGNED_RAMP_M,
-    on_page,
-)
+from ..look import PAGE_COLOURS, SIDE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_evidence
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
 from ..verdict import limits_in_words, verdict_of
@@ -76,18 +65,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
         "names": results.pairs.pair_id.tolist(),
         "charts": {name: chart for name, (chart, _) in charts.items()},
         "alternatives": {name: words for name, (_, words) in charts.items()},
-        "colours": {
-            "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
-            "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
-            "ramps": RAMPS,
-            "signed": SIGNED_RAMP,
-            "quadrants": {key: on_page(colour) for key, colour in QUADRANT_COLOURS.items()},
-            "outcomes": {
-                name: {"colour": on_page(colour), "words": OUTCOME_WORDS[name]}
-                for name, colour in OUTCOME_COLOURS.items()
-            },
-            "none": GREY,
-        },
+        "colours": PAGE_COLOURS,
         "far_m": FAR_M,
         "signed_m": SIGNED_M,
         "signed_ramp_m": SIGNED_RAMP_M,

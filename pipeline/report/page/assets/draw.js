@@ -16,7 +16,7 @@ export function paint(colour) {
 // A copy of a chart in the colours of now; only what is named a colour is one, so that no name of a pair is.
 const themed = (chart) =>
   JSON.parse(JSON.stringify(chart), (key, value) =>
-    key.endsWith("color") && typeof value === "string" ? paint(value) : value,
+    key.endsWith("color") ? (Array.isArray(value) ? value.map(paint) : paint(value)) : value,
   );
 
 const resizes = new ResizeObserver((changes) => {

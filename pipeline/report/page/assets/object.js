@@ -1,30 +1,9 @@
-// The panel of a chosen object: what is wrong with it, its numbers, and both sides in one box, as given or aligned.
+// What is said of a chosen object: its title, what is wrong with it, its numbers, how its points are drawn.
 
-import { byId, paint, report } from "./draw.js";
-import {
-  at,
-  cameraAt,
-  colouring,
-  distanceWords,
-  dots,
-  drawInSpace,
-  extent,
-  objectTitle,
-  ownPlaces,
-  plotText,
-  roadDots,
-  roadWords,
-  SIDE_WORDS,
-  SIDES,
-  say,
-  sideColour,
-  sizeOf,
-  strokes,
-  xyz,
-} from "./points.js";
+import { byId, report } from "./draw.js";
+import { objectTitle, roadWords, SIDE_WORDS, say } from "./points.js";
 import { counted, element, NULL_SIGN, number, shorten } from "./tables.js";
 
-const MARGIN_M = 0.3;
 const MOST_FIRST = 8;
 
 // pair: {name, view, objects, points}; link: the address of both
@@ -78,65 +57,8 @@ function judged(object) {
   );
 }
 
-// The points of one object of both sides in one box, coloured as the scene; simulated ones moved onto the real ones if
-// that is chosen. isNew: seen from the side of the sensor, else by the camera of now.
-export function drawOverlay({ objects, points }, place, isNew) {
-  const object = objects[place];
-  const isAligned = Boolean(object.move) && byId("lie").value === "aligned";
-  const by = byId("colour").value;
-  const shades = colouring({ objects, points }, by, isAligned);
-  const places = Object.fromEntries(SIDES.map((side) => [side, ownPlaces(points, side, place)]));
-  const moved = (set, move = [0, 0, 0]) => xyz((axis) => set[axis].map((value) => value + move["xyz".indexOf(axis)]));
-  const given = at(points.sim, places.sim);
-  const sets = { real: at(points.real, places.real), sim: isAligned ? moved(given, object.move) : given };
-  // The box is that of both ways to lie, so that the eye can compare them.
-  const ranges = extent([sets.real, given, moved(given, object.move)], MARGIN_M);
-  const data = [];
-  for (const side of SIDES.filter((one) => byId(`show_${one}`).checked)) {
-    if (!(isAligned && side === "sim")) {
-      const others = insideOf(points[side], ranges).filter((i) => points[side].object[i] !== place);
-      const text = others.map((i) => plotText(objectTitle(objects[points[side].object[i]])));
-      const hovertemplate = `other object, ${SIDE_WORDS[side]}: %{text}<extra></extra>`;
-      const look = { ...at(points[side], others), text, hovertemplate, opacity: 0.3 };
-      data.push(dots(`others ${side}`, sideColour(side), 1.6, look));
-      const road = points.road[side];
-      if (byId("show_road").checked) data.push(roadDots(side, road, insideOf(road, ranges), shades));
-    }
-    const steps = points[side][isAligned ? "aligned" : "distance"];
-    const text = places[side].map((i) => distanceWords(steps[i]));
-    const hovertemplate = `${SIDE_WORDS[side]}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{text} to the other side<extra></extra>`;
-    const [symbol, size] = by !== "side" && side === "sim" ? ["diamond", 3.2] : ["circle", 2.2];
-    const look = { ...sets[side], text, hovertemplate, symbol };
-    data.push(dots(`own ${side}`, shades.colours(side, places[side]), size, look));
-  }
-  if (object.move && byId("show_lines").checked) {
-    const own = [...points.lines.real.keys()].filter((k) => points.real.object[points.lines.real[k]] === place);
-    const [from, to] = SIDES.map((side) =>
-      at(
-        points[side],
-        Array.from(own, (k) => points.lines[side][k]),
-      ),
-    );
-    const ends = [from, isAligned ? moved(to, object.move) : to];
-    const lines = own.flatMap((_, k) => ends.map((end) => xyz((axis) => end[axis][k])));
-    data.push(strokes("lines", paint("var(--soft)"), lines, 1.5));
-  }
-  const { layout, offsetWidth, offsetHeight } = byId("overlay");
-  const farther = Math.max(1.25, (1.3 * offsetHeight) / offsetWidth); // where the window is narrow
-  const camera = (!isNew && layout?.scene?.camera) || cameraAt(ranges, ranges, farther * sizeOf(ranges));
-  drawInSpace("overlay", data, camera, ranges);
-  sayOverlay(object, places, isAligned);
-}
-
-function insideOf({ x, y, z }, ranges) {
-  const holds = ([low, high], value) => low <= value && value <= high;
-  const inside = [];
-  for (let i = 0; i < x.length; i += 1)
-    if (holds(ranges.x, x[i]) && holds(ranges.y, y[i]) && holds(ranges.z, z[i])) inside.push(i);
-  return inside;
-}
-
-function sayOverlay(object, places, isAligned) {
+// places: of the drawn points by side; isAligned: simulated ones are moved onto the real ones.
+export function describePoints(object, places, isAligned) {
   const all = (side) => (object.side ? object.n_points : object[`n_${side}`]);
   const sides = Object.keys(object.owns);
   const parts = sides.map(
@@ -149,7 +71,7 @@ function sayOverlay(object, places, isAligned) {
     const move = object.move.map((value) => value.toFixed(2)).join(", ");
     notes.push(
       `Aligned: simulated points moved by (${move}) m, so that the kept nodes of both sides have one mean, as ` +
-        "node alignment uses; without rotation. CDC uses the points as given. Distances are to the moved partner.",
+        "node alignment uses; without rotation. CDC and all distances are those of the points as given.",
     );
   }
   say("overlay_note", notes.join(" "));

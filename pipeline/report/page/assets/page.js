@@ -2,10 +2,10 @@
 
 import { byId, ready, report, startCharts } from "./draw.js";
 import { linkTo, markRow, startScene } from "./scene.js";
-import { makeTable } from "./tables.js";
+import { startTable } from "./tables.js";
 
-makeTable(byId("pairs_table"), "pairs", report.pairs, (row) => linkTo(row.pair_id, null));
-makeTable(byId("objects_table"), "objects", report.objects, (row) => linkTo(row.pair_id, row.object.split(", ")[0]));
+startTable(byId("pairs_table"), "pairs", report.pairs, (row) => linkTo(row.pair_id, null));
+startTable(byId("objects_table"), "objects", report.objects, (row) => linkTo(row.pair_id, row.object.split(", ")[0]));
 for (const change of ["click", "input"]) byId("objects_table").addEventListener(change, markRow);
 startCharts();
 await startScene();

@@ -61,8 +61,7 @@ export function objectsOf(view) {
 }
 
 // By side the points, each with the place of its object among the objects (`object`), whether it is a kept node, its
-// distance to the other side (`distance`) and to its aligned partner (`aligned`), whether a piece that only one side has
-// holds it (`piece`), if simulated its signed distance to the planes of the real side (`signed`), and by place where the
+// distance to the other side (`distance`), whether a piece that only one side has holds it (`piece`), if simulated its signed distance to the planes of the real side (`signed`), and by place where the
 // points of an object are (`ranges`); the road points; and between which points lines of alignment are. Where the real
 // side fixes the objects, the few simulated points of a missing one bear its number and belong to it.
 export async function pointsOf(view, objects) {
@@ -86,7 +85,7 @@ export async function pointsOf(view, objects) {
       object.fill(owner.get(id), from, from + counts[k]);
       from += counts[k];
     });
-    const own = ["kept", "distance", "aligned", "piece", "signed"].map((name) => [name, columns[`${side}_${name}`]]);
+    const own = ["kept", "distance", "piece", "signed"].map((name) => [name, columns[`${side}_${name}`]]);
     points[side] = { ...inSpace(side), object, ranges, ...Object.fromEntries(own) };
     points.road[side] = { ...inSpace(`${side}_road`), signed: columns[`${side}_road_signed`] };
   }
@@ -158,8 +157,8 @@ const rampBar = (from, stops, to) => {
 };
 
 // How points are coloured: `colours` of some places of a side (one for all or one each), `words` of a place (or none),
-// the colour of a road point, and the legend. isAligned: distances are to the partner, moved onto it.
-export function colouring({ objects, points }, by, isAligned = false) {
+// the colour of a road point, and the legend.
+export function colouring({ objects, points }, by) {
   const { none, sides, fates, quadrants, signed, ramps } = report.colours;
   const ramp = ramps[isDark() ? "dark" : "light"];
   const bytes = Array.from({ length: FAR + 1 }, (_, step) => step);
@@ -191,10 +190,9 @@ export function colouring({ objects, points }, by, isAligned = false) {
     }),
     distance: () => {
       const shades = bytes.map((step) => rampColour(step / FAR, ramp));
-      const steps = (side) => points[side][isAligned ? "aligned" : "distance"];
       return {
-        colours: ofPoints((side, i) => shades[steps(side)[i]]),
-        words: (side, i) => `${distanceWords(steps(side)[i])} to the other side`,
+        colours: ofPoints((side, i) => shades[points[side].distance[i]]),
+        words: (side, i) => `${distanceWords(points[side].distance[i])} to the other side`,
         legend: [
           rampBar("0", ramp, `${report.far_m} m or more to the nearest point of the other side`),
           "Far real points are missing surface, far simulated ones invented surface.",

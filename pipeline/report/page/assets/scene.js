@@ -1,12 +1,13 @@
 // The 3D view of a pair: its points, the road, the sensor, which object is chosen, and the address of that object.
 
 import { byId, draw, drawInView, paint, report } from "./draw.js";
-import { describe, drawOverlay } from "./object.js";
+import { describe, describePoints } from "./object.js";
 import {
   at,
   boxEdges,
   cameraAt,
   colouring,
+  distanceWords,
   dots,
   drawInSpace,
   extent,
@@ -27,12 +28,14 @@ import {
   strokes,
   swatch,
   turnTogether,
+  xyz,
 } from "./points.js";
 import { counted, element, number, shorten } from "./tables.js";
 
 const MOST_DRAWN = 9000; // of a side in the whole pair, and of each object at least FEWEST_DRAWN; the panel has all
 const FEWEST_DRAWN = 80;
 const BOX_MARGIN_M = 0.2;
+const PANEL_MARGIN_M = 0.3;
 const SENSOR_AXIS_M = 4;
 // pair: {name, view, objects, points, drawn, ranges}, the open one; opening: the name of the one being opened
 const scene = { pair: null, opening: null, chosen: null, hovered: null };
@@ -188,12 +191,69 @@ function redrawPair() {
   showPanel(false);
 }
 
+// The points of one object of both sides in one box, coloured as the scene; simulated ones moved onto the real ones if
+// that is chosen. isNew: seen from the side of the sensor, else by the camera of now.
+function drawObject({ objects, points }, place, isNew) {
+  const object = objects[place];
+  const isAligned = Boolean(object.move) && byId("lie").value === "aligned";
+  const by = byId("colour").value;
+  const shades = colouring({ objects, points }, by);
+  const places = Object.fromEntries(SIDES.map((side) => [side, ownPlaces(points, side, place)]));
+  const moved = (set, move = [0, 0, 0]) => xyz((axis) => set[axis].map((value) => value + move["xyz".indexOf(axis)]));
+  const given = at(points.sim, places.sim);
+  const sets = { real: at(points.real, places.real), sim: isAligned ? moved(given, object.move) : given };
+  // The box is that of both ways to lie, so that the eye can compare them.
+  const ranges = extent([sets.real, given, moved(given, object.move)], PANEL_MARGIN_M);
+  const data = [];
+  for (const side of SIDES.filter((one) => byId(`show_${one}`).checked)) {
+    if (!(isAligned && side === "sim")) {
+      const others = insideOf(points[side], ranges).filter((i) => points[side].object[i] !== place);
+      const text = others.map((i) => plotText(objectTitle(objects[points[side].object[i]])));
+      const hovertemplate = `other object, ${SIDE_WORDS[side]}: %{text}<extra></extra>`;
+      const look = { ...at(points[side], others), text, hovertemplate, opacity: 0.3 };
+      data.push(dots(`others ${side}`, sideColour(side), 1.6, look));
+      const road = points.road[side];
+      if (byId("show_road").checked) data.push(roadDots(side, road, insideOf(road, ranges), shades));
+    }
+    const text = places[side].map((i) => distanceWords(points[side].distance[i]));
+    const hovertemplate = `${SIDE_WORDS[side]}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{text} to the other side<extra></extra>`;
+    const [symbol, size] = by !== "side" && side === "sim" ? ["diamond", 3.2] : ["circle", 2.2];
+    const look = { ...sets[side], text, hovertemplate, symbol };
+    data.push(dots(`own ${side}`, shades.colours(side, places[side]), size, look));
+  }
+  if (object.move && byId("show_lines").checked) {
+    const own = [...points.lines.real.keys()].filter((k) => points.real.object[points.lines.real[k]] === place);
+    const [from, to] = SIDES.map((side) =>
+      at(
+        points[side],
+        Array.from(own, (k) => points.lines[side][k]),
+      ),
+    );
+    const ends = [from, isAligned ? moved(to, object.move) : to];
+    const lines = own.flatMap((_, k) => ends.map((end) => xyz((axis) => end[axis][k])));
+    data.push(strokes("lines", paint("var(--soft)"), lines, 1.5));
+  }
+  const { layout, offsetWidth, offsetHeight } = byId("overlay");
+  const farther = Math.max(1.25, (1.3 * offsetHeight) / offsetWidth); // where the window is narrow
+  const camera = (!isNew && layout?.scene?.camera) || cameraAt(ranges, ranges, farther * sizeOf(ranges));
+  drawInSpace("overlay", data, camera, ranges);
+  describePoints(object, places, isAligned);
+}
+
+function insideOf({ x, y, z }, ranges) {
+  const holds = ([low, high], value) => low <= value && value <= high;
+  const inside = [];
+  for (let i = 0; i < x.length; i += 1)
+    if (holds(ranges.x, x[i]) && holds(ranges.y, y[i]) && holds(ranges.z, z[i])) inside.push(i);
+  return inside;
+}
+
 // Draws the chosen object when the panel is in view, from the side of the sensor if it is new there.
 function showPanel(isNew) {
   let looksAnew = isNew;
   drawInView("overlay", () => {
     if (scene.chosen === null) return;
-    drawOverlay(scene.pair, placeOf(scene.chosen), looksAnew);
+    drawObject(scene.pair, placeOf(scene.chosen), looksAnew);
     looksAnew = false;
     turnTogether(["scene", "overlay"]);
   });

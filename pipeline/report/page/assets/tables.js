@@ -50,32 +50,19 @@ function columnAtEnd(text, columns) {
 // Rows that match a filter such as "wall range (m) > 30": all its words and all its bounds hold. A bound that cannot be
 // read is ignored, with the reason in `problem`.
 function filterRows(filter, columns, rows) {
-  const text = (row) =>
-    columns
-      .filter((column) => column.text)
-      .map((column) => plainText(row[column.key] ?? ""))
-      .join(" ");
-  const [bounds, words, problems] = [[], [], []];
-  const add = (found) => words.push(...plainText(found).split(" ").filter(Boolean));
-  const bound = /([^<>=]*?)\s*(<=|>=|<|>|=)\s*("[^"]*"|\S*)/g;
-  let end = 0;
-  for (const [whole, left, sign, right] of filter.matchAll(bound)) {
-    end = filter.indexOf(whole, end) + whole.length;
+  const texts = columns.filter((column) => column.text);
+  const textOf = (row) => texts.map(({ key }) => plainText(row[key] ?? "")).join(" ");
+  const [bounds, problems] = [[], []];
+  const rest = filter.replace(/([^<>=]*?)\s*(<=|>=|<|>|=)\s*("[^"]*"|\S*)/g, (whole, left, sign, right) => {
     const own = columnAtEnd(plainText(left), columns);
-    const word = plainText(whole)
-      .split(" ")
-      .find((part) => part.includes(sign));
-    if (!own && word !== sign && rows.some((row) => text(row).includes(word))) {
-      add(whole);
-      continue;
-    }
     if (!own) {
+      const words = plainText(whole).split(" ");
+      const word = words.find((part) => part.includes(sign));
+      if (word !== sign && rows.some((row) => textOf(row).includes(word))) return whole;
       const name = /\S+(\s*\([^)]*\))?$/.exec(left.trim())?.[0] ?? "";
-      add(left.trim().slice(0, left.trim().length - name.length));
       problems.push(`no such column: ${name || "(none)"}. There are: ${columns.map(({ title }) => title).join("; ")}.`);
-      continue;
+      return `${left.trim().slice(0, left.trim().length - name.length)} `;
     }
-    add(own.before);
     const { key, title, text: isText } = own.column;
     const value = right.replaceAll('"', "");
     if (isText && sign === "=") bounds.push((row) => plainText(row[key] ?? "") === plainText(value));
@@ -83,9 +70,10 @@ function filterRows(filter, columns, rows) {
     else if (value === "" || Number.isNaN(Number(value)))
       problems.push(`${title} ${sign} ${value || "?"}: expected a number.`);
     else bounds.push((row) => typeof row[key] === "number" && COMPARE[sign](row[key], Number(value)));
-  }
-  add(filter.slice(end));
-  const isShown = (row) => bounds.every((holds) => holds(row)) && words.every((word) => text(row).includes(word));
+    return `${own.before} `;
+  });
+  const words = plainText(rest).split(" ");
+  const isShown = (row) => bounds.every((holds) => holds(row)) && words.every((word) => textOf(row).includes(word));
   return { isShown, problem: problems.join(" ") };
 }
 
@@ -100,21 +88,17 @@ function order(a, b, isUp) {
 }
 
 // table: {columns: [{key, title, about, text, up, digits}], rows, note}
-// action(row): the address that the row's first cell leads to, a function that it calls, or null
-export function makeTable(place, what, { columns, rows: lists, note }, action) {
+// linkOf(row): the address that the row's first cell leads to, or null
+export function startTable(place, what, { columns, rows: lists, note }, linkOf) {
   const rows = records(
     columns.map(({ key }) => key),
     lists,
   );
   const state = { sort: null, isUp: true, n: ROWS_AT_ONCE };
-  const filter = element("input", null, {
-    type: "search",
-    "aria-label": `Filter ${what}`,
-    placeholder: "words, or r_lambda > 0.5",
-    title: `Words, and bounds on columns: ${columns.map((column) => column.title).join("; ")}`,
-  });
-  const count = element("p", null, { class: "note", role: "status" });
-  const body = element("tbody");
+  const part = (selector) => place.querySelector(selector);
+  const [filter, count, hint, box, body] = ["input", ".count", ".scroll", ".box", "tbody"].map(part);
+  const [clear, more] = [".clear", ".more"].map(part);
+  filter.title = `Words, and bounds on columns: ${columns.map(({ title }) => title).join("; ")}`;
   const heads = columns.map((column) => {
     const title = column.about ? `${column.title}. ${column.about}` : column.title;
     const button = element("button", column.title, { type: "button", title });
@@ -125,68 +109,41 @@ export function makeTable(place, what, { columns, rows: lists, note }, action) {
     });
     return element("th", null, { scope: "col", class: column.text ? "text" : "" }, button);
   });
-  const table = element("table", null, {}, element("thead", null, {}, element("tr", null, {}, ...heads)), body);
-  const more = element("button", "Show more", { type: "button" });
-  more.addEventListener("click", () => {
-    state.n += 5 * ROWS_AT_ONCE;
-    fill();
-  });
-  filter.addEventListener("input", () => {
-    state.n = ROWS_AT_ONCE;
-    fill();
-  });
-  const clear = element("button", "Nothing matches: clear the filter", { type: "button" });
+  part("thead tr").replaceChildren(...heads);
+  more.addEventListener("click", () => fill(state.n + 5 * ROWS_AT_ONCE));
+  filter.addEventListener("input", () => fill(ROWS_AT_ONCE));
   clear.addEventListener("click", () => {
     filter.value = "";
     fill();
     filter.focus();
   });
-  const box = element(
-    "div",
-    null,
-    { class: "box", tabindex: 0, role: "region", "aria-label": `Table of ${what}` },
-    table,
-  );
-  const hint = element("p", "more columns on the right: scroll \u2192", { class: "note scroll" });
   const isWider = () => hint.classList.toggle("needed", box.scrollWidth - box.clientWidth - box.scrollLeft > 2);
   box.addEventListener("scroll", isWider);
   new ResizeObserver(isWider).observe(box);
-  place.append(
-    element("div", null, { class: "controls" }, element("label", "Filter ", {}, filter)),
-    count,
-    hint,
-    box,
-    clear,
-    more,
-  );
 
   function cellOf(row, column, isFirst) {
     const value = row[column.key];
     const text = typeof value === "number" ? number(value, column.digits) : (value ?? NULL_SIGN);
     if (!column.text) return element("td", text);
-    const does = isFirst ? action(row) : null;
-    if (does === null) return element("td", text, { class: "text", dir: "auto", title: shown(text) });
-    const isLink = typeof does === "string";
-    const inside = isLink
-      ? element("a", text, { href: does, title: shown(text) })
-      : element("button", text, { type: "button", title: `Show ${shown(text)}` });
-    if (!isLink) inside.addEventListener("click", does);
-    return element("td", null, { class: "text", dir: "auto" }, inside);
+    const href = isFirst ? linkOf(row) : null;
+    const look = { class: "text", dir: "auto", title: shown(text) };
+    return href === null ? element("td", text, look) : element("td", null, look, element("a", text, { href }));
   }
 
-  function fill() {
+  function fill(n = state.n) {
+    state.n = n;
     const { isShown, problem } = filterRows(filter.value, columns, rows);
     const chosen = rows.filter(isShown);
     if (state.sort !== null) chosen.sort((a, b) => order(a[state.sort], b[state.sort], state.isUp));
-    const first = chosen.slice(0, state.n);
+    const first = chosen.slice(0, n);
     body.replaceChildren(
       ...first.map((row) => element("tr", null, {}, ...columns.map((column, k) => cellOf(row, column, k === 0)))),
     );
     heads.forEach((head, k) => {
       head.setAttribute("aria-sort", columns[k].key !== state.sort ? "none" : state.isUp ? "ascending" : "descending");
     });
-    const part = first.length < chosen.length ? `, the first ${first.length} shown` : "";
-    count.textContent = `${problem ? `${shown(problem)} ` : ""}${counted(chosen.length)} of ${counted(rows.length)} ${what}${part}. ${state.sort === null ? note : ""}`;
+    const some = first.length < chosen.length ? `, the first ${first.length} shown` : "";
+    count.textContent = `${problem ? `${shown(problem)} ` : ""}${counted(chosen.length)} of ${counted(rows.length)} ${what}${some}. ${state.sort === null ? note : ""}`;
     more.hidden = first.length === chosen.length;
     clear.hidden = chosen.length > 0 || filter.value === "";
   }
