@@ -1,4 +1,4 @@
-// What is said of a chosen object: its title, what is wrong with it, its numbers, how its points are drawn.
+// A chosen object in words: its title, what is wrong with it, its numbers, and which of its points are drawn.
 
 import { byId, report } from "./draw.js";
 import { objectTitle, roadWords, SIDE_WORDS, say } from "./points.js";
