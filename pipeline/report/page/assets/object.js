@@ -1,4 +1,4 @@
-// A chosen object in words: its title, what is wrong with it, its numbers, and which of its points are drawn.
+// The panel of a chosen object: its title, what is wrong with it, its numbers, and which of its points are drawn.
 
 import { byId, report } from "./draw.js";
 import { objectTitle, roadWords, SIDE_WORDS, say } from "./points.js";
