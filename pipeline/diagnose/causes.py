@@ -187,11 +187,8 @@ def confirm(
     while True:
         found = correct(kept)
         before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
-        gain_m = {
-            own.model.name: float(np.mean([pair.by_cause[own.model.name] for pair in found]))
-            for own in kept
-            if own.model.name in found[0].by_cause
-        }
+        names = [own.model.name for own in kept if own.model.name in found[0].by_cause]
+        gain_m = {name: float(np.mean([pair.by_cause[name] for pair in found])) for name in names}
         if before_m - floor_m < LEAST_EXCESS_M:
             return kept, doubtful, found
         least = {name: LEAST_PART_MOVED if name in PARAMETERS else LEAST_PART for name in gain_m}

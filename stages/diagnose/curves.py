@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..surface import describe_surface, signed_distances
-from .evidence import PairEstimates, PairScans, Side, find_unmatched, foliage_steps
+from .evidence import PairEstimates, PairScans, find_unmatched, foliage_steps
 
 _POINTS = 4000  # of the simulated side, evenly
 _REACH_M = 0.5
@@ -69,7 +69,7 @@ def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, Fl
         values = {side: own.roughness_m[own.is_plane] for side, own in surfaces.items()}
         return {side: _percent(own, edges, len(own)) for side, own in values.items()}
     if kind in ("pieces", "foliage"):
-        real, sim = Side.of(scans.real), Side.of(found.displacement.undo(scans.sim, scans.sim_is_ground))
+        real, sim = scans.sides(found.displacement)
         if kind == "foliage":
             _, step_m = foliage_steps(real, sim)
             return {"sim": _percent(step_m, edges, len(step_m))}

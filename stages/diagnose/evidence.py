@@ -44,11 +44,12 @@ class Side:
     """A side's clean points with what is derived from them once.
 
     points : (n, 3) float64, metres
-    range_m : (n,)
+    is_ground, range_m : (n,)
     cell : (n,) direction, by cells of 2 degrees
     """
 
     points: FloatArray
+    is_ground: BoolArray
     range_m: FloatArray
     cell: IndexArray
 
@@ -59,18 +60,19 @@ class Side:
         return directions
 
     @classmethod
-    def of(cls, points: FloatArray) -> Side:
+    def of(cls, points: FloatArray, is_ground: BoolArray) -> Side:
         """A side from its points."""
         range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
         azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
         elevation = np.degrees(np.arcsin(points[:, 2] / range_m)) + 90.0
         n_around = round(360.0 / _CELL_DEG)
         cell = (elevation // _CELL_DEG).astype(np.intp) * n_around + (azimuth // _CELL_DEG).astype(np.intp) % n_around
-        return cls(points, range_m, cell)
+        return cls(points, is_ground, range_m, cell)
 
     def without(self, is_left_out: BoolArray) -> Side:
         """The side without some points."""
-        return Side(self.points[~is_left_out], self.range_m[~is_left_out], self.cell[~is_left_out])
+        keep = ~is_left_out
+        return Side(self.points[keep], self.is_ground[keep], self.range_m[keep], self.cell[keep])
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class Unmatched:
     is_beyond : farther than the other side ever returns
     is_clutter : near the sensor
     is_piece : others, in groups
-    is_moved : those of a piece that has one of the other side next to it
+    is_moved : those of objects that have one of the other side next to them
     """
 
     is_beyond: BoolArray
@@ -90,14 +92,17 @@ class Unmatched:
 
 
 def find_unmatched(a: Side, b: Side, step_deg: float = 0.0) -> tuple[Unmatched, Unmatched]:
-    """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range."""
+    """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range.
+
+    Road is not moved: it is seen where an object is missing.
+    """
     found = _unmatched(a, b, step_deg), _unmatched(b, a, step_deg)
-    pieces = [side.points[own.is_piece] for side, own in zip((a, b), found, strict=True)]
-    if min(map(len, pieces)):
-        for own, points, others in zip(found, pieces, pieces[::-1], strict=True):
-            is_near = np.isfinite(cKDTree(others).query(points, distance_upper_bound=_MOVED_M)[0])
-            own.is_moved[own.is_piece] = is_near
-            own.is_piece[own.is_piece] = ~is_near
+    objects = [own.is_piece & ~side.is_ground for side, own in zip((a, b), found, strict=True)]
+    others = b.points[objects[1]], a.points[objects[0]]
+    for own, side, is_object, points in zip(found, (a, b), objects, others, strict=True):
+        apart, _ = cKDTree(points).query(side.points[is_object], distance_upper_bound=_MOVED_M)
+        own.is_moved[is_object] = np.isfinite(apart)
+        own.is_piece[own.is_moved] = False
     return found
 
 
@@ -107,9 +112,8 @@ def _unmatched(side: Side, other: Side, step_deg: float) -> Unmatched:
     is_beyond = side.range_m > other.range_m.max()
     is_piece = is_apart & ~is_beyond
     rows = np.flatnonzero(is_piece)
-    if len(rows):
-        n_near = cKDTree(side.points[rows]).query_ball_point(side.points[rows], _CLUSTER_M, return_length=True)
-        is_piece[rows] = n_near > _CLUSTER * np.maximum(CLUTTER_M / side.range_m[rows], 1.0) ** 2
+    n_near = cKDTree(side.points[rows]).query_ball_point(side.points[rows], _CLUSTER_M, return_length=True)
+    is_piece[rows] = n_near > _CLUSTER * np.maximum(CLUTTER_M / side.range_m[rows], 1.0) ** 2
     is_clutter = is_apart & ~is_piece & (side.range_m < CLUTTER_M)
     return Unmatched(is_beyond, is_clutter, is_piece, np.zeros(len(is_piece), np.bool_))
 
@@ -133,6 +137,11 @@ class PairScans:
     def by_side(self) -> dict[str, FloatArray]:
         """The points of both sides."""
         return {"real": self.real, "sim": self.sim}
+
+    def sides(self, displacement: Displacement) -> tuple[Side, Side]:
+        """Both sides, the simulated one without its displacement."""
+        sim = displacement.undo(self.sim, self.sim_is_ground)
+        return Side.of(self.real, self.real_is_ground), Side.of(sim, self.sim_is_ground)
 
 
 @dataclass(frozen=True)
@@ -160,14 +169,14 @@ def estimate(scans: PairScans) -> PairEstimates | None:
     displacement = fit_displacement(scans.real, scans.sim, scans.real_is_ground)
     if displacement is None:
         return None
-    sim = displacement.undo(scans.sim, scans.sim_is_ground)
+    real, sim = scans.sides(displacement)
     real_sensor, sim_sensor = scans.sensors
     n_real, n_sim = (side["n_beams"] or 0.0 for side in scans.sensors)
     if n_real and abs(n_sim - n_real) > _DOUBTFUL_BEAMS:  # a displaced scan has blurred beams
-        again = sensor_row(describe_sensor(sim))
+        again = sensor_row(describe_sensor(sim.points))
         sim_sensor = {**sim_sensor, "n_beams": again["n_beams"] or sim_sensor["n_beams"]} if n_sim else again
     found = PairEstimates(displacement, (real_sensor, sim_sensor), {})
-    found.amounts.update(_amounts(Side.of(scans.real), Side.of(sim), found))
+    found.amounts.update(_amounts(real, sim, found))
     return found
 
 

@@ -100,7 +100,7 @@ def corrections(
     found : estimates of the pair
     excess : by cause to be corrected, its amount over the floor
     """
-    a, b = Side.of(scans.real), Side.of(found.displacement.undo(scans.sim, scans.sim_is_ground))
+    a, b = scans.sides(found.displacement)
     missing, invented = find_unmatched(a, b, found.step_deg)
     others = ~(missing.is_beyond | missing.is_piece | missing.is_moved | missing.is_clutter)
     made: dict[str, Correction] = {}
