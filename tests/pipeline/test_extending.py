@@ -47,7 +47,7 @@ def section_of(title):
 def blocks_of(title):
     """The Python and CSV of a section, block by block."""
     texts = re.split(r"```(?:python|csv)\n(.*?)```", section_of(title), flags=re.DOTALL)
-    return [Block(FILE.findall(text)[-1], code) for text, code in zip(texts[::2], texts[1::2], strict=False)]
+    return [Block(FILE.findall("".join(texts[:i:2]))[-1], texts[i]) for i in range(1, len(texts), 2)]
 
 
 def files_of(title):
