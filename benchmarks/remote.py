@@ -3,10 +3,12 @@
     python benchmarks/remote.py DATASET [N_SMALL] [POINTS]      by default 1000 small pairs of 300 points
 
 An S3 server (moto, in Python) runs on the same machine and takes part of it, so that ratios of wall time are upper
-limits. Local and remote runs of DATASET alternate; then N_SMALL small pairs, as in small_pairs.py.
+limits. Local and remote runs of DATASET alternate, and one on a dask cluster whose workers keep no table; then N_SMALL
+small pairs, as in small_pairs.py.
 """
 
 import collections
+import json
 import os
 import re
 import subprocess
@@ -16,7 +18,8 @@ from pathlib import Path
 from urllib.request import Request, urlopen
 
 import psutil
-from measure import machine, repeated, scratch, weigh
+from measure import FIDPIPE, machine, repeated, scratch, weigh
+from scale import start
 from small_pairs import N_FILES
 
 from fidpipe.pipeline.object_store import list_objects, write_object
@@ -86,6 +89,25 @@ def pair_of_runs(server, folder, dataset, url, name):
     print(f"  peak memory of the command: {peaks[0]} MiB local, {peaks[1]} MiB remote", flush=True)
 
 
+def on_a_cluster(server, folder, url):
+    """A run whose workers read and write tables at the URL alone."""
+    file = folder / "scheduler.json"
+    options = ("--scheduler-file", file, "--host", "127.0.0.1", "--no-dashboard")
+    scheduler = start([FIDPIPE.with_name("dask"), "scheduler", "--port", "0", *options], folder)
+    while not (file.exists() and file.read_text()):
+        time.sleep(0.1)
+    words = ("--nworkers", str(WORKERS), "--nthreads", "1", "--memory-limit", "4GiB")
+    workers = start([FIDPIPE.with_name("dask"), "worker", *options, *words], folder)
+    try:
+        before, address = server.requests(), json.loads(file.read_text())["address"]
+        run = weigh("run", url, "--out", f"{URL}/runs/cluster", "--scheduler", address)
+        print(f"cluster: wall {run.wall_s:.1f} s; requests {dict(server.requests() - before)}", flush=True)
+    finally:
+        workers.terminate()
+        workers.wait()
+        scheduler.kill()
+
+
 def main(dataset, n_small=1000, points=300):
     print(machine())
     with scratch() as folder:
@@ -94,6 +116,7 @@ def main(dataset, n_small=1000, points=300):
             upload(Path(dataset), f"{URL}/set")
             for i in range(REPEATS):
                 pair_of_runs(server, folder, dataset, f"{URL}/set", f"whole{i}")
+            on_a_cluster(server, folder, f"{URL}/set")
             small = folder / "small"
             weigh("synth", small, "--pairs", min(N_FILES, n_small), "--points", points, "--workers", WORKERS)
             upload(small, f"{URL}/small")
