@@ -322,12 +322,20 @@ def _partners(a: _Side, b: _Side) -> IntArray:
     row, near = row[order], near[order]
     partner, is_taken = np.full(len(a.points), -1, dtype=np.int32), np.zeros(len(b.points), dtype=np.bool_)
     while len(row):  # a pair that comes first for both of its returns is the nearest pair of both
-        first = np.intersect1d(np.unique(row, return_index=True)[1], np.unique(near, return_index=True)[1])
+        first = np.flatnonzero(_is_first(row, len(partner)) & _is_first(near, len(is_taken)))
         partner[row[first]] = near[first]
         is_taken[near[first]] = True
         is_free = (partner[row] < 0) & ~is_taken[near]
         row, near = row[is_free], near[is_free]
     return partner
+
+
+def _is_first(values: IndexArray, n: int) -> BoolArray:
+    """True where a value, from 0 to n - 1, occurs for the first time."""
+    first, places = np.empty(n, dtype=np.intp), np.arange(len(values))
+    first[values[::-1]] = places[::-1]  # the last assignment counts
+    is_first: BoolArray = first[values] == places
+    return is_first
 
 
 def _phase(a: _Side, row: IndexArray, azimuth: FloatArray) -> FloatArray:
@@ -399,11 +407,12 @@ def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int
     column = (np.maximum.accumulate(column - rank + base) - base + rank).astype(np.intp)
     most = np.maximum(n_columns, count)[beam] - count[beam] + rank
     column = np.minimum(column, most)
-    silent = [np.setdiff1d(np.arange(n_columns), column[beam == number]) for number in range(n_beams)]
-    n_silent = sum(map(len, silent))
+    is_silent = np.ones((n_beams, n_columns), dtype=np.bool_)
+    is_silent[beam[column < n_columns], column[column < n_columns]] = False
+    silent = np.nonzero(is_silent)
+    n_silent = len(silent[0])
     empty = {"outcome": NONE, "real_row": -1, "sim_row": -1}
-    beams = np.concatenate([beam, np.repeat(np.arange(n_beams), [len(own) for own in silent])])
-    columns = np.concatenate([column, *silent])
+    beams, columns = np.concatenate([beam, silent[0]]), np.concatenate([column, silent[1]])
     final = np.lexsort((columns, beams))
     filled = {
         name: np.concatenate([own[order], np.full(n_silent, empty.get(name, np.nan), dtype=own.dtype)])[final]

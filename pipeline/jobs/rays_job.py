@@ -56,10 +56,10 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
         return JobResult({name: TABLES[name].from_rows([]) for name in ("rays", "ray_scores")}, {OF_PAIR: of_pair})
     returned = [pa.array(rows, mask=rows < 0) for rows in (rays.real_row, rays.sim_row)]
     ids, labels = (
-        [table.column(name).take(rows) for table, rows in zip(ground, returned, strict=True)]
+        [table.column(name).combine_chunks().take(rows) for table, rows in zip(ground, returned, strict=True)]
         for name in ("point_id", "label")
     )
-    label = pc.if_else(pa.array(rays.real_row >= 0), *(names.combine_chunks() for names in labels)).cast(pa.string())
+    label = pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string())
     table = TABLES["rays"].build(
         {
             "pair_id": pair_id,
