@@ -18,7 +18,6 @@ from .run_frames import RunResults
 SCORES = ("r_lambda", "cdc")
 #: Fewer objects have no quartiles.
 FEWEST_IN_BOX = 3
-_FATES = ("matched", "missing", "hallucinated")
 _RANGE_BIN_M, _MOST_RANGE_BINS = 10.0, 12
 _QUARTILES = {"q1": 0.25, "median": 0.5, "q3": 0.75}
 _COLOURED = (0.02, 0.98)
@@ -60,18 +59,16 @@ def ray_outcomes(results: RunResults) -> pd.DataFrame:
     return total
 
 
-def range_bins(results: RunResults) -> tuple[list[str], pd.Series, pd.Series]:
-    """Names of bins of the distance from the sensor, and the bin of each matched and of each unmatched object.
+def range_bins(objects: pd.DataFrame) -> tuple[list[str], pd.Series]:
+    """Names of bins of the distance from the sensor, and the bin of each object.
 
     Bins of 10 m from 0 to the farthest object; of 20, 30 ... m where those were more than twelve.
     """
-    ranges_m = [results.matched.range_m, results.unmatched.range_m]
-    farthest_m = max((float(rows.max()) for rows in ranges_m if len(rows)), default=0.0)
+    farthest_m = float(objects.range_m.max()) if len(objects) else 0.0
     width = _RANGE_BIN_M * max(1, math.ceil(farthest_m / (_RANGE_BIN_M * _MOST_RANGE_BINS)))
     lows = [width * i for i in range(math.floor(farthest_m / width) + 1)]
     names = [f"{low:g} to {low + width:g} m" for low in lows]
-    matched, unmatched = ((rows // width).astype(int).map(dict(enumerate(names))) for rows in ranges_m)
-    return names, matched, unmatched
+    return names, (objects.range_m // width).astype(int).map(dict(enumerate(names)))
 
 
 def score_spread(matched: pd.DataFrame, group: pd.Series, names: list[str]) -> dict[str, pd.DataFrame]:
@@ -88,22 +85,6 @@ def score_spread(matched: pd.DataFrame, group: pd.Series, names: list[str]) -> d
         rows.loc[rows.n < FEWEST_IN_BOX, ["q1", "q3"]] = np.nan
         by_score[score] = rows
     return by_score
-
-
-def binned_fates(results: RunResults) -> pd.DataFrame:
-    """By bin of range: objects by fate, matched ones at their real side, and the missing and hallucinated shares.
-
-    missing_share = missing / (matched + missing), hallucinated_share = hallucinated / (matched + hallucinated); NaN
-    for sides without objects.
-    """
-    names, matched, unmatched = range_bins(results)
-    fates = [*["matched"] * len(matched), *results.unmatched.status]
-    counts = pd.crosstab(np.array([*matched, *unmatched], dtype=object), np.array(fates, dtype=object))
-    counts = counts.reindex(index=names, columns=list(_FATES), fill_value=0)
-    for fate in ("missing", "hallucinated"):
-        n_all = counts.matched + counts[fate]
-        counts[f"{fate}_share"] = (counts[fate] / n_all).where(n_all > 0)
-    return counts
 
 
 def along_the_sequence(results: RunResults, times_s: Mapping[str, float]) -> tuple[bool, pd.DataFrame]:
@@ -132,7 +113,8 @@ def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
 
 def stage_times(results: RunResults) -> pd.DataFrame:
     """By stage and step in the order of the pipeline: median over pairs of the `seconds` of both sides together."""
-    times = results.timings[results.timings.pair_id.isin(results.pairs.pair_id)]
+    times: pd.DataFrame = results.run.read_table("timings").to_pandas()
+    times = times[times.pair_id.isin(results.pairs.pair_id)]
     order = [*results.run.record.stages, *times.stage]
     times = times.assign(stage=pd.Categorical(times.stage, list(dict.fromkeys(order))))
     per_pair = times.groupby(["stage", "step", "pair_id"], sort=False, observed=True).seconds.sum()

@@ -16,6 +16,7 @@ import orjson
 import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC
+from ...schemas.results import Evidence
 from ..results.compare import recorded_times_s
 from ..results.families import ScoreChange
 from ..results.history import FamilyHistory
@@ -25,7 +26,6 @@ from .aggregates import (  # fmt: skip
     SCORES,
     along_the_sequence,
     axis_title,
-    binned_fates,
     evenly,
     quadrants,
     range_bins,
@@ -33,12 +33,14 @@ from .aggregates import (  # fmt: skip
     score_spread,
 )
 from .look import (
+    BLUE,
     FATE_COLOURS,
     GREY,
     OUTCOME_COLOURS,
     OUTCOME_WORDS,
     QUADRANT_COLOURS,
     SCORE_COLOURS,
+    VERMILION,
     in_chart,
     of_theme,
     on_page,
@@ -83,7 +85,7 @@ TEMPLATE: Chart = {
 def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
     """The charts of a whole run with their sentences, by the id of their place in the page."""
     matched = results.matched
-    ranges, range_of, _ = range_bins(results)
+    ranges, range_of = range_bins(matched)
     classes = matched.group.value_counts().index[:MOST_CLASSES].tolist()
     return {
         "quadrants": _quadrants(results),
@@ -91,7 +93,6 @@ def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
         "scores_class": _spread(results.class_is, score_spread(matched, matched.group, classes)),
         "sequence": _sequence(*along_the_sequence(results, recorded_times_s(results.run))),
         "polar": _polar(results.unmatched),
-        "fates_range": _fates_by(binned_fates(results)),
         **({"rays_range": _rays(rays)} if len(rays := ray_outcomes(results)) else {}),
     }
 
@@ -221,54 +222,17 @@ def _spread(what: str, scores: dict[str, pd.DataFrame]) -> CaptionedChart:
         f"{shown(name)} {_both({score: rows['median'][name] for score, rows in scores.items()})} of {n[name]}"
         for name in n.index[n > 0]
     )
-    axis = {"range": [0, 1.08 * highest or 1], "title": {"text": "score"}}
-    return _above_counts(data, axis, n), f"Medians by {what}: {medians}"
-
-
-def _fates_by(fates: pd.DataFrame) -> CaptionedChart:
-    """Share of the real objects missing in each bin, and of the simulated ones hallucinated; their number."""
-    data: list[Chart] = []
-    for fate, side, symbol in (("missing", "real", "circle-open"), ("hallucinated", "simulated", "x-thin")):
-        colour, n_all = on_page(FATE_COLOURS[fate]), fates.matched + fates[fate]
-        words = [f"{name}: {n:,} of {of:,}" for (name, n), of in zip(fates[fate].items(), n_all, strict=True)]
-        data.append(
-            {
-                "mode": "lines+markers",
-                "name": f"{fate}, share of the {side}",
-                "x": np.arange(len(fates)),
-                "y": fates[f"{fate}_share"].to_numpy(),
-                "customdata": words,
-                "hovertemplate": f"%{{customdata}} {side} objects {fate}, %{{y:.0%}}<extra></extra>",
-                "line": {"color": colour, "width": 1, "dash": "dot"},
-                "marker": {"color": colour, "size": 8, "symbol": symbol, "line": {"width": 2, "color": colour}},
-            }
-        )
-    n = fates.matched + fates.missing + fates.hallucinated
-    known = fates[n > 0]
-    shares = _listed(
-        f"{name} {_share(missing)} and {_share(invented)}"
-        for name, missing, invented in zip(known.index, known.missing_share, known.hallucinated_share, strict=True)
-    )
-    axis = {"range": [-0.03, 1.03], "tickformat": ".0%", "title": {"text": "share"}}
-    title = "Missing share of the real and hallucinated share of the simulated objects by distance"
-    return _above_counts(data, axis, n), f"{title}: {shares}"
-
-
-def _above_counts(data: list[Chart], axis: Chart, counts: pd.Series[int]) -> Chart:
-    """The same traces with the number of objects in each group below."""
-    places = np.arange(len(counts))
-    bars = {
-        **{"type": "bar", "name": "number of objects", "x": places, "y": counts.to_numpy(), "yaxis": "y2"},
-        **{"marker": {"color": _SOFT}, "hovertemplate": "%{y} objects<extra></extra>"},
-    }
-    ticks = {"tickvals": places, "ticktext": [in_chart(name, 14) for name in counts.index]}
+    places = np.arange(len(n))
+    bars = {"type": "bar", "name": "number of objects", "x": places, "y": n.to_numpy(), "yaxis": "y2"}
+    data.append({**bars, "marker": {"color": _SOFT}, "hovertemplate": "%{y} objects<extra></extra>"})
+    ticks = {"tickvals": places, "ticktext": [in_chart(str(name), 14) for name in n.index]}
     layout = {
-        "xaxis": {"anchor": "y2", "range": [-0.6, len(counts) - 0.4], "showgrid": False, **ticks},
-        "yaxis": {"domain": [0.34, 1], **axis},
+        "xaxis": {"anchor": "y2", "range": [-0.6, len(n) - 0.4], "showgrid": False, **ticks},
+        "yaxis": {"domain": [0.34, 1], "range": [0, 1.08 * highest or 1], "title": {"text": "score"}},
         "yaxis2": {"domain": [0, 0.22], "rangemode": "tozero", "nticks": 3},
         "margin": {"t": 30},
     }
-    return _chart([*data, bars], layout)
+    return _chart(data, layout), f"Medians by {what}: {medians}"
 
 
 def _sequence(has_times: bool, pairs: pd.DataFrame) -> CaptionedChart:
@@ -300,6 +264,31 @@ def _sequence(has_times: bool, pairs: pd.DataFrame) -> CaptionedChart:
     }
     order = "time" if has_times else "name"
     return _chart(data, layout), f"Each of {len(pairs)} pairs by {order}, lowest to highest: {_listed(ends)}"
+
+
+def evidence_chart(evidence: Evidence) -> CaptionedChart:
+    """Curves of the evidence of a cause where they are not all 0."""
+    looks = {
+        "real": (evidence.real, BLUE, "solid"),
+        "simulated": (evidence.sim, VERMILION, "solid"),
+        "corrected": (evidence.corrected, VERMILION, "dot"),
+    }
+    known = {name: (np.array(values), colour, dash) for name, (values, colour, dash) in looks.items() if values}
+    places = np.flatnonzero(np.max([values for values, *_ in known.values()], axis=0))
+    own = slice(max(0, places[0] - 1), places[-1] + 2) if len(places) else slice(None)
+    x = np.array(evidence.x)[own]
+    data = [
+        {"mode": "lines", "name": name, "x": x, "y": values[own], "line": {"color": on_page(colour), "dash": dash}}
+        for name, (values, colour, dash) in known.items()
+    ]
+    small = {"size": 9}
+    layout = {
+        "title": {"text": evidence.x_label, "font": small, "x": 0, "y": 0.01, "yanchor": "bottom"},
+        "xaxis": {"nticks": 6},
+        "yaxis": {"nticks": 4, "title": {"text": evidence.y_label, "font": small}},
+        **{"showlegend": False, "margin": {"l": 36, "r": 8, "t": 8, "b": 34}, "font": small},
+    }
+    return _chart(data, layout), f"{evidence.y_label} over {evidence.x_label}, {x[0]:.3g} to {x[-1]:.3g}"
 
 
 def change_chart(scores: Sequence[ScoreChange]) -> Chart:
@@ -413,10 +402,6 @@ def _both(values: dict[str, float | None]) -> str:
         f"{METRIC[score].label} {'not known' if value is None or pd.isna(value) else f'{value:.2f}'}"
         for score, value in values.items()
     )
-
-
-def _share(value: float) -> str:
-    return "none there" if pd.isna(value) else f"{100 * value:.0f} %"
 
 
 def _opening(objects: pd.DataFrame, what: str, ids: Iterable[int]) -> dict[str, Any]:

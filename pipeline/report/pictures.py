@@ -14,7 +14,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import METRIC
-from ...schemas.results import Evidence, Piece
+from ...schemas.results import Piece
 from ...stages.arrays import BoolArray, FloatArray
 from ..results.finished import FinishedRun
 from ..results.followed import SHARED_SCORES, ObjectChange
@@ -155,22 +155,6 @@ def draw_change(change: ObjectChange, runs: Sequence[FinishedRun]) -> list[dict[
         layers = {"own": cloud.points[own], "others": cloud.points[others]}
         places.append({"words": words} | {kind: _few(points).T.round(2).tolist() for kind, points in layers.items()})
     return places
-
-
-def draw_evidence(evidence: Evidence) -> dict[str, Any]:
-    """Curves of the evidence of a cause in the frame of a drawing, with labels and the ends of the axis."""
-    sides = {"real": evidence.real, "corrected": evidence.corrected, "sim": evidence.sim}
-    known = {side: np.array(values) for side, values in sides.items() if values is not None}
-    shown = np.flatnonzero(np.max([*known.values()], axis=0))
-    own = slice(max(0, shown[0] - 1), shown[-1] + 2) if len(shown) else slice(None)
-    x, highest = np.array(evidence.x)[own], max(values.max() for values in known.values()) or 1.0
-    across = 24 + 268 * (x - x[0]) / (np.ptp(x) or 1.0)
-    paths = {}
-    for side, values in known.items():
-        dots = zip(across, 180 - 150 * values[own] / highest, strict=True)
-        paths[side] = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in dots)
-    ends = [f"{end:.4g}" for end in (x[0], x[-1])]
-    return {"paths": paths, "ends": ends, "x_label": evidence.x_label, "y_label": evidence.y_label}
 
 
 def box_around(points: FloatArray) -> tuple[FloatArray, FloatArray]:

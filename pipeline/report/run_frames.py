@@ -41,7 +41,6 @@ class RunResults:
     failures : why each failed pair failed
     matched : `metrics` with place and class (`group`) of the real object, and `quadrant`; worst first
     unmatched : `objects` that only one side has, with class and `status` (missing or hallucinated); largest first
-    timings : `timings.parquet`
     class_is : "class" where the scans are labelled, else "shape"
 
     Objects also have `pair`, the position of their pair among `pairs`, `name`, such as "real 3" (a matched one that of
@@ -53,7 +52,6 @@ class RunResults:
     failures: dict[str, str]
     matched: pd.DataFrame
     unmatched: pd.DataFrame
-    timings: pd.DataFrame
     class_is: str
 
     def select(self, pattern: str | None) -> list[str]:
@@ -103,7 +101,6 @@ def read_results(folder: Path) -> RunResults:
         failures=failures,
         matched=matched,
         unmatched=unmatched,
-        timings=run.read_table("timings").to_pandas(),
         class_is="class" if is_labelled else "shape",
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
-from fidpipe.pipeline.report.page.run_data import page_words
+from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.diagnosis import DIAGNOSIS
@@ -65,8 +65,8 @@ def test_the_flaw_is_the_first_cause_everywhere(runs):
     peaks = {name: curves.x[int(np.argmax(getattr(curves, name)))] for name in ("sim", "corrected")}
     assert peaks["sim"] == pytest.approx(-TOO_LOW_M, abs=0.02), "the road lies behind the real one"
     assert peaks["corrected"] == pytest.approx(0.0, abs=0.02)
-    drawing = page_words(read_results(low))["evidence"]["height"]
-    assert drawing["paths"].keys() == {"sim", "corrected"}
+    chart = page_data(read_results(low))["charts"]["cause_height"]
+    assert [curve["name"] for curve in chart["data"]] == ["simulated", "corrected"]
     assert json.loads((low / DIAGNOSIS).read_text()) == json.loads(shown.stdout)
     assert "world 15 cm too low" in command("show", low).stdout
     assert "world 15 cm too low" in command("diagnose", low, "--floor", good, "--markdown").stdout

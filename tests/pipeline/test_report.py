@@ -19,7 +19,6 @@ from typer.testing import CliRunner
 from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.aggregates import (
     along_the_sequence,
-    binned_fates,
     quadrants,
     range_bins,
     score_limits,
@@ -424,7 +423,7 @@ def placed(range_m, bearing_deg, **columns):
 def test_scores_are_binned_by_range_with_median_quartiles_and_number():
     scores = {"r_lambda": [0.1, 0.2, 0.3, 0.6, np.nan], "cdc": [1.0, 1.2, 1.4, 0.5, 0.7]}
     results = placed([1.0, 5.0, 9.9, 10.0, 35.0], [0.0] * 5, **scores)
-    names, own, _ = range_bins(results)
+    names, own = range_bins(results.matched)
     assert names == ["0 to 10 m", "10 to 20 m", "20 to 30 m", "30 to 40 m"]
     rows = score_spread(results.matched, own, names)
     assert rows["r_lambda"].n.tolist() == [3, 1, 0, 0]
@@ -437,16 +436,8 @@ def test_scores_are_binned_by_range_with_median_quartiles_and_number():
 
 def test_far_objects_are_binned_more_coarsely():
     results = placed([1.0, 125.0], [0.0, 0.0])
-    names, *_ = range_bins(results)
+    names, _ = range_bins(results.matched)
     assert (names[-1], len(names)) == ("120 to 140 m", 7)
-
-
-def test_shares_of_missing_and_hallucinated_objects_are_of_the_objects_of_their_own_side():
-    results = placed([1.0, 12.0, 15.0, 39.0], [0.0, 10.0, 178.0, 90.0])
-    fates = binned_fates(results)
-    assert fates.matched.tolist() == [1, 2, 0, 1]
-    assert fates.missing_share.tolist() == pytest.approx([0, 1 / 3, np.nan, 0], nan_ok=True)
-    assert fates.hallucinated_share.tolist() == pytest.approx([0, 0, np.nan, 1 / 2], nan_ok=True)
 
 
 def test_pairs_are_in_the_order_of_time_only_where_each_has_one():

@@ -640,7 +640,7 @@ def test_every_chart_has_a_text_alternative(page):
         "return [...document.querySelectorAll('.chart')].map((one) => [one.id, one.getAttribute('role'), "
         "one.getAttribute('aria-label') ?? document.getElementById(one.getAttribute('aria-labelledby'))?.textContent])"
     )
-    assert len(charts) == 9
+    assert len(charts) == 8
     for name, role, text in charts:
         assert role == "img", name
         assert text is not None, name

@@ -67,10 +67,15 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
     tables = PairFrames(results, pair_id)
     clouds = [*(tables.clouds[side].points for side in SIDES), *tables.road.values()]
     step_m = max(float(np.abs(points).max(initial=0.0)) for points in clouds) / _STEPS
-    shown = {side: _shown(tables, side, most_points // 2) for side in SIDES}
+    shown, sides = {}, {}
+    for side, cloud in tables.clouds.items():
+        chosen = thinned(cloud.community, most_points // 2)
+        shown[side] = chosen[_ring_by_ring(cloud.points[chosen], cloud.community[chosen])]
+        ids, counts = np.unique(cloud.community[chosen], return_counts=True)
+        sides[side] = {"n": len(cloud.points), "ids": ids.tolist(), "counts": counts.tolist()}
     return {
         "step_m": step_m,
-        "sides": {side: _counted(tables, side, shown[side]) for side in SIDES},
+        "sides": sides,
         "n_beams": len(tables.ray_image),
         "packed": _packed(_points(tables, shown, step_m) | {"rays": tables.ray_image.ravel()}),
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
@@ -99,25 +104,12 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     return kept
 
 
-def _shown(tables: PairFrames, side: str, most: int) -> IndexArray:
-    """The points that the page holds, by object, of each ring by ring around the sensor."""
-    cloud = tables.clouds[side]
-    shown = thinned(cloud.community, most)
-    return shown[_ring_by_ring(cloud.points[shown], cloud.community[shown])]
-
-
 def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
     """Order of points by `first`, by elevation and by azimuth: neighbours follow one another."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     order: IndexArray = np.lexsort((azimuth, np.rint(elevation * _RINGS_PER_RADIAN), first))
     return order
-
-
-def _counted(tables: PairFrames, side: str, shown: IndexArray) -> dict[str, Any]:
-    """Number of points, and the objects of those on the page: ids, and the number of points of each."""
-    ids, counts = np.unique(tables.clouds[side].community[shown], return_counts=True)
-    return {"n": len(tables.clouds[side].points), "ids": ids.tolist(), "counts": counts.tolist()}
 
 
 def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> dict[str, Any]:

@@ -16,14 +16,14 @@ from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
 from ...terminal import STEERING
 from ..aggregates import along_the_sequence, plain_rows, score_limits, stage_times
-from ..charts import MOST_DOTS, run_charts
+from ..charts import MOST_DOTS, evidence_chart, run_charts
 from ..look import PAGE_COLOURS, SIDE_COLOURS, SIGNED_RAMP_M
-from ..pictures import FRAME, draw_evidence
+from ..pictures import FRAME
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
 from ..verdict import limits_in_words, verdict_of
 from ..view import Table
 from ..views.floor_view import excess_view
-from ..views.run_view import preset_line
+from ..views.run_view import preset_line, range_table
 from .pair_data import FACTS, FAR_M, FIRST_FACTS, MATCHED_COLUMNS, SIGNED_M, UNMATCHED_COLUMNS
 
 #: More rows would make the page slow; the table then says what part it shows.
@@ -58,7 +58,9 @@ _FACT_DIGITS, _METRE_DIGITS = 3, 2
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """Data of the whole run for the page's JavaScript: charts, colours, tables; no points."""
-    charts = run_charts(results)
+    found = read_diagnosis(results.run.folder, results.run.record)
+    evidence = {cause.name: cause.evidence for cause in (found.causes if found else ()) if cause.evidence}
+    charts = run_charts(results) | {f"cause_{name}": evidence_chart(curves) for name, curves in evidence.items()}
     pairs_note = "Worst first, by the mean of the ranks in match rate, CDC and r_lambda."
     return {
         "steering": STEERING,
@@ -92,11 +94,12 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "frame": FRAME,
         "class_is": results.class_is,
         **_diagnosis(results),
-        "n_failures": len(results.failures),
-        "failures": list(results.failures.items())[:_MOST_FAILURES],
+        "failures": results.failures,
+        "most_failures": _MOST_FAILURES,
         "notes": _notes(results),
         "floor": excess_view(excess) if excess else [],
         "sensors": _sensors(results),
+        "ranges": [range_table(record.findings)] if record.findings else [],
         "times": Table("", times, plain_rows(stage_times(results), times), words=(0, 1)),
         "settings": record.settings,
         "versions": {
@@ -110,13 +113,12 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
 
 
 def _diagnosis(results: RunResults) -> dict[str, Any]:
-    """The run's diagnosis, None without one, and by cause its gain as text and the curves of its evidence."""
+    """The run's diagnosis, None without one, and the gain of each cause as text."""
     found = read_diagnosis(results.run.folder, results.run.record)
     causes = found.causes if found else ()
     return {
         "diagnosis": found,
         "amounts": {cause.name: f"{interval_words(cause)}; {gain_words(cause)}".removesuffix("; ") for cause in causes},
-        "evidence": {cause.name: draw_evidence(cause.evidence) for cause in causes if cause.evidence},
     }
 
 
@@ -197,7 +199,6 @@ def _notes(results: RunResults) -> dict[str, str]:
         "scores_class": f"By {kind}, the most frequent first. {binned}",
         "scores_range": f"Matched objects by the distance of the real one. {binned}",
         "sequence": f"Match rate and the mean scores of each pair, {order}.",
-        "fates": "Shares of all pairs together, below of how many objects: of few a share says little.",
     }
 
 

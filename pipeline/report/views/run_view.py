@@ -280,7 +280,7 @@ def _findings_parts(findings: Findings) -> View:
             f"{number(ratio.median, 2)}; below 1/4 in {percent(ratio.share_below_quarter)}, "
             f"above 4 in {percent(ratio.share_above_four)} of the objects\n"
         ),
-        _bands(findings),
+        range_table(findings),
         *(_classes(findings) if findings.classes else ()),
         _scans(findings),
     ]
@@ -294,7 +294,8 @@ def _distributions(findings: Findings) -> Table:
     return Table(title, headings, rows)
 
 
-def _bands(findings: Findings) -> Table:
+def range_table(findings: Findings) -> Table:
+    """Missing and hallucinated objects by range."""
     ranges = findings.range_m
     rows = [
         (f"{band.from_m:.0f} {'and more' if band.to_m is None else f'to {band.to_m:.0f}'}", *_unmatched(band))
