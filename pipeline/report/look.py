@@ -8,8 +8,8 @@ from ..results.quadrants import QUADRANTS, UNKNOWN
 from ..terminal import shown
 
 #: Okabe and Ito, Color Universal Design (2008). Blue and vermilion are the sides and nothing else.
-BLUE, VERMILION, GREEN, SKY, PURPLE, GREY = (
-    "#0072B2", "#D55E00", "#009E73", "#56B4E9", "#CC79A7", "#999999",
+BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, GREY = (
+    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#999999",
 )  # fmt: skip
 OLIVE, CRIMSON = "#9A8500", "#D81B60"
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
