@@ -30,7 +30,7 @@ N_POINTS = 100
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 FILE = re.compile(r"`([\w/]+\.(?:py|csv))`")
-MOST_FILES = {"A reader": 2, "A setting": 2, "A baseline metric": 4, "A score": 4, "A stage": 5, "An experiment": 4}
+MOST_FILES = {"A reader": 2, "A setting": 2, "A baseline metric": 4, "A score": 4, "A stage": 5}
 
 
 class Block(NamedTuple):
@@ -116,17 +116,6 @@ def after_imports(text, code):
     return insert(text, last.end_lineno + 1, code)
 
 
-def in_place_of_its_like(text, code):
-    """Each statement takes the place of the one that imports from the same module, binds or goes over the same name."""
-    for new in ast.parse(code).body:
-        (old,) = [node for node in ast.parse(text).body if likeness(node) == likeness(new)]
-        assert words(old) < words(new), f"the page knows another {ast.unparse(old)}"
-        lines = text.splitlines(keepends=True)
-        lines[old.lineno - 1 : old.end_lineno] = [ast.get_source_segment(code, new) + "\n"]
-        text = "".join(lines)
-    return text
-
-
 def raised_version(text):
     """The file with the version of its stage raised by one."""
     raised, n = re.subn(r"\bversion=(\d+),", lambda old: f"version={int(old[1]) + 1},", text)
@@ -140,21 +129,13 @@ def statement(text, name):
 
 
 def likeness(node):
-    """Key that a statement shares with the one that it replaces."""
+    """The names that a statement binds; else the statement itself."""
     match node:
-        case ast.ImportFrom(module=module, level=level):
-            return ("from", module, level)
         case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
             return (name,)
-        case ast.For(target=ast.Name(id=name)):
-            return ("for", name)
         case ast.ClassDef(name=name) | ast.FunctionDef(name=name):
             return (name,)
     return (node,)
-
-
-def words(node):
-    return set(re.findall(r"\w+", ast.unparse(node)))
 
 
 def offset(text, line, column):
@@ -186,12 +167,6 @@ PLACES = {
         None,
         after_imports,
         last_in("STAGES"),
-    ],
-    "An experiment": [
-        at_the_end,
-        None,
-        before("_numbers"),
-        in_place_of_its_like,
     ],
 }
 
@@ -368,26 +343,6 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
     package.fidpipe(*run, "--workers", 1, "--replace")
     for path in (tmp_path / "two" / "neighbours").iterdir():
         assert pq.read_table(path).equals(pq.read_table(again / "neighbours" / path.name))
-
-
-@pytest.mark.exhaustive
-def test_the_experiment_makes_what_is_missing_on_any_number_of_workers(dataset, tmp_path):
-    package, _ = extended("An experiment", tmp_path)
-    assert package.breaks_no_layer() is True
-    assert "fidpipe spread scan.bin --seeds 20" in package.fidpipe("spread", "--help").stdout
-    spread = ("spread", dataset, "--out", tmp_path / "spread")
-    assert "8 jobs done, 0 reused" in package.fidpipe(*spread, "--seeds", 2, "--workers", 1).stdout
-    assert "4 jobs done, 8 reused" in package.fidpipe(*spread, "--seeds", 4, "--workers", 2).stdout
-    fewer = (*spread, "--seeds", 3, "--workers", 1)
-    assert "would be replaced (n_seeds was 4, is 3); add --replace" in package.fidpipe(*fewer, exit_code=1).stderr
-    assert "0 jobs done, 10 reused" in package.fidpipe(*fewer, "--replace").stdout
-    rows = pd.read_parquet(tmp_path / "spread" / "spread").sort_values(["pair_id", "seed"])
-    assert rows.seed.tolist() == [0, 1, 2] * 2
-    package.fidpipe("run", dataset, "--out", tmp_path / "run", "--workers", 1)
-    objects = pd.read_parquet(tmp_path / "run" / "objects").query("side == 'real'").groupby("pair_id").size()
-    assert rows[rows.seed == 0].n_communities.tolist() == objects.tolist()
-    wrong = package.fidpipe("run", dataset, "--out", tmp_path / "spread", exit_code=1)
-    assert "was written by fidpipe spread, not by fidpipe run" in wrong.stderr
 
 
 @pytest.fixture
