@@ -20,7 +20,8 @@ LEAST_EXCESS_M = 0.005
 LEAST_PART, LEAST_PART_MOVED = 0.03, 0.15
 _RANDOM = ("lost returns", "lost far returns")
 _UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
-_BENT = 0.03  # more of the points in other places are a bent world
+#: More of the points in other places, with both of these, are a bent world.
+_BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
 _ENOUGH = 4  # blocks that all lie beyond a tolerance
 
 
@@ -145,21 +146,25 @@ def name_causes(
     estimates, floor : by name of the cause, of each pair and of the same pair of a floor
     blocks : (n,) block of each pair; those of a block count as one, with their mean
     """
-    named = []
-    uneven = float(np.mean([pair.get(UNEVEN, 0.0) for pair in estimates]))
-    uneven -= float(np.mean([pair.get(UNEVEN, 0.0) for pair in floor])) if floor else 0.0
-    for model in CAUSES:
+
+    def excess(name: str) -> FloatArray:
         own, base = (
-            np.array([pair.get(model.name, np.nan) for pair in pairs]) if pairs else np.zeros(len(estimates))
+            np.array([pair.get(name, np.nan) for pair in pairs]) if pairs else np.zeros(len(estimates))
             for pairs in (estimates, floor)
         )
-        values = own - base
+        over: FloatArray = own - base
+        return over
+
+    named = []
+    uneven, alone = np.nanmean(excess(UNEVEN)), min(np.nanmean(excess(name)) for name in _ALONE)
+    for model in CAUSES:
+        values = excess(model.name)
         is_known = ~np.isnan(values)
         if 2 * is_known.sum() < len(values):
             continue
         means = block_means(values[is_known], blocks[is_known])
         mean, low, high = mean_interval(means)
-        is_bent = model.name == "moved pieces" and mean > _BENT
+        is_bent = model.name == "moved pieces" and mean > _BENT and alone > mean / 10
         if is_bent or (model.name in _RANDOM and uneven > _UNEVEN + mean**2):
             continue
         limit = model.resolution if floor else model.tolerance

@@ -8,6 +8,7 @@ from ..results.diagnosis import gain_words, interval_words
 from .diagnose import UNEXPLAINED
 
 _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
+_NO_GAIN = ("not in the distance", "")
 
 
 def diagnosis_records(found: Diagnosis) -> Table:
@@ -17,13 +18,10 @@ def diagnosis_records(found: Diagnosis) -> Table:
 
 def diagnosis_view(found: Diagnosis) -> View:
     """A row per cause, most important first, and notes on the base, the intervals and the pairs left out."""
+    gains = [gain_words(own).removeprefix("gain ") or _NO_GAIN[own.name == UNEXPLAINED] for own in found.causes]
     rows = [
-        (
-            *(i, own.words, interval_words(own)),
-            gain_words(own).removeprefix("gain ") or ("" if own.name == UNEXPLAINED else "not in the distance"),
-            own.setting,
-        )
-        for i, own in enumerate(found.causes, 1)
+        (i, own.words, interval_words(own), gain, own.setting)
+        for i, (own, gain) in enumerate(zip(found.causes, gains, strict=True), 1)
     ]
     over = f" (floor {100 * found.floor_m:.1f} cm)" if found.floor else ""
     title = (
