@@ -79,7 +79,7 @@ def url_of_cache(folder: Path) -> str:
     if base not in folder.parents:
         return ""
     scheme, *names = folder.relative_to(base).parts
-    return f"{scheme}://{'/'.join(names)}"
+    return f"{scheme}://{'/'.join(names)}" if scheme in SCHEMES else ""
 
 
 def name_in_records(folder: Path) -> str:
