@@ -87,6 +87,11 @@ def name_in_records(folder: Path) -> str:
     return url_of_cache(folder) or str(folder.resolve())
 
 
+def url_or_path(folder: Path) -> str:
+    """The name of a folder for the user, as commands take it."""
+    return url_of_cache(folder) or str(folder)
+
+
 def recorded_path(name: str) -> Path:
     """The folder, in the cache for a URL, that a record names."""
     return cache_of(name) if is_url(name) else Path(name)

@@ -26,7 +26,7 @@ from ...schemas.record import FrameSuspect, Machine, MetricsSummary, PairCounts,
 from ...schemas.results import Findings, PreviousRun, ScoreSummary
 from ...schemas.settings import Settings, overrides, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
-from ..object_store import name_in_records
+from ..object_store import name_in_records, url_or_path
 from .files import write_whole
 from .table_files import JobRecord
 
@@ -370,7 +370,7 @@ def command_again(folder: Path, dataset: object) -> str:
     """Command that resumes a run with its settings."""
     own = folder / SETTINGS_TOML
     settings = ["--settings", str(own)] if own.exists() else []
-    return shlex.join(["fidpipe", "run", str(dataset), "--out", str(folder), *settings])
+    return shlex.join(["fidpipe", "run", str(dataset), "--out", url_or_path(folder), *settings])
 
 
 def _processor() -> str:

@@ -121,6 +121,7 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     ended = command("run", f"{bucket}/set", "--out", f"{bucket}/runs/x", "--workers", "1", "--preset", "paper")
     assert ended.returncode == 0, ended.stderr
     assert_same_tables(cache_of(f"{bucket}/runs/x"), local / "run")
+    assert f"fidpipe report {bucket}/runs/x --open" in ended.stdout
     fetched = [path for verb, path in Faulty.requests if verb == "GET" and "/set/real/" in path]
     assert len(set(fetched)) == 2
     names = {one.name for one in list_objects(f"{bucket}/runs/x")}

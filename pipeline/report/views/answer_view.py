@@ -8,6 +8,7 @@ from pathlib import Path
 from ....schemas.metric_catalogue import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
+from ...object_store import url_or_path
 from ...results.floor import RunExcess
 from ..view import Answers, Note, View, number, percent, shortened
 
@@ -47,10 +48,10 @@ def answer_view(
     names = shortened({own.pair_id for own in pieces}, _PAIR)
     trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]
     if not with_all:
-        trust.append(f"more: {shlex.join(['fidpipe', 'show', str(folder), '--all'])}")
-    following = [["check", record.dataset]] if record.frames else [["report", str(folder), "--open"]]
+        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
+    following = [["check", record.dataset]] if record.frames else [["report", url_or_path(folder), "--open"]]
     if overview is record.overview and not record.frames:  # not yet diagnosed
-        following.insert(0, ["diagnose", str(folder)])
+        following.insert(0, ["diagnose", url_or_path(folder)])
     sections = {
         "  surface": [(surface_words(record, excess), "", "")],
         "  pieces": [(pieces_words(record), "", "")],

@@ -33,6 +33,7 @@ from ....schemas.record import (
 from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
 from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
+from ...object_store import url_or_path
 from ...results.diagnosis import diagnosed
 from ...results.floor import RunExcess
 from ...storage.run_record import unmatched_worst
@@ -127,7 +128,7 @@ def _failures_parts(folder: Path, rows: Sequence[Row], reported: Container[str])
     new = [row for row in failures if row["pair_id"] not in reported]
     count, n_reported = f"{len(failures)} of {len(rows)} pairs failed", len(failures) - len(new)
     which = "" if n_reported == len(failures) else f"{n_reported} of them "
-    above = f", {which}as reported above; show them again with: fidpipe show {quote(str(folder))}"
+    above = f", {which}as reported above; show them again with: fidpipe show {quote(url_or_path(folder))}"
     parts = [Note(f"{count}{above if n_reported else ''}{':' if new else ''}", "red")]
     parts += [Note(f"  {row['pair_id']}: {row['reason']}") for row in new[:_MOST_PAIRS]]
     if len(new) > _MOST_PAIRS:

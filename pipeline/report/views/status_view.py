@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ...object_store import url_or_path
 from ...results.status import STATES, RunStatus
 from ...storage.run_record import command_again
 from ..view import Note, View
@@ -26,7 +27,7 @@ def status_view(status: RunStatus, more: View = ()) -> View:
     if len(failed) > _MOST_FAILURES:
         failed[_MOST_FAILURES:] = [f"failed: {len(failed) - _MOST_FAILURES} more pairs, see pairs.parquet"]
     return [
-        Note(f"{status.folder}: {status.n_pairs} pairs of {status.dataset}", "bold"),
+        Note(f"{url_or_path(status.folder)}: {status.n_pairs} pairs of {status.dataset}", "bold"),
         *map(Note, lines),
         *(Note(line, "red") for line in failed),
         *more,
