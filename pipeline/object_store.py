@@ -40,6 +40,11 @@ class StoreError(FidpipeError):
         super().__init__(f"{url}: {reason}")
         self.kind = kind
 
+    @property
+    def is_absence(self) -> bool:
+        """True if there is no such object."""
+        return self.kind in ("NotFoundError", "FileNotFoundError")
+
 
 @dataclass(frozen=True)
 class StoredObject:
@@ -159,7 +164,7 @@ def delete_object(url: str) -> None:
     try:
         _tried(url, lambda: obstore.delete(store, name))
     except StoreError as error:
-        if _FINAL.get(error.kind) != _FINAL["NotFoundError"]:
+        if not error.is_absence:
             raise
 
 

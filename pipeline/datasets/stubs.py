@@ -84,6 +84,17 @@ def mirror_dataset(url: str) -> Path:
     return folder
 
 
+def recorded_dataset(name: str) -> Path:
+    """The folder of the dataset that a record names; of a URL the stubs of what is there now.
+
+    Raises
+    ------
+    DatasetError
+        The URL cannot be listed.
+    """
+    return mirror_dataset(name) if is_url(name) else Path(name)
+
+
 def stubs_of(urls: Iterable[str]) -> dict[str, Path | str]:
     """The stub of each object, or the reason why there is none."""
 
@@ -135,7 +146,13 @@ def _mirror_one(url: str) -> Path:
     """A dataset without a listing, by its manifest; or one object."""
     if "." in urlsplit(url).path.rpartition("/")[2]:
         return _mirror(url, cache_of(url), describe_object(url))
-    rows = list(csv.DictReader(read_object(f"{url}/{_MANIFEST}").decode("utf-8").splitlines()))
+    try:
+        manifest = read_object(f"{url}/{_MANIFEST}")
+    except StoreError as error:
+        if not error.is_absence:
+            raise
+        raise StoreError(url, f"expected a run, scans or a {_MANIFEST}, got none ({error})") from error
+    rows = list(csv.DictReader(manifest.decode("utf-8").splitlines()))
     for row in rows:
         row |= {side: f"{url}/{row[side]}" for side in SIDES if row.get(side) and not is_url(row[side])}
     text = io.StringIO()

@@ -23,8 +23,8 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, FidpipeError, RunError, ScanError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
+from ..datasets.stubs import recorded_dataset
 from ..datasets.writers import ply_content
-from ..object_store import recorded_path
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
 
@@ -174,7 +174,7 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     pairs of the run are one second apart, the first at 1 s: to ROS, 0 means no time.
     """
     try:
-        pairs = read_dataset(recorded_path(run.record.dataset)).pairs
+        pairs = read_dataset(recorded_dataset(run.record.dataset)).pairs
     except (DatasetError, OSError):  # it need not be here any more
         pairs = ()
     known_s = {pair.pair_id: pair.timestamp_s for pair in pairs}

@@ -16,7 +16,7 @@ from ...stages.arrays import BoolArray, FloatArray, IndexArray
 from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, read_dataset
-from ..object_store import recorded_path
+from ..datasets.stubs import recorded_dataset
 from .finished import FinishedRun
 from .floor import RunExcess
 from .measure_names import (
@@ -76,8 +76,8 @@ class Measures:
     def dataset_is_gone(self) -> bool:
         """True if the dataset's folder is not on this machine; a broken one is not gone."""
         try:
-            recorded_path(self.run.record.dataset).stat()
-        except (FileNotFoundError, NotADirectoryError, ValueError):
+            recorded_dataset(self.run.record.dataset).stat()
+        except (FileNotFoundError, NotADirectoryError, ValueError, DatasetError):
             return True
         except OSError:
             pass  # it is there and cannot be read, which `_dataset` says
@@ -162,7 +162,7 @@ class Measures:
     def _dataset(self) -> Dataset:
         """The dataset of the run as it is now."""
         try:
-            return read_dataset(recorded_path(self.run.record.dataset))
+            return read_dataset(recorded_dataset(self.run.record.dataset))
         except (DatasetError, OSError) as error:
             raise _AbsentError(str(error)) from error
 

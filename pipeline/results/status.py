@@ -11,11 +11,11 @@ from rich.console import Console
 from ...schemas.errors import RunError
 from ...schemas.settings import parse
 from ..datasets.pairs import read_dataset
+from ..datasets.stubs import recorded_dataset
 from ..engine.engine import Machines, RunEngine, current_records
 from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
-from ..object_store import recorded_path
 from ..storage.folder import RunFolder
 from ..storage.run_record import StageSeconds, finished_record
 
@@ -32,7 +32,7 @@ class RunStatus:
     """
 
     folder: Path
-    dataset: Path
+    dataset: str
     n_pairs: int
     stages: dict[str, Counter[str]]
     failures: dict[str, str]
@@ -55,7 +55,7 @@ def run_status(folder: Path) -> RunStatus:
             f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is run again; "
             "status is for runs"
         )
-    dataset = read_dataset(recorded_path(record["dataset"]))
+    dataset = read_dataset(recorded_dataset(record["dataset"]))
     settings = parse(record["settings"])
     stages, run_folder = stages_under(settings), RunFolder(folder)
     ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)
@@ -86,4 +86,4 @@ def run_status(folder: Path) -> RunStatus:
             for own in current_records(run_folder, [pair.pair_id], states):
                 if own.name not in unwanted:
                     seconds.add(own)
-    return RunStatus(folder, dataset.folder, len(dataset.pairs), states, failures, seconds.mean())
+    return RunStatus(folder, record["dataset"], len(dataset.pairs), states, failures, seconds.mean())

@@ -24,8 +24,8 @@ from ...schemas.tables import TABLES
 from ...stages.literal.literal_method import mean_and_std
 from ..datasets.content import input_hashes
 from ..datasets.pairs import ScanPair, read_dataset
+from ..datasets.stubs import recorded_dataset
 from ..jobs import EXTRAS, STAGES
-from ..object_store import recorded_path
 from ..results.finished import FinishedRun
 from ..storage.run_record import unmatched_worst
 from .compare_frames import NOT_COMPARED, ColumnComparison, compare
@@ -308,7 +308,7 @@ def _unchanged_scans(
     """Pairs of the dataset whose scans are those of the run, its class names, and reasons why other pairs are not."""
     what = "points kept of the scans"
     try:
-        dataset = read_dataset(recorded_path(run.record.dataset))
+        dataset = read_dataset(recorded_dataset(run.record.dataset))
     except (FidpipeError, OSError) as error:
         return {}, {}, [f"{what}, and their coordinates: {error}"]
     pairs, unchanged, faults = {pair.pair_id: pair for pair in dataset.pairs}, {}, []

@@ -134,6 +134,7 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     assert len(open_run(f"{bucket}/runs/x").pairs) == 2
     verified = command("verify", f"{bucket}/runs/x")
     assert verified.returncode == 0, verified.stdout + verified.stderr
+    assert "no such folder" not in verified.stdout
     texts = [path.read_bytes() for path in (tmp_path / "cache").rglob("*") if path.is_file()]
     assert not any(SECRET.encode() in text for text in (*texts, ended.stdout.encode(), ended.stderr.encode()))
 
@@ -235,7 +236,7 @@ def test_a_stub_outside_of_the_cache_is_no_scan(bucket, local, tmp_path):
 
 
 def test_what_is_not_there_is_said_in_one_line(bucket):
-    with pytest.raises(DatasetError, match="no such object"):
+    with pytest.raises(DatasetError, match=r"expected a run, scans or a pairs\.csv, got none .*no such object"):
         mirror_dataset(f"{bucket}/nothing")
     with pytest.raises(StoreError, match="no such object"):
         read_object(f"{bucket}/nothing/x.bin")
