@@ -85,7 +85,7 @@ def mirror_dataset(url: str) -> Path:
 
 
 def recorded_dataset(name: str) -> Path:
-    """The folder of the dataset that a record names; of a URL the stubs of what is there now.
+    """The folder of the dataset that a record names; of a URL the current stubs.
 
     Raises
     ------
