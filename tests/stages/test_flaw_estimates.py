@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.diagnose.causes import CAUSES, confirm, name_causes
-from fidpipe.stages.diagnose.evidence import PairScans, estimate
+from fidpipe.stages.diagnose.evidence import UNEVEN, PairScans, Side, estimate, find_unmatched
 from fidpipe.stages.diagnose.gain import corrections, shares, surface_distance
 from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement, fit_displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
@@ -162,6 +162,30 @@ def test_a_displacement_is_undone(places):
     off_m = np.abs(displacement.undo(moved, is_ground) - points).max(axis=1)
     assert np.quantile(off_m, 0.99) < 0.001  # except across the seam of the sweep
     assert len(values) == len(PARAMETERS)
+
+
+def test_an_object_next_to_a_missing_one_is_moved_but_not_the_road_behind_it():
+    rng = np.random.default_rng(0)
+    road, box = rng.uniform(-9, 9, (2000, 3)) * [1, 1, 0], rng.uniform(7, 8, (300, 3))
+    seen, hidden = Side.of(box, np.zeros(300, bool)), Side.of(box + [0.8, 0, 0], np.zeros(300, bool))
+    missing, invented = find_unmatched(seen, hidden)
+    assert missing.is_moved.mean() > 0.2
+    assert invented.is_moved.mean() > 0.2
+    behind = Side.of(np.vstack([box + [0.8, 0, 0], road]), np.arange(2300) >= 0)
+    missing, invented = find_unmatched(seen, behind)
+    assert missing.is_piece.any()
+    assert invented.is_piece.any()
+    assert not missing.is_moved.any()
+    assert not invented.is_moved.any()
+
+
+def test_moved_pieces_with_missing_and_invented_ones_are_a_bent_world():
+    floor = [{"moved pieces": 0.0, "missing pieces": 0.0, "invented pieces": 0.0, UNEVEN: 0.0}] * 4
+    car = [{**floor[0], "moved pieces": share} for share in (0.01, 0.02, 0.09, 0.08)]  # Student's t: from 0 to 0.12
+    bent = [{**one, "missing pieces": 0.01, "invented pieces": 0.01} for one in car]
+    names = [[own.model.name for own in name_causes(pairs, floor, np.arange(4))] for pairs in (car, bent)]
+    assert names[0] == ["moved pieces"]
+    assert sorted(names[1]) == ["invented pieces", "missing pieces"]
 
 
 def test_scans_without_common_surface_have_no_estimates(places):
