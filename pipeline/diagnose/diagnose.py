@@ -20,7 +20,7 @@ from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blo
 from ..engine.progress import Reporter
 from ..results.causes import mean_interval
 from ..results.compare import recorded_times_s
-from ..results.diagnosis import DIAGNOSIS, results_identity
+from ..results.diagnosis import DIAGNOSIS, UNEXPLAINED, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
 from ..storage.run_record import dumps
@@ -29,7 +29,6 @@ from .causes import CAUSES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
 MOST_LEFT_M = 0.02
 #: Name of the rest where it is the first cause.
-UNEXPLAINED = "unexplained"
 _SEED = 20240917
 _SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
 #: Estimates from columns of `pairs`: simulated minus real.

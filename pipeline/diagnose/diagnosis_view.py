@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from ...schemas.results import Diagnosis
 from ..report.view import Note, Table, View, percent
-from ..results.diagnosis import gain_words, interval_words
-from .diagnose import UNEXPLAINED
+from ..results.diagnosis import UNEXPLAINED, gain_words, interval_words
 
 _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
 _NO_GAIN = ("not in the distance", "")

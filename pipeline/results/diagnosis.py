@@ -13,6 +13,7 @@ from ...schemas.results import Cause, DiagnosedCause, Diagnosis, Overview
 from .causes import CLASS, FAR, size_words
 
 DIAGNOSIS = "diagnosis.json"
+UNEXPLAINED = "unexplained"
 
 
 def results_identity(record: RunRecord) -> str:
@@ -31,12 +32,16 @@ def read_diagnosis(folder: Path, record: RunRecord) -> Diagnosis | None:
 
 
 def diagnosed(folder: Path, record: RunRecord, overview: Overview | None) -> Overview | None:
-    """An overview with the causes of the run's diagnosis, if it has one; then surface missing by range and class."""
+    """An overview with the causes of the run's diagnosis, if it has one; then surface missing by range and class.
+
+    Without a floor the unexplained part comes after the causes that can be fixed: any two measurements differ.
+    """
     found = read_diagnosis(folder, record)
     if overview is None or found is None:
         return overview
     surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
-    return overview.model_copy(update={"causes": (*map(_cause, found.causes), *surface)})
+    causes = sorted(found.causes, key=lambda own: own.name == UNEXPLAINED and found.floor is None)
+    return overview.model_copy(update={"causes": (*map(_cause, causes), *surface)})
 
 
 def gain_words(cause: DiagnosedCause) -> str:

@@ -90,6 +90,11 @@ def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_ar
     assert [cause.name for cause in diagnose_run(low).causes] == ["unexplained"]
     alone = "no cause in the catalogue for 100 % of the distance, unless a second measurement has it too (--floor)"
     assert alone in FinishedRun(low).overview.causes[0].words
+    stored = json.loads((low / DIAGNOSIS).read_text())
+    stored["causes"].append(stored["causes"][0] | {"name": "height"})
+    (low / DIAGNOSIS).write_text(json.dumps(stored))
+    names = [cause.name for cause in FinishedRun(low).overview.causes[:2]]
+    assert names == ["height", "unexplained"], "what can be fixed comes first"
 
 
 def test_a_diagnosis_of_other_results_is_not_used(runs):
