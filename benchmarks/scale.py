@@ -1,6 +1,6 @@
 """How many workers can one command and one scheduler serve?
 
-    python benchmarks/scale.py [N_PAIRS] [SECONDS] [WORKERS]      by default 1000 pairs of 4 s on 32 workers
+    python benchmarks/scale.py [N_PAIRS] [SECONDS] [WORKERS]      by default 320 pairs of 16 s on 32 workers
 
 Workers of a dask cluster sleep before the stage graph of pairs of 300 points, half of SECONDS per side, so that two
 cores can stand for many; all are in one process, apart from the scheduler's. Prints how long the workers slept, and the
@@ -56,7 +56,7 @@ def used(processes):
     return sum(own.user + own.system for own in times), max(own.memory_info().rss for own in processes) / MIB
 
 
-def main(n_pairs=1000, seconds=4.0, n_workers=32):
+def main(n_pairs=320, seconds=16.0, n_workers=32):
     print(machine())
     os.environ["SLEEP_S"] = str(seconds / 2)
     stages = tuple(replace(stage, make=sleeping_graph) if stage.name == "graph" else stage for stage in STAGES)
@@ -73,7 +73,7 @@ def main(n_pairs=1000, seconds=4.0, n_workers=32):
         try:
             with distributed.Client(address, set_as_default=False) as client:
                 client.wait_for_workers(n_workers)
-            machines = Machines(scheduler=address, policy=Policy(bundle_s=0.0))  # a pair each
+            machines = Machines(scheduler=address, policy=Policy(bundle_s=1e-9))  # a pair each
             begun, own = time.perf_counter(), psutil.Process()
             of_command = used([own])[0]
             out = folder / "run"
