@@ -25,6 +25,7 @@ from ..results.finished import FinishedRun
 from ..storage.files import write_whole
 from ..storage.run_record import dumps
 from .causes import CAUSES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
+from .latency import AHEAD, follow, latency_words, speed_m_s
 
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
 MOST_LEFT_M = 0.02
@@ -89,11 +90,13 @@ def diagnose_run(
                 lambda: show.advance(int(len(causes) == len(candidates))),  # not if some are corrected once more
             ),
         )
+        ahead = [own for own in named if own.model.name == AHEAD]
+        latency = latency_words(ahead[0].values, _speeds_m_s(run, pool, names)) if ahead else None
         drawn = _each(pool, names, lambda name: _curves(run, name, found[name][0], named), lambda: show.advance(1, 1))
     show.stop()
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
     excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
-    causes = [_cause(own, gains, drawn, excess_m) for own in named]
+    causes = [_cause(own, gains, drawn, excess_m, latency if own in ahead else None) for own in named]
     if is_unexplained(before_m - floor_m, after_m - floor_m):
         left = mean_interval(block_means(np.array([own.after_m - own.floor_m for own in gains]), blocks))
         causes.insert(0, _unexplained(left, before_m - floor_m, len(gains), bool(base)))
@@ -199,13 +202,32 @@ def _blocks(run: FinishedRun, names: Sequence[str]) -> tuple[IntArray, str]:
     return blocks, "blocks of pairs" if len(np.unique(blocks)) < len(names) else "pairs"
 
 
-def _cause(own: NamedCause, gains: Sequence[Shares], drawn: Sequence[Drawn], excess_m: float | None) -> DiagnosedCause:
+def _speeds_m_s(run: FinishedRun, pool: ThreadPoolExecutor, names: Sequence[str]) -> FloatArray:
+    """Speed of the real sensor by pair, NaN if unknown; the last of a stretch has that of the one before."""
+    following = follow(recorded_times_s(run), names)
+
+    def speed(name: str) -> float | None:
+        later, duration_s = following[name]
+        return speed_m_s(read_pair(run, name), read_pair(run, later), duration_s)
+
+    speeds_m_s = dict(zip(following, pool.map(speed, following), strict=True))
+    speeds_m_s |= {later: speeds_m_s[name] for name, (later, _) in following.items() if later not in following}
+    return np.array([speeds_m_s.get(name) for name in names], dtype=np.float64)
+
+
+def _cause(
+    own: NamedCause,
+    gains: Sequence[Shares],
+    drawn: Sequence[Drawn],
+    excess_m: float | None,
+    remark: tuple[str, str] | None,
+) -> DiagnosedCause:
     model = own.model
     parts = [pair.by_cause[model.name] for pair in gains if model.name in pair.by_cause]
     gain_m = float(np.mean(parts)) if parts else None
     return DiagnosedCause(
         name=model.name,
-        words=own.sentence,
+        words=f"{own.sentence}, {remark[0]}" if remark else own.sentence,
         estimate=own.mean,
         low=own.low,
         high=own.high,
@@ -214,7 +236,7 @@ def _cause(own: NamedCause, gains: Sequence[Shares], drawn: Sequence[Drawn], exc
         gain_m=gain_m,
         gain=None if excess_m is None or gain_m is None else gain_m / excess_m,
         is_upper_bound=model.name in RESTORED,
-        setting=model.setting,
+        setting=remark[1] if remark else model.setting,
         limbs=model.limbs,
         evidence=_evidence(KINDS[model.name], drawn) if model.name in KINDS else None,
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
+from fidpipe.pipeline.diagnose.latency import follow, latency_words, speed_m_s
 from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.compare import compare_runs
@@ -15,6 +16,7 @@ from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.results import Diagnosis
 from fidpipe.schemas.settings import load
+from fidpipe.stages.diagnose.evidence import PairScans
 from fidpipe.stages.diagnose.gain import Shares
 from runs import command, run
 from scenes import write_bin
@@ -115,3 +117,50 @@ def test_a_part_of_the_pairs_is_diagnosed_but_not_stored(runs):
 def test_a_floor_of_other_pairs_is_rejected(runs, scenario):
     with pytest.raises(RunError, match="expected the pairs of"):
         diagnose_run(runs[0], scenario("labelled") / "run")
+
+
+SPEEDS_M_S = np.array([2.0, 5.0, 8.0, 11.0, 14.0])
+ERRORS_M = np.array([0.01, -0.01, 0.0, 0.01, -0.01])
+
+
+@pytest.mark.parametrize(
+    ("ahead_m", "speeds_m_s", "words", "setting"),
+    [
+        (0.05 * SPEEDS_M_S + ERRORS_M, SPEEDS_M_S, "in proportion to the speed: 4", "poses and time stamps"),
+        (0.4 + ERRORS_M, SPEEDS_M_S, "at any speed, so no latency", "position of the sensor, T_real_sim"),
+        (0.4 + ERRORS_M, np.full(5, 8.0), "or 50 ms of latency at 8 m/s", "position of the sensor, or time stamps"),
+        (
+            0.2 + 0.05 * SPEEDS_M_S + ERRORS_M,
+            SPEEDS_M_S,
+            "partly in proportion to the speed: 4",
+            "poses and time stamps; position of the sensor",
+        ),
+    ],
+)
+def test_latency_is_told_from_mounting_by_the_speeds(ahead_m, speeds_m_s, words, setting):
+    found = latency_words(ahead_m, speeds_m_s)
+    assert found[0].startswith(words)
+    assert found[1] == setting
+
+
+def test_without_speeds_nothing_is_said_of_latency():
+    assert latency_words(np.full(5, 0.4), np.full(5, np.nan)) is None
+    assert latency_words(np.full(5, 0.4), np.zeros(5)) is None, "at rest"
+
+
+@pytest.mark.parametrize("travel_m", [0.4, 2.9])
+def test_the_speed_is_that_of_the_motion_to_the_next_scan(travel_m):
+    scans, later = (
+        PairScans(points, points, points[:, 2] < -1.4, points[:, 2] < -1.4, ({}, {}))
+        for points in (corner(0), corner(1) - [travel_m, 0, 0])
+    )
+    assert speed_m_s(scans, later, 0.1) == pytest.approx(10 * travel_m, abs=0.5)
+
+
+def test_the_next_scan_is_at_most_half_a_second_later():
+    times_s = {"a": 0.0, "c": 0.5, "b": 0.2, "far": 9.0}
+    following = follow(times_s, ["a", "b", "c", "far", "unknown"])
+    assert {name: (later, round(duration_s, 3)) for name, (later, duration_s) in following.items()} == {
+        "a": ("b", 0.2),
+        "b": ("c", 0.3),
+    }
