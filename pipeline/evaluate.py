@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError
 from ..schemas.settings import Settings, parse
-from ..schemas.tables import TABLES
 from ..stages.arrays import FloatArray, IntArray
 from ..stages.inspect.frame_search import check_frames
 from ..stages.method import Evaluation, evaluate, n_communities
@@ -136,7 +135,7 @@ def evaluate_pair(
     summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
     for own in metadata.values():
         summary |= plain_metadata(own.get(OF_PAIR, {}))
-    frames = {name: TABLES[name[0]].plain(table()).to_pandas() for name, table in tables.items()}
+    frames = {name: table().to_pandas() for name, table in tables.items()}
 
     def by_side(table: str) -> dict[str, pd.DataFrame]:
         return {side: frames[table, side] for side in SIDES}

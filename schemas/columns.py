@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 SIDES = ("real", "sim")
@@ -15,17 +14,18 @@ SIDES = ("real", "sim")
 Row = dict[str, Any]
 _CHUNK_ROWS = 5000
 
-#: Strings that are the same in all rows of a file: in memory a dictionary, in Parquet plain strings.
-CONSTANT = pa.dictionary(pa.int32(), pa.string())
-
 
 @dataclass(frozen=True)
 class Table:
-    """One table: its name, its columns, and the columns by which its rows are sorted."""
+    """One table: its name, its columns, and the columns by which its rows are sorted.
+
+    of_file : columns that are the same in all rows of a file: the pair, or the pair and the side
+    """
 
     name: str
     schema: pa.Schema
     keys: tuple[str, ...]
+    of_file: tuple[str, ...] = ()
     version: int = 1
 
     def check(self, table: pa.Table) -> pa.Table:
@@ -44,7 +44,7 @@ class Table:
             raise ValueError(f"table {self.name}: {'; '.join(differences) or 'columns in another order'}")
         for field in self.schema:
             column = table.column(field.name)
-            if column.type != field.type and not (field.type == CONSTANT and column.type == pa.string()):
+            if column.type != field.type:
                 raise ValueError(f"table {self.name}, column {field.name}: expected {field.type}, got {column.type}")
             if not field.nullable and column.null_count:
                 raise ValueError(f"table {self.name}, column {field.name}: expected no nulls, got {column.null_count}")
@@ -59,21 +59,9 @@ class Table:
             value = columns[field.name]
             if _is_column(value):
                 arrays.append(pa.array(value, type=field.type, from_pandas=False))
-            elif field.type == CONSTANT:
-                arrays.append(pa.DictionaryArray.from_arrays(np.zeros(n_rows, dtype=np.int32), pa.array([value])))
             else:
                 arrays.append(pa.repeat(pa.scalar(value, type=field.type), n_rows))
         return self.check(pa.Table.from_arrays(arrays, schema=self.schema))
-
-    @property
-    def same(self) -> list[str]:
-        """Columns that are dictionaries in memory."""
-        return [field.name for field in self.schema if field.type == CONSTANT]
-
-    def plain(self, table: pa.Table) -> pa.Table:
-        """Replace dictionaries by plain strings."""
-        plain = [field.with_type(pa.string()) if field.type == CONSTANT else field for field in table.schema]
-        return table.cast(pa.schema(plain))
 
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
@@ -97,5 +85,5 @@ def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional:
     return pa.field(name, kind, nullable=optional, metadata=metadata)
 
 
-PAIR = column("pair_id", CONSTANT, "name of the scan pair")
-SIDE = column("side", CONSTANT, "real or sim")
+PAIR = column("pair_id", pa.string(), "name of the scan pair")
+SIDE = column("side", pa.string(), "real or sim")

@@ -6,7 +6,8 @@ it is read; the metadata of a field has the unit and meaning of the column.
 The tables are the rows of `tables.csv` next to this file: one per column, in the order of the file, with the rank of
 the column among those that the rows of the table are sorted by (`key`), and "yes" if it may be null. A column of type
 `score` is one of the catalogue (`metrics.csv`), or a group of it: all of its columns. Those of the group `object` may
-also be of type `mean` or `mean and deviation` (over `meaning`), or `object score` (with another meaning).
+also be of type `mean` or `mean and deviation` (over `meaning`), or `object score` (with another meaning). A `constant`
+is a string that is the same in all rows of a file.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from .columns import CONSTANT, PAIR, SIDE, Table, column
+from .columns import PAIR, SIDE, Table, column
 from .metric_catalogue import METRIC, OBJECT_METRICS
 
 
@@ -41,7 +42,7 @@ def _columns(row: dict[str, str]) -> Iterator[pa.Field]:
                 words = f"standard deviation (n - 1) of {score} over {meaning}"
                 yield column(f"{score}_std", pa.float64(), words, optional=optional)
     else:
-        yield column(name, CONSTANT if kind == "constant" else pa.type_for_alias(kind), meaning, row["unit"], optional)
+        yield column(name, pa.type_for_alias(kind.replace("constant", "string")), meaning, row["unit"], optional)
 
 
 def _read_tables() -> Iterator[Table]:
@@ -50,16 +51,17 @@ def _read_tables() -> Iterator[Table]:
             rows = list(group)
             keys = sorted((int(row["key"]), row["column"]) for row in rows if row["key"])
             fields = [field for row in rows for field in _columns(row)]
-            yield Table(name, pa.schema(fields), tuple(key for _, key in keys))
+            of_file = tuple(row["column"] for row in rows if row["type"] == "constant")
+            yield Table(name, pa.schema(fields), tuple(key for _, key in keys), of_file)
 
 
 #: All tables by name; the name is also the folder or file in a run.
 TABLES = {table.name: table for table in _read_tables()}
 #: Names of the tables with a file per pair, or per side of a pair.
-PAIR_TABLES = tuple(name for name, table in TABLES.items() if PAIR in table.schema)
+PAIR_TABLES = tuple(name for name, table in TABLES.items() if table.of_file)
 
 
-_SHOWN = {str(CONSTANT): "string", "double": "float64", "float": "float32"}
+_SHOWN = {"double": "float64", "float": "float32"}
 
 
 def to_markdown() -> str:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDE, SIDES, Row
+from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import metric_of
 from ...schemas.record import RunRecord
@@ -27,7 +27,6 @@ from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import FloatArray
 from ..storage.folder import RunFolder
 from ..storage.run_record import command_again, finished_record
-from ..storage.table_files import plain_strings
 from .diagnosis import diagnosed
 from .object_frame import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
 
@@ -131,10 +130,10 @@ class FinishedRun:
         if name not in PAIR_TABLES:
             raise RunError(f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *PAIR_TABLES))}")
         names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
-        sides = SIDES if SIDE in TABLES[name].schema else ("",)
+        sides = SIDES if "side" in TABLES[name].of_file else ("",)
         parts = [self.read_table(name, self._scored(own), side) for own in names for side in sides]
         if not parts:
-            return plain_strings(TABLES[name].schema).empty_table()
+            return TABLES[name].schema.empty_table()
         return pa.concat_tables(parts).replace_schema_metadata()  # that of the first file says which job wrote it
 
     @property

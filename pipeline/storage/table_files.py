@@ -22,7 +22,6 @@ import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ...schemas.columns import CONSTANT
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ..object_store import read_object, write_object
@@ -222,7 +221,7 @@ class TableFolder:
             use_dictionary=words,
             write_statistics=words,  # of numbers they cost a quarter of the time, and a file has one pair
             column_encoding={f.name: _ENCODINGS[f.type] for f in schema.schema if f.type in _ENCODINGS},
-            store_schema=False,  # so that a dictionary is read as the strings it stands for
+            store_schema=False,
             write_page_checksum=True,  # they are the check of a file that the ledger does not know
         ) as writer:
             for part in parts:
@@ -231,9 +230,7 @@ class TableFolder:
         content = memoryview(sink.getvalue())
         return self._store(path, content, hashlib.sha256(content).hexdigest())
 
-    def read(
-        self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None, *, is_plain: bool = False
-    ) -> pa.Table:
+    def read(self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None) -> pa.Table:
         """The rows of a table of this run, which must be as it was stored and have the columns of its schema.
 
         Parameters
@@ -241,7 +238,6 @@ class TableFolder:
         stored : the file as it was written
         name : of the file, relative to the run
         columns : only these, by default all
-        is_plain : read strings as strings; otherwise those that are the same in all rows are dictionaries
 
         Raises
         ------
@@ -249,18 +245,16 @@ class TableFolder:
             The file is damaged or gone.
         """
         schema = TABLES[table]
-        wanted = schema.schema if columns is None else pa.schema([schema.schema.field(column) for column in columns])
         try:
             content = self.content(stored, name)
             if content is None:
                 raise self.damaged(name)
-            same = [] if is_plain else [column for column in schema.same if column in wanted.names]
-            rows = read_content(content, columns, read_dictionary=same)
-            if not (is_plain and columns is None):
-                wanted = plain_strings(wanted) if is_plain else wanted
-                is_same = rows.schema.equals(wanted)  # but for the metadata; a cast imports all of pyarrow.compute
-                rows = pa.Table.from_arrays(rows.columns, schema=wanted) if is_same else rows.cast(wanted)
-            return schema.check(rows) if columns is None else rows
+            rows = read_content(content, columns)
+            if columns is None:
+                return schema.check(rows)
+            if not rows.schema.equals(pa.schema([schema.schema.field(column) for column in columns])):
+                raise ValueError(f"expected the columns {', '.join(columns)}")
+            return rows
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise self.damaged(name, getattr(error, "strerror", None) or str(error)) from error
 
@@ -318,11 +312,6 @@ class TablesAtUrl(TableFolder):
 
 
 _ASKED: dict[str, float] = {}
-
-
-def plain_strings(schema: pa.Schema) -> pa.Schema:
-    """A schema with strings in place of dictionaries."""
-    return pa.schema([field.with_type(pa.string()) if field.type == CONSTANT else field for field in schema])
 
 
 def read_content(content: bytes, columns: list[str] | None = None, **options: Any) -> pa.Table:

@@ -9,7 +9,6 @@ import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import INTENSITY_SCORES
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.literal import literal_method
 from ...stages.literal import literal_rays as literal
@@ -32,7 +31,7 @@ def rays(pair: StoredPair) -> Iterator[Part | Skipped]:
     ground = [pair.run.read_table("ground", pair.pair_id, side) for side in SIDES]
     again = rays_result(pair.pair_id, found, ground, pair.settings.input)
     for name, table in again.tables.items():
-        yield pair.part(name, TABLES[name].plain(table).to_pandas().drop(columns="pair_id"))
+        yield pair.part(name, table.to_pandas().drop(columns="pair_id"))
     yield pair.in_pairs({"rays_reason": found if isinstance(found, str) else None})
     stored = pair.table("rays").set_index(_KEYS)
     noise_real, noise_sim = (sensor["range_noise_m"] or 0.0 for sensor in sensors)
