@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import DatasetError, FidpipeError, RunError, ScanError
+from ...schemas.errors import DatasetError, FidpipeError, RunError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
 from ..datasets.stubs import recorded_dataset
@@ -255,7 +255,7 @@ def _is_ours(path: Path) -> bool:
 
     try:
         known = topics(path)
-    except (ScanError, OSError):  # a file of another kind
+    except Exception:  # any error of its library: a file of another kind
         return False
     return bool(known) and all(topic.startswith(f"{TOPIC}/") for topic in known)
 

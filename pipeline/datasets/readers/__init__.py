@@ -31,12 +31,14 @@ class Format(NamedTuple):
     columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
         these, or those of the setting `input.columns`; () if the shape determines them
     holds_frames : whether a file is a recording; `read` then takes an `Address`, and `frames` lists those of all frames
+    content : what a file should be, for the error of one that is damaged
     may_crash : whether a damaged file may end the process that reads it, or fill the memory: formats whose libraries
         trust a file's declared sizes of its compressed parts, and the readers of other packages
     """
 
     module: str
     columns: tuple[str, ...] | None = None
+    content: str = ""
     holds_frames: bool = False
     may_crash: bool = False
 
@@ -48,19 +50,17 @@ _EXTRAS = {"rosbags": "ros", "velodyne_decoder": "velodyne", "dpkt": "velodyne",
 FORMATS = {
     ".pcd.bin": Format(".float32", _NUSCENES),
     ".bin": Format(".float32", _KITTI),
-    ".npy": Format(".npy", ()),
-    ".pcd": Format(".pcd"),
-    ".ply": Format(".ply"),
-    ".csv": Format(".csv"),
-    ".parquet": Format(".parquet", may_crash=True),
-    ".las": Format(".las"),
-    ".laz": Format(".las", may_crash=True),
-    ".bag": Format(".rosbag", holds_frames=True, may_crash=True),
-    ".db3": Format(".rosbag", holds_frames=True, may_crash=True),
-    ".mcap": Format(".rosbag", holds_frames=True, may_crash=True),
-    "/metadata.yaml": Format(".rosbag", holds_frames=True, may_crash=True),
-    ".pcap": Format(".velodyne", holds_frames=True),
-    ".pcapng": Format(".velodyne", holds_frames=True),
+    ".npy": Format(".npy", (), "a whole .npy array"),
+    ".pcd": Format(".pcd", content="a whole PCD file"),
+    ".ply": Format(".ply", content="a whole PLY file with vertices"),
+    ".csv": Format(".csv", content="a CSV table"),
+    ".parquet": Format(".parquet", content="a whole Parquet file", may_crash=True),
+    ".las": Format(".las", content="a whole LAS file"),
+    ".laz": Format(".las", content="a whole LAS file", may_crash=True),
+    **dict.fromkeys(
+        (".bag", ".db3", ".mcap", "/metadata.yaml"), Format(".rosbag", None, "a whole ROS bag", True, True)
+    ),
+    **dict.fromkeys((".pcap", ".pcapng"), Format(".velodyne", None, "a whole capture of Velodyne packets", True)),
 }
 
 
@@ -180,7 +180,7 @@ def read_scan(
 
 @contextmanager
 def _reader(path: Path, known: Format) -> Iterator[Any]:
-    """The module that reads files of a format; import errors become a `ScanError`."""
+    """The module that reads files of a format; any of its errors becomes a `ScanError`: a broken file may raise any."""
     try:
         yield importlib.import_module(known.module, __name__)
     except ModuleNotFoundError as error:
@@ -192,10 +192,15 @@ def _reader(path: Path, known: Format) -> Iterator[Any]:
         ) from error
     except FidpipeError:
         raise
-    except OSError as error:
-        raise ScanError(f"{path}: cannot be read ({error.strerror or cause_of(error)})") from error
-    except Exception as error:  # any error of a library, or of a reader of another package, in a broken file
-        raise ScanError(f"{path}: cannot be read ({cause_of(error)})") from error
+    except BaseException as error:
+        is_panic = type(error).__name__ == "PanicException"  # of a library in Rust; pyo3 makes it no Exception
+        if not (isinstance(error, Exception) or is_panic):
+            raise
+        what = f"not {known.content}" if known.content else "cannot be read"
+        cause = "its header is not text" if isinstance(error, UnicodeDecodeError) else cause_of(error)
+        if isinstance(error, OSError) and error.errno is not None:  # of the file itself, not of a library
+            what, cause = "cannot be read", str(error.strerror)
+        raise ScanError(f"{path}: {what} ({cause})") from error
 
 
 @cache

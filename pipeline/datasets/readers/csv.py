@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ....schemas.errors import ScanError
-from .scan import Scan, refused_unless, scan_from_columns
+from .scan import Scan, scan_from_columns
 
 _LONGEST_HEADER_BYTES, _MOST_COLUMNS = 2**20, 1000  # a column costs pandas a thousand bytes, regardless of its content
 
@@ -20,10 +20,9 @@ def read(path: Path) -> Scan:
     """
     import pandas as pd
 
-    with refused_unless(path, "a CSV table"):
-        with path.open("rb") as file:
-            n_columns = file.readline(_LONGEST_HEADER_BYTES).count(b",") + 1
-        if n_columns > _MOST_COLUMNS:
-            raise ScanError(f"{path}: {n_columns} columns found, at most {_MOST_COLUMNS} are read")
-        frame = pd.read_csv(path, skipinitialspace=True, low_memory=False)
+    with path.open("rb") as file:
+        n_columns = file.readline(_LONGEST_HEADER_BYTES).count(b",") + 1
+    if n_columns > _MOST_COLUMNS:
+        raise ScanError(f"{path}: {n_columns} columns found, at most {_MOST_COLUMNS} are read")
+    frame = pd.read_csv(path, skipinitialspace=True, low_memory=False)
     return scan_from_columns(path, {str(name).strip(): frame[name].to_numpy() for name in frame.columns})

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .scan import Scan, refused_unless, scan_from_columns
+from .scan import Scan, scan_from_columns
 
 _COLUMNS = ("x", "y", "z", "intensity")
 
@@ -20,10 +20,9 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     ScanError
         The array is not whole, holds objects (pickles, which could run code), or has another shape.
     """
-    with refused_unless(path, "a whole .npy array"):
-        _check_head(path)
-        np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory, and rejects a file shorter than its array
-        array = np.load(path, allow_pickle=False)
+    _check_head(path)
+    np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory, and rejects a file shorter than its array
+    array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})
     if array.ndim == 2 and array.dtype.kind in "fiu" and array.shape[1] == len(columns):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .scan import Scan, check_promise, check_unpacked, refused_unless, scan_from_columns
+from .scan import Scan, check_promise, check_unpacked, scan_from_columns
 
 _HEADER_LINES, _MOST_COLUMNS = 10, 1000
 
@@ -22,10 +22,9 @@ def read(path: Path) -> Scan:
     """
     from pypcd4 import PointCloud
 
-    with refused_unless(path, "a whole PCD file"):
-        _check_head(path)
-        with path.open("rb") as file:
-            cloud = PointCloud.from_fileobj(file)
+    _check_head(path)
+    with path.open("rb") as file:
+        cloud = PointCloud.from_fileobj(file)
     rows = np.atleast_1d(cloud.pc_data)
     if len(rows) != cloud.metadata.points:
         raise ScanError(

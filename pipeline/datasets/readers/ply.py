@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .scan import Scan, refused_unless, scan_from_columns
+from .scan import Scan, scan_from_columns
 
 
 def read(path: Path) -> Scan:
@@ -19,11 +19,10 @@ def read(path: Path) -> Scan:
     """
     from trimesh.exchange.ply import load_ply
 
-    with refused_unless(path, "a whole PLY file with vertices"):
-        with path.open("rb") as file:
-            vertex = load_ply(file, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
-        n_points, rows = vertex["length"], vertex["data"]
-        columns = {name: np.asarray(rows[name]).reshape(n_points) for name in vertex["properties"]}
-        if any(column.dtype == object for column in columns.values()):
-            raise ValueError("a row is too short")
+    with path.open("rb") as file:
+        vertex = load_ply(file, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
+    n_points, rows = vertex["length"], vertex["data"]
+    columns = {name: np.asarray(rows[name]).reshape(n_points) for name in vertex["properties"]}
+    if any(column.dtype == object for column in columns.values()):
+        raise ValueError("a row is too short")
     return scan_from_columns(path, columns)

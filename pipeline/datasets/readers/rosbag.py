@@ -5,8 +5,6 @@ A frame is a message of sensor_msgs/PointCloud2, or of velodyne_msgs/VelodyneSca
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
 from .frame_address import Address, frame_number
-from .scan import Scan, refused_unless, scan_from_columns
+from .scan import Scan, scan_from_columns
 
 _CLOUD, _PACKETS, _PACKET = (
     "sensor_msgs/msg/PointCloud2",
@@ -93,9 +91,8 @@ def topics(file: Path) -> list[str]:
         return [connection.topic for connection in bag.connections]
 
 
-@contextmanager
-def _opened(file: Path) -> Iterator[Any]:
-    """The bag's reader; its errors on a broken bag become a `ScanError`."""
+def _opened(file: Path) -> Any:
+    """The bag's reader, a context."""
     from rosbags.rosbag1 import Reader as Ros1Reader
     from rosbags.rosbag2 import Reader as Ros2Reader
 
@@ -103,8 +100,7 @@ def _opened(file: Path) -> Iterator[Any]:
     files = [str(each.absolute()) for each in (file.iterdir() if file.is_dir() else [file])]
     if wrong := [name for name in files if name.endswith(".db3") and any(sign in name for sign in "%?#")]:
         raise ScanError(f"{wrong[0]}: expected a path without %, ? and #, which SQLite reads as parts of an address")
-    with refused_unless(file, "a whole ROS bag"), reader(file) as bag:
-        yield bag
+    return reader(file)
 
 
 def _is_ros1(file: Path) -> bool:

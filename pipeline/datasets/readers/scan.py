@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -127,31 +126,6 @@ def check_names(path: Path, names: Iterable[str]) -> None:
     if missing:
         found = cause_of(", ".join(known)) if known else "none"
         raise ScanError(f"{path}: missing columns {', '.join(missing)}; got {found}")
-
-
-@contextmanager
-def refused_unless(path: Path, wanted: str) -> Iterator[None]:
-    """Context around the call of a format's library, which may raise any error on a broken file.
-
-    Parameters
-    ----------
-    wanted : what the file should be: "a CSV table"
-
-    Raises
-    ------
-    ScanError
-        In place of any error, with its first line. An `OSError` of the file itself is let through, and a `ScanError`.
-    """
-    try:
-        yield
-    except (ScanError, ModuleNotFoundError):
-        raise
-    except BaseException as error:
-        is_panic = type(error).__name__ == "PanicException"  # of a library in Rust; pyo3 makes it no Exception
-        if not (isinstance(error, Exception) or is_panic) or (isinstance(error, OSError) and error.errno is not None):
-            raise
-        cause = "its header is not text" if isinstance(error, UnicodeDecodeError) else cause_of(error)
-        raise ScanError(f"{path}: not {wanted} ({cause})") from error
 
 
 def check_promise(path: Path, n_points: int, point_bytes: float) -> None:

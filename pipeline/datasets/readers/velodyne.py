@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
 from .frame_address import Address, frame_number
-from .scan import Scan, refused_unless, scan_from_columns
+from .scan import Scan, scan_from_columns
 
 _PACKET_BYTES = 1206
 _LINUX_COOKED = 113
@@ -62,9 +62,8 @@ def decoded(path: Path, packets: Sequence[tuple[float, bytes]]) -> dict[str, NDA
     """
     import velodyne_decoder as vd
 
-    with refused_unless(path, "packets of a Velodyne sensor"):
-        listed = vd.PacketVector([vd.VelodynePacket(stamp, data) for stamp, data in packets])
-        _, rows = vd.ScanDecoder(_config(path)).decode(listed, False)
+    listed = vd.PacketVector([vd.VelodynePacket(stamp, data) for stamp, data in packets])
+    _, rows = vd.ScanDecoder(_config(path)).decode(listed, False)
     names = ("x", "y", "z", "intensity", "time", "ring")
     return {name: rows[:, int(getattr(vd.PointField, name))] for name in names}
 
@@ -76,17 +75,16 @@ def _frames(file: Path, _mtime_ns: int) -> list[_Frame]:
 
     found: list[_Frame] = []
     start, stop = None, 0
-    with refused_unless(file, "a whole capture of Velodyne packets"):
-        decoder = vd.StreamDecoder(_config(file))
-        for (begin, end), stamp, data in _packets(file):
-            start, stop = begin if start is None else start, end
-            turn = decoder.decode(stamp, data, False)
-            if turn is not None:
-                found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, end))
-                start = None
-        turn = decoder.finish(False)
-        if turn is not None and start is not None:
-            found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, stop))
+    decoder = vd.StreamDecoder(_config(file))
+    for (begin, end), stamp, data in _packets(file):
+        start, stop = begin if start is None else start, end
+        turn = decoder.decode(stamp, data, False)
+        if turn is not None:
+            found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, end))
+            start = None
+    turn = decoder.finish(False)
+    if turn is not None and start is not None:
+        found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, stop))
     if not found:
         raise ScanError(f"{file}: no data packets of a Velodyne sensor ({_PACKET_BYTES} bytes each) found")
     return found
