@@ -18,8 +18,8 @@ import pyarrow as pa
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
-from ..schemas.record import FrameSuspect, MetricsSummary, RunHeader, RunRecord
-from ..schemas.results import Findings, JsonObject, ObjectOverview
+from ..schemas.record import FrameSuspect, MetricsSummary, PairCounts, RunHeader, RunRecord
+from ..schemas.results import Findings, JsonObject, Overview
 from ..schemas.settings import Settings, preset_of
 from ..schemas.settings_text import to_toml
 from ..schemas.tables import TABLES
@@ -32,7 +32,7 @@ from .engine.progress import Reporter
 from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
-from .results.overview import Tally, overview_of
+from .results.overview import Tally, cautions
 from .results.run_findings import describe_objects
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
@@ -46,7 +46,7 @@ from .storage.run_record import (
     read_run,
     replaced_results,
     run_header,
-    run_record,
+    summarise_pairs,
     timing_rows,
     what_changed,
     write_record,
@@ -136,7 +136,7 @@ def run_dataset(
         dataset, out = dataset.absolute(), out.absolute()
     content = read_dataset(dataset)
     selected = select_pairs(content, pattern)
-    check_folder(out, dataset, replace=replace)
+    check_folder(out, dataset)
     folder = RunFolder(out)
     stages = stages_under(settings) if stages is None else stages
     with folder.locked(), RunEngine(folder, settings, machines, reporter, stages) as engine:
@@ -280,27 +280,28 @@ class _Run:
             if note := peaks_note(real_m, sim_m, self._settings.ground):
                 jobs.notes[row["pair_id"]].append(note)
         scored_ids = [row["pair_id"] for row in scored]
-        findings, objects, metrics = self._describe_objects(scored, times_s, is_same=is_same)
+        findings, overview, metrics = self._describe_objects(scored, times_s, is_same=is_same)
         extras: dict[str, Any] = {}
         for stage in self._stages:
             if stage.summarise:
                 extras |= stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
-        record = run_record(
-            header,
-            self._hashes,
-            rows,
-            self._wall_s,
-            self._engine.n_workers,
-            jobs.seconds.result(),
-            findings,
-            metrics,
-            n_to_do,
-            jobs.suspects,
-            jobs.notes,
-            extras,
+        record = RunRecord(
+            **dict(header),
+            workers=self._engine.n_workers,
+            wall_s=self._wall_s,
+            pairs=PairCounts(scored=len(scored), failed=len(rows) - len(scored), to_do=n_to_do),
+            summary=summarise_pairs(scored),
+            findings=findings,
+            metrics=metrics,
+            seconds=jobs.seconds.result(),
+            inputs=dict(sorted(self._hashes.items())),
+            frames=dict(sorted(jobs.suspects.items())),
+            notes=dict(sorted(jobs.notes.items())),
+            **extras,
         )
-        if objects:
-            record = record.model_copy(update={"overview": overview_of(objects, record)})
+        if overview:
+            trust = tuple(cautions(overview, record))
+            record = record.model_copy(update={"overview": overview.model_copy(update={"trust": trust})})
         self._write_record(record)
         known = set(scored_ids)
         failed_extras = {pair_id: reason for pair_id, reason in self._engine.failures.items() if pair_id in known}
@@ -336,7 +337,7 @@ class _Run:
 
     def _describe_objects(
         self, scored: list[Row], times_s: dict[str, float | None], *, is_same: bool
-    ) -> tuple[Findings | None, ObjectOverview | None, MetricsSummary]:
+    ) -> tuple[Findings | None, Overview | None, MetricsSummary]:
         """Findings, overview and unmatched objects; those of the last record if its tables are the same."""
         if not scored:
             return None, None, Tally().unmatched()

@@ -286,13 +286,14 @@ class Caution(Result):
     words: str
 
 
-class ObjectOverview(Result):
-    """Overview of the objects and pieces of all scored pairs; see `pipeline.results.overview` for the rules.
+class Overview(Result):
+    """The first answer of a run, from the objects and pieces of all scored pairs; see `pipeline.results.overview`.
 
     causes : what to fix first, most severe first
     pieces : the largest pieces
     surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
+    trust : limits to the trust in the numbers, most important first
     """
 
     causes: tuple[Cause, ...]
@@ -300,15 +301,7 @@ class ObjectOverview(Result):
     surface: tuple[SurfaceGroup, ...]
     n_aligned: int
     n_badly_aligned: int
-
-
-class Overview(ObjectOverview):
-    """The first answer of a run.
-
-    trust : limits to the trust in the numbers, most important first
-    """
-
-    trust: tuple[Caution, ...]
+    trust: tuple[Caution, ...] = ()
 
 
 class PreviousRun(Result):

@@ -102,7 +102,7 @@ def run_floor(
     selected = {pair.pair_id for pair in select_pairs(source, pattern)}
     partners = _neighbours(source) if neighbours else {pair.pair_id: pair for pair in source.pairs}
     _refuse_other_recipe(out, recipe, replace=replace)
-    check_folder(out, out / FLOOR_DATASET, replace=replace)
+    check_folder(out, out / FLOOR_DATASET)
     folder = RunFolder(out)
     with folder.locked():
         _write_dataset(folder, recipe, source, partners, selected, settings.input, reporter)

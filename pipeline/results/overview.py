@@ -16,7 +16,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.record import FrameSuspect, MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
-from ...schemas.results import Caution, Findings, ObjectOverview, Overview, Piece, SurfaceGroup
+from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
 from ...schemas.settings import MatchingSettings
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
@@ -109,8 +109,8 @@ class Tally:
         }
         return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
-    def overview(self, rows: Sequence[Row], pieces: Sequence[Piece]) -> ObjectOverview:
-        """The overview of the counted objects.
+    def overview(self, rows: Sequence[Row], pieces: Sequence[Piece]) -> Overview:
+        """The overview of the counted objects, without the limits to the trust in it.
 
         Parameters
         ----------
@@ -132,19 +132,13 @@ class Tally:
             for i, name in enumerate(names[kind])
             if name
         ]
-        return ObjectOverview(
+        return Overview(
             causes=tuple(find_causes(rows, surface=surface_causes(bands["real"], classes["real"]))),
             pieces=tuple(pieces),
             surface=tuple(surface),
             n_aligned=self._n_aligned,
             n_badly_aligned=self._n_badly_aligned,
         )
-
-
-def overview_of(objects: ObjectOverview, record: RunRecord) -> Overview:
-    """The overview of a run: that of its objects, and the cautions of its record (with or without an overview)."""
-    of_objects = {name: getattr(objects, name) for name in ObjectOverview.model_fields}
-    return Overview(**of_objects, trust=tuple(_cautions(objects, record)))
 
 
 def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
@@ -230,8 +224,8 @@ def _group(kind: str, name: str, real: tuple[float, float], sim: tuple[float, fl
     )
 
 
-def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
-    """Limits to the trust in the numbers, most important first."""
+def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
+    """Limits to the trust in the numbers of a run, most important first; from its record without an overview."""
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
     if pairs.failed:
@@ -250,8 +244,8 @@ def _cautions(objects: ObjectOverview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="pairs", words=few)
     for words in independence(record.findings):
         yield Caution(kind="independence", words=words)
-    if objects.n_aligned and objects.n_badly_aligned >= _MANY_BADLY_ALIGNED * objects.n_aligned:
-        share = f"{100 * objects.n_badly_aligned / objects.n_aligned:.0f} %"
+    if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
+        share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
         words = f"r_lambda of {share} of the matched objects is unreliable (poor alignment: {BAD_ALIGNMENT_WORDS})"
         yield Caution(kind="alignment", words=words)
     if record.preset != "reference":

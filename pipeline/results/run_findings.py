@@ -8,7 +8,7 @@ import numpy as np
 
 from ...schemas.columns import Row
 from ...schemas.record import MetricsSummary
-from ...schemas.results import Findings, ObjectOverview
+from ...schemas.results import Findings, Overview
 from ...stages.statistics.comparison import blocks_of
 from ...stages.statistics.findings import summarise_objects
 from ..storage.folder import RunFolder
@@ -23,7 +23,7 @@ def describe_objects(
     hashes: Mapping[str, Mapping[str, str]],
     *,
     by_reference: bool,
-) -> tuple[Findings, ObjectOverview, MetricsSummary]:
+) -> tuple[Findings, Overview, MetricsSummary]:
     """The findings, the overview and the states of unmatched objects, of all scored pairs.
 
     Parameters

@@ -18,7 +18,7 @@ from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ..object_store import delete_object, is_url, list_objects, name_in_records, url_of_cache
 from .ledger import LEDGER, Ledger
-from .run_record import command_again, other_version, read_run
+from .run_record import command_again, read_run
 from .table_files import AT_URL, JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
@@ -115,7 +115,7 @@ class RunFolder(TableFolder):
         record = self.ledger.job_of_file(name)
         if record is None:
             raise self.damaged(name)
-        return self.read(table, record.files[name], name, columns, is_plain=True)
+        return self.read(table, record.files[name], name, columns)
 
     def read_pairs(
         self, pair_ids: Iterable[str], columns: Mapping[tuple[str, str], list[str]]
@@ -138,7 +138,7 @@ class RunFolder(TableFolder):
                 name = table_name(table, pair_id, side)
                 if name not in files:
                     raise self.damaged(name)
-                parts[table, side].append(self.read(table, files[name], name, names, is_plain=True))
+                parts[table, side].append(self.read(table, files[name], name, names))
         return {
             own: (pa.concat_tables(tables).combine_chunks(), np.array([len(table) for table in tables], dtype=np.int32))
             for own, tables in parts.items()
@@ -217,13 +217,8 @@ class RunFolder(TableFolder):
                         yield name
 
 
-def check_folder(out: Path, dataset: Path, experiment: str = "run", *, replace: bool = False) -> None:
-    """Raise `RunError` unless a folder is new, empty, or holds the run of this dataset by this command.
-
-    Parameters
-    ----------
-    replace : allow results of a version whose record this one cannot read
-    """
+def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
+    """Raise `RunError` unless a folder is new, empty, or holds the run of this dataset by this command."""
     record = read_run(out) if out.is_dir() else {}
     is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
     refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
@@ -232,8 +227,6 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run", *, replace: 
         raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
     if before and before != name_in_records(dataset) and (is_url(before) or os.path.lexists(before)):
         raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
-    if not replace and (version := other_version(record)):
-        refuse_overwrite(f"run {out}", "all its results", [f"{version} wrote it"])
 
 
 def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out") -> None:

@@ -22,8 +22,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
-from ...schemas.record import FrameSuspect, Machine, MetricsSummary, PairCounts, RunHeader, RunRecord, Seconds
-from ...schemas.results import Findings, PreviousRun, ScoreSummary
+from ...schemas.record import Machine, RunHeader, RunRecord, Seconds
+from ...schemas.results import PreviousRun, ScoreSummary
 from ...schemas.settings import Settings, overrides, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from ..object_store import name_in_records, url_or_path
@@ -120,7 +120,7 @@ def finished_record(folder: Path) -> dict[str, Any]:
     Raises
     ------
     RunError
-        It is not, is damaged, or was written by a version whose records this one cannot read.
+        It is not, or is damaged.
     """
     if folder.is_file():
         wanted = str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
@@ -133,19 +133,7 @@ def finished_record(folder: Path) -> dict[str, Any]:
         )
     if not record:
         raise RunError(f"run {folder}: expected a folder written by fidpipe run, found no run.json of one")
-    if version := other_version(record):
-        raise RunError(
-            f"run {folder}: {version} wrote it, which fidpipe {_version('fidpipe')} cannot read; use that version, or "
-            "evaluate the dataset again, with another --out or --replace"
-        )
     return record
-
-
-def other_version(record: Mapping[str, Any]) -> str:
-    """The version and date of a finished run whose record this version cannot read; "" if it can."""
-    if not has_ended(record) or "experiment" in record or last_results(record) is not None:
-        return ""
-    return f"fidpipe {record.get('fidpipe', 'of an unknown version')} on {record.get('written', '')[:10]}"
 
 
 def write_record(folder: Path, record: Mapping[str, Any], before_rename: Callable[[], None] | None = None) -> None:
@@ -212,57 +200,8 @@ def replaced_results(before: Mapping[str, Any], last: RunRecord | None, *, is_sa
         return None
 
 
-def run_record(
-    header: RunHeader,
-    input_hashes: Mapping[str, Mapping[str, str]],
-    rows: Sequence[Row],
-    wall_s: Mapping[str, float],
-    n_workers: int,
-    seconds: Seconds,
-    findings: Findings | None,
-    metrics: MetricsSummary,
-    n_to_do: int,
-    frames: Mapping[str, FrameSuspect],
-    notes: Mapping[str, Sequence[str]],
-    extras: Mapping[str, Any],
-) -> RunRecord:
-    """Fields of `run.json` at the end of a run.
-
-    Parameters
-    ----------
-    header : from `run_header`
-    input_hashes : by pair, content hash by side, and `content` of all that the pair's numbers come from
-    rows : of `pairs`, with at least `SUMMARISED`
-    wall_s : seconds of this command by phase
-    n_workers : of this command; 0 where there was nothing to do
-    seconds : from `StageSeconds`
-    findings : what the objects of all pairs say together
-    metrics : what is behind the unmatched objects
-    n_to_do : pairs of the dataset that are neither scored nor failed
-    frames : by pair, those whose simulated scan seems to lie in another frame
-    notes : by pair, notes on its ground cut
-    extras : by name, summaries of the optional stages over all pairs
-    """
-    n_scored = sum(row["status"] == "scored" for row in rows)
-    return RunRecord(
-        **dict(header),
-        workers=n_workers,
-        wall_s=dict(wall_s),
-        pairs=PairCounts(scored=n_scored, failed=len(rows) - n_scored, to_do=n_to_do),
-        summary=summarise_pairs(rows),
-        findings=findings,
-        metrics=metrics,
-        seconds=seconds,
-        inputs={pair_id: dict(hashes) for pair_id, hashes in sorted(input_hashes.items())},
-        frames=dict(sorted(frames.items())),
-        notes={pair_id: tuple(texts) for pair_id, texts in sorted(notes.items())},
-        **extras,
-    )
-
-
-def summarise_pairs(rows: Iterable[Row]) -> dict[str, ScoreSummary]:
-    """Mean and standard deviation over the scored pairs of each score; of bounded ones also with unmatched as worst."""
-    scored = [row for row in rows if row["status"] == "scored"]
+def summarise_pairs(scored: Sequence[Row]) -> dict[str, ScoreSummary]:
+    """Mean and standard deviation of each score over scored pairs; of bounded ones also with unmatched as worst."""
     scores = {name: [row[name] for row in scored] for name in RUN_SCORES}
     return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
 
