@@ -54,7 +54,7 @@ from .storage.run_record import (
 from .storage.table_files import JobRecord
 
 _PAIRS_AT_ONCE = 500
-_MOST_COPIES = 10  # lines on scans that are listed several times
+_MOST_ALIKE = 10  # warnings of a kind that are written out
 _PEAKS = ("ground_real_peak_m", "ground_sim_peak_m")
 
 
@@ -201,6 +201,19 @@ class _JobSummary:
         self.keys[pair.pair_id] = key_of(sorted(job.key for job in records if OF_PAIR in job.metadata))
 
 
+def few_of_each(warnings: Sequence[str]) -> list[str]:
+    """Some warnings of each kind, which is how they end, and the number of the others."""
+    kinds: defaultdict[str, list[str]] = defaultdict(list)
+    for text in warnings:
+        kinds[text.rpartition("; ")[2]].append(text)
+    lines = []
+    for alike in kinds.values():
+        lines += alike[:_MOST_ALIKE]
+        if n_more := len(alike[_MOST_ALIKE:]):
+            lines.append(f"{n_more} more like that; fidpipe check lists them")
+    return lines
+
+
 class _Run:
     """One run while it works."""
 
@@ -231,7 +244,7 @@ class _Run:
         pairs = [pair for pair in self._dataset.pairs if pair.pair_id in names]
         self._reporter.warn(*self._dataset.warnings)
         self._engine.hash_files(pairs)
-        self._reporter.warn(*swapped_sides(pairs, self._dataset.folder))
+        self._reporter.warn(*few_of_each(swapped_sides(pairs, self._dataset.folder)))
         self._hashes = {
             pair.pair_id: input_hashes(pair, self._dataset.label_names, self._engine.contents[pair.pair_id])
             for pair in self._dataset.pairs
@@ -316,13 +329,7 @@ class _Run:
                 jobs.add(pair, records)
         names = [pair.pair_id for pair in pairs if pair.pair_id in jobs.keys]
         hashes = {name: self._hashes[name] for name in names}
-        copies = shared_files(hashes)
-        if len(copies) > _MOST_COPIES:
-            n_more = len(copies) - _MOST_COPIES
-            copies[_MOST_COPIES:] = [
-                f"{n_more} more scans are in several pairs or on both sides; fidpipe check lists them"
-            ]
-        self._reporter.warn(*copies, *(text for name in names for text in jobs.warnings[name]))
+        self._reporter.warn(*few_of_each([*shared_files(hashes), *(text for name in names for text in jobs.warnings[name])]))
         return jobs
 
     def _write_record(self, record: RunHeader) -> None:

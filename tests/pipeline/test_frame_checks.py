@@ -19,6 +19,7 @@ from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.results.measures import Measures
+from fidpipe.pipeline.run import few_of_each
 from fidpipe.schemas.settings import InputSettings, Settings, load
 from fidpipe.stages.inspect.frame_search import check_frames
 from runs import command, run
@@ -151,6 +152,11 @@ def test_a_run_names_equal_files(tmp_path):
         write_bin(tmp_path / "streets" / f"{name}.bin", street())
     done = command("run", tmp_path / "streets", "--out", tmp_path / "run", "--workers", 1, "--set", "graph.k=10")
     assert "warning: pair a: real and simulated file hold the same points" in done.stderr
+
+
+def test_many_warnings_of_a_kind_are_counted():
+    lines = few_of_each([*(f"pair {i}: too {i}; set x" for i in range(13)), "pair 1: half a sweep"])
+    assert lines[9:] == ["pair 9: too 9; set x", "3 more like that; fidpipe check lists them", "pair 1: half a sweep"]
 
 
 @pytest.mark.parametrize(
