@@ -329,7 +329,9 @@ class _Run:
                 jobs.add(pair, records)
         names = [pair.pair_id for pair in pairs if pair.pair_id in jobs.keys]
         hashes = {name: self._hashes[name] for name in names}
-        self._reporter.warn(*few_of_each([*shared_files(hashes), *(text for name in names for text in jobs.warnings[name])]))
+        self._reporter.warn(
+            *few_of_each([*shared_files(hashes), *(text for name in names for text in jobs.warnings[name])])
+        )
         return jobs
 
     def _write_record(self, record: RunHeader) -> None:
