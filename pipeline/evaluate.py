@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _PAIR = "pair"
+_FIELDS = {"ground": "points", "graph": "edges"}  #: of `PairResult`, by table
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,30 +136,13 @@ def evaluate_pair(
     summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
     for own in metadata.values():
         summary |= plain_metadata(own.get(OF_PAIR, {}))
-    frames = {name: table().to_pandas() for name, table in tables.items()}
-
-    def by_side(table: str) -> dict[str, pd.DataFrame]:
-        return {side: frames[table, side] for side in SIDES}
-
-    return PairResult(
-        summary=summary,
-        points=by_side("ground"),
-        sensor=by_side("sensor"),
-        edges=by_side("graph"),
-        communities=by_side("communities"),
-        objects=by_side("objects"),
-        matching=frames["matching", ""],
-        coverage=frames["coverage", ""],
-        surface=frames["surface", ""],
-        pieces=frames["pieces", ""],
-        rays=frames["rays", ""],
-        ray_scores=frames["ray_scores", ""],
-        selection=frames["selection", ""],
-        metrics=frames["metrics", ""],
-        baselines=frames.get(("baselines", "")),
-        seeds=frames.get(("seeds", "")),
-        nvs=frames.get(("nvs", "")),
-    )
+    frames: dict[str, Any] = {}
+    for (name, side), table in tables.items():
+        if side:
+            frames.setdefault(_FIELDS.get(name, name), {})[side] = table().to_pandas()
+        else:
+            frames[name] = table().to_pandas()
+    return PairResult(summary=summary, **frames)
 
 
 def _results(

@@ -400,11 +400,10 @@ class _Run:
 
     def _past_failure(self, pair: ScanPair | None) -> str | None:
         """Reason of a failure in an earlier run, if the same job is still to do; else None."""
-        past = self._folder.ledger.failure(pair.pair_id) if pair else None
-        if pair is None or past is None:
+        if pair is None:
             return None
         plan, _ = with_results(self.plan(pair), self._folder)
-        return str(past["reason"]) if any(past["key"] == job.key for job in plan.todo) else None
+        return self._folder.ledger.failure(pair.pair_id, [job.key for job in plan.todo])
 
     def _timing_parts(self, pair_ids: Iterable[str]) -> Iterator[pa.Table]:
         """The rows of `timings`, some pairs at a time."""

@@ -54,10 +54,6 @@ class JobResult:
     metadata: Metadata = field(default_factory=dict)
 
 
-def _no_libraries(settings: Settings) -> tuple[str, ...]:
-    return ()
-
-
 def _nothing(settings: Settings) -> Columns:
     return {}
 
@@ -73,8 +69,7 @@ class Stage:
     grain : scope of one job
     version : of its code, raised by hand whenever its results change
     make : the job
-    libraries : libraries that it calls in addition to numpy and scipy, under given settings; their versions are in its
-        key
+    libraries : libraries that it may call in addition to numpy and scipy; their versions are in its key
     takes_real : columns of the real side, by table, that the job of the simulated side reads under given settings; may
         include the stage's tables
     gather : for grain OBJECT, returns the metadata of the pair from the rows of all objects
@@ -89,7 +84,7 @@ class Stage:
     grain: Grain
     version: int = 1
     make: Callable[[Inputs], JobResult]
-    libraries: Callable[[Settings], tuple[str, ...]] = _no_libraries
+    libraries: tuple[str, ...] = ()
     takes_real: Callable[[Settings], Columns] = _nothing
     gather: Callable[[Inputs, Tables], Metadata] | None = None
     is_wanted: Callable[[Settings], bool] | None = None

@@ -1,18 +1,20 @@
 """Pools that run in this process what they are given, remember it, and lose workers where a test wants it."""
 
 from fidpipe.pipeline.engine.costs import CostModel, largest_object
-from fidpipe.pipeline.engine.pool import InProcess, Memory, WorkerDied
+from fidpipe.pipeline.engine.pool import Memory, Pool, WorkerDied
 
 GIB = 2**30
 
 
-class WatchedPool(InProcess):
+class WatchedPool(Pool):
     """As if `n_workers` shared a memory.
 
     submitted : the functions that it was given, by name
     batches : of those that make jobs, the jobs: pair_id, stage, part
     at_once : after each submission, how many tasks are there and what as many as there are workers may need, in bytes
     """
+
+    n_workers = 2
 
     def __init__(self, n_workers=2, memory=8 * GIB, costs=None):
         super().__init__()

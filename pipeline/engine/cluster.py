@@ -30,7 +30,6 @@ from .costs import CostModel
 from .pool import (
     SHARE_OF_MEMORY,
     Handle,
-    InProcess,
     Memory,
     Pool,
     WorkerDied,
@@ -98,7 +97,7 @@ def _in_worker(requirements: Requirements | None, function: Callable[..., Any], 
     return function(*args)
 
 
-class DaskPool:
+class DaskPool(Pool):
     """A pool on the workers of a dask scheduler.
 
     Parameters
@@ -397,7 +396,7 @@ def start_pool(
     if address is None and n_workers > 1:
         n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
     if address is None and n_workers == 1 and not may_end_workers:
-        return InProcess(memory)
+        return Pool(memory)
     if address is None:
         _check_address_space()
     return DaskPool(n_workers, address, shared_files, libraries, memory, modules, may_end_workers=may_end_workers)
@@ -468,7 +467,7 @@ def other_versions(there: Mapping[str, str | None], here: Mapping[str, str]) -> 
     other = [
         f"{name} {there.get(name) or 'is not installed'} (here {version})"
         for name, version in here.items()
-        if there.get(name) != version
+        if (there.get(name) or "absent") != version
     ]
     return f"other versions: {', '.join(other)}; install the same ones there" if other else ""
 

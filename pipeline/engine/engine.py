@@ -133,7 +133,7 @@ class RunEngine:
             is_local = self._machines.scheduler is None
             reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
             shared = self._shared_files(pairs)
-            libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries(self.settings))
+            libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries)
             from .cluster import start_pool
 
             self._pool = start_pool(
@@ -217,7 +217,7 @@ class RunEngine:
                 self.fail(pair.pair_id, "; ".join(reasons))
                 self._unusable.add(pair.pair_id)
                 if self.folder.ledger.is_writable:
-                    self.folder.ledger.put_failure(pair.pair_id, {"key": "", "reason": "; ".join(reasons)})
+                    self.folder.ledger.put_failure(pair.pair_id, "", "; ".join(reasons))
 
     def survey(
         self,
@@ -386,7 +386,7 @@ class RunEngine:
         if own:
             self.fail(plan.pair_id, failure_text(own))
             key = plan.job((own[0].stage, own[0].part)).key
-            self.folder.ledger.put_failure(plan.pair_id, {"key": key, "reason": self.failures[plan.pair_id]})
+            self.folder.ledger.put_failure(plan.pair_id, key, self.failures[plan.pair_id])
         else:
             self.folder.ledger.drop_failure(plan.pair_id)
         for trace in dict.fromkeys(failure.trace for failure in failures if failure.trace):

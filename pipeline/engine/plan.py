@@ -243,7 +243,7 @@ class Planner:
                 stage.name,
                 stage.version,
                 {group: getattr(settings, group).model_dump(mode="json") for group in stage.settings},
-                library_versions(("numpy", "scipy", *stage.libraries(settings))),
+                library_versions(("numpy", "scipy", *stage.libraries)),
                 _given_columns(stage, settings),
             )
             self._method_keys[name] = settings, key  # kept, so that no other settings get the same id

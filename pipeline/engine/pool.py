@@ -1,4 +1,4 @@
-"""Pools that run batches: the interface of all, and the pool within this process.
+"""The pool of tasks within this process, which is also the interface of others.
 
 A pool takes a function and its arguments and returns the outcomes in any order.
 """
@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 SHARE_OF_MEMORY = 0.8
 
@@ -37,29 +37,45 @@ class Memory:
     alone: int
 
 
-class Pool(Protocol):
-    """Somewhere to run tasks."""
+class Pool:
+    """A pool that runs each task in this process when its outcome is requested; `DaskPool` runs them elsewhere."""
+
+    def __init__(self, memory: int | None = None) -> None:
+        self._memory = memory
+        self._waiting: list[tuple[float, int, Handle, Callable[..., Any], tuple[Any, ...], bool]] = []
+        self._count = itertools.count()
 
     @property
     def n_workers(self) -> int:
         """Number of tasks that run at the same time."""
+        return 1
 
     @property
     def memory(self) -> Memory:
         """Memory that the tasks may occupy."""
+        memory = self._memory or machine_memory()
+        return Memory(memory, memory)
 
     @property
     def dashboard(self) -> str:
         """The address at which a browser shows the cluster at work; "" if it has none."""
+        return ""
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
         """Start a task; those of higher priority first. With `keep` the result stays where it is made.
 
         A list of handles among the arguments becomes the list of their results.
         """
+        handle = Handle()
+        heapq.heappush(self._waiting, (-priority, next(self._count), handle, function, args, keep))
+        return handle
 
     def next_done(self) -> tuple[Handle, Any]:
         """Wait for a task to end: its result (None with `keep`), or `WorkerDied`."""
+        _, _, handle, function, args, keep = heapq.heappop(self._waiting)
+        with one_blas_thread():
+            handle.future = function(*([part.future for part in arg] if is_handles(arg) else arg for arg in args))
+        return handle, None if keep else handle.future
 
     def close(self, *, now: bool = False) -> None:
         """End the pool; `now` does not wait for running tasks."""
@@ -73,40 +89,6 @@ def one_blas_thread() -> Iterator[None]:
 
     with threadpool_limits(1):
         yield
-
-
-class InProcess:
-    """A pool that runs each task in this process when its outcome is requested."""
-
-    n_workers = 1
-    dashboard = ""
-
-    def __init__(self, memory: int | None = None) -> None:
-        self._memory = memory
-        self._waiting: list[tuple[float, int, Handle, Callable[..., Any], tuple[Any, ...], bool]] = []
-        self._count = itertools.count()
-
-    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
-        """See `Pool`."""
-        handle = Handle()
-        heapq.heappush(self._waiting, (-priority, next(self._count), handle, function, args, keep))
-        return handle
-
-    @property
-    def memory(self) -> Memory:
-        """See `Pool`."""
-        memory = self._memory or machine_memory()
-        return Memory(memory, memory)
-
-    def next_done(self) -> tuple[Handle, Any]:
-        """See `Pool`."""
-        _, _, handle, function, args, keep = heapq.heappop(self._waiting)
-        with one_blas_thread():
-            handle.future = function(*([part.future for part in arg] if is_handles(arg) else arg for arg in args))
-        return handle, None if keep else handle.future
-
-    def close(self, *, now: bool = False) -> None:
-        """See `Pool`."""
 
 
 def machine_memory() -> int:

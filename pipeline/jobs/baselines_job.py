@@ -15,7 +15,6 @@ from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.baselines import Baseline, compare_objects, compare_points
-from ...stages.baselines.icp import can_register
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
@@ -71,12 +70,6 @@ def summary_row(name: str, level: str, of_pairs: list[float | None], n: int, n_n
     return both | {"n": n, "n_null": n_null, "seconds": None}
 
 
-def baseline_libraries(settings: Settings) -> tuple[str, ...]:
-    """Libraries of the requested baselines; ICP's library is an extra, and without it ICP is null."""
-    wants_icp = "icp" in settings.metrics.baselines
-    return ("POT", "small_gicp") if wants_icp and can_register() else ("POT",)
-
-
 def _is_wanted(settings: Settings) -> bool:
     return bool(settings.metrics.baselines)
 
@@ -114,7 +107,7 @@ STAGE = Stage(
     grain=Grain.PAIR,
     version=3,
     make=make_baselines,
-    libraries=baseline_libraries,
+    libraries=("POT", "small_gicp"),
     is_wanted=_is_wanted,
     summarise=summarise_baselines,
 )

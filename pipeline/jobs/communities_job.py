@@ -24,7 +24,6 @@ from .points_job import (
     object_points,
 )
 
-_LIBRARIES = {"scikit-network": ("scikit-network",), "python-louvain": ("python-louvain", "networkx")}
 _MEASURES = (
     *("cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
     *("linearity", "planarity", "scattering", "range_m"),
@@ -71,18 +70,10 @@ def communities_result(
     return JobResult({"communities": communities, "objects": described})
 
 
-def _is_reference(settings: Settings) -> bool:
-    return settings.communities.objects == "reference"
-
-
 def _takes_real(settings: Settings) -> Columns:
-    return {"ground": POINT_COLUMNS, "communities": ("community_id",)} if _is_reference(settings) else {}
-
-
-def louvain_libraries(settings: Settings) -> tuple[str, ...]:
-    """Libraries that find the communities under given settings."""
-    hashing = ("scikit-learn",) if _is_reference(settings) else ()
-    return (*_LIBRARIES[settings.communities.backend], *hashing)
+    if settings.communities.objects == "independent":
+        return {}
+    return {"ground": POINT_COLUMNS, "communities": ("community_id",)}
 
 
 STAGE = Stage(
@@ -93,6 +84,6 @@ STAGE = Stage(
     grain=Grain.SIDE,
     version=3,
     make=make_communities,
-    libraries=louvain_libraries,
+    libraries=("scikit-network", "python-louvain", "networkx", "scikit-learn"),
     takes_real=_takes_real,
 )

@@ -17,7 +17,6 @@ from ..datasets.readers.scan import Scan
 from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column
 
-_LIBRARIES = {"pca": ("scikit-learn",), "patchwork": ("pypatchworkpp", "scikit-learn"), "none": ("scikit-learn",)}
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
 
@@ -85,10 +84,6 @@ def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: 
     return JobResult({"ground": rows}, counts | measures | others | {OF_PAIR: of_pair})
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    return _LIBRARIES[settings.ground.method]
-
-
 def _takes_real(settings: Settings) -> Columns:
     if settings.ground.shared:
         return {"ground": ()}
@@ -109,6 +104,6 @@ STAGE = Stage(
     grain=Grain.SIDE,
     version=1,
     make=make_ground,
-    libraries=_libraries,
+    libraries=("scikit-learn", "pypatchworkpp"),
     takes_real=_takes_real,
 )

@@ -91,11 +91,6 @@ def _as_map(text: str) -> FloatArray:
     return counts.reshape(nvs.BEV_CELLS, nvs.BEV_CELLS)
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    """The library of SSIM is an extra, and without it SSIM is null."""
-    return ("scikit-image",) if nvs.can_compare_images() else ()
-
-
 def _is_wanted(settings: Settings) -> bool:
     return settings.nvs.scores
 
@@ -107,7 +102,7 @@ STAGE = Stage(
     settings=("nvs",),
     grain=Grain.PAIR,
     make=make_nvs,
-    libraries=_libraries,
+    libraries=("scikit-image",),
     is_wanted=_is_wanted,
     summarise=summarise_nvs,
 )

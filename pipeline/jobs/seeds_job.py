@@ -20,7 +20,7 @@ from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.table_files import JobRecord
-from .communities_job import louvain_libraries
+from . import communities_job
 from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
 
 
@@ -78,10 +78,6 @@ def _as_floats(scores: dict[str, list[Any]]) -> dict[str, Any]:
     }
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    return (*louvain_libraries(settings), "POT")
-
-
 def _is_wanted(settings: Settings) -> bool:
     return settings.stability.seeds > 1
 
@@ -94,7 +90,7 @@ STAGE = Stage(
     grain=Grain.PAIR,
     version=2,
     make=make_seeds,
-    libraries=_libraries,
+    libraries=(*communities_job.STAGE.libraries, "POT"),
     is_wanted=_is_wanted,
     summarise=summarise_seeds,
 )

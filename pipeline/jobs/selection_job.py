@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES
-from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ...stages.selection import Selection, select_nodes
@@ -58,10 +57,6 @@ def selection_result(
     return JobResult({"selection": pa.concat_tables(parts).combine_chunks()})
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    return ("POT",)
-
-
 STAGE = Stage(
     name="selection",
     takes=MATCHED_OBJECTS,
@@ -70,5 +65,5 @@ STAGE = Stage(
     grain=Grain.OBJECT,
     version=1,
     make=make_selection,
-    libraries=_libraries,
+    libraries=("POT",),
 )

@@ -12,7 +12,7 @@ import numpy as np
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.clean import as_ros
-from ...stages.inspect.frame_search import can_move, check_frames
+from ...stages.inspect.frame_search import check_frames
 from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, pair_columns, sensor_row
 from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Stage
 
@@ -42,10 +42,6 @@ def sensor_result(pair_id: str, side: str, sensor: SensorDescription) -> JobResu
     return JobResult({"sensor": TABLES["sensor"].build(row, 1)}, metadata)
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    return ("small_gicp",) if can_move() else ()
-
-
 def _takes_real(settings: Settings) -> Columns:
     return {SCAN: ()}
 
@@ -57,6 +53,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.SIDE,
     make=make_sensor,
-    libraries=_libraries,
+    libraries=("small_gicp",),
     takes_real=_takes_real,
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
-from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.method import SurfaceComparison, measure_surface
 from ...stages.surface import Offsets
@@ -39,15 +38,11 @@ def _rows(offsets: Offsets) -> list[Row]:
     ]
 
 
-def _libraries(settings: Settings) -> tuple[str, ...]:
-    return ("scikit-learn",)
-
-
 STAGE = Stage(
     name="surface",
     takes={"ground": POINT_COLUMNS, "communities": ("community_id",)},
     gives=("surface",),
     grain=Grain.PAIR,
     make=make_surface,
-    libraries=_libraries,
+    libraries=("scikit-learn",),
 )

@@ -19,8 +19,7 @@ from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.method import PartitionedScan, compare, describe, graph_of, n_communities, partition, score
 from ...stages.metrics import MIN_NODES
 from ...stages.selection import select_nodes
-from ..jobs import seeds_job
-from ..jobs.baselines_job import baseline_libraries
+from ..jobs import baselines_job, seeds_job
 from ..jobs.points_job import EDGE_COLUMNS, POINT_COLUMNS, column, edges_in, points_in
 from ..stage import Grain, Inputs, JobResult, Stage
 
@@ -145,5 +144,5 @@ BASELINE = replace(
     settings=(*GLOBAL.settings, "metrics"),
     version=2,
     make=make_baselines,
-    libraries=baseline_libraries,
+    libraries=baselines_job.STAGE.libraries,
 )

@@ -59,7 +59,6 @@ def run_status(folder: Path) -> RunStatus:
     settings = parse(record["settings"])
     stages, run_folder = stages_under(settings), RunFolder(folder)
     ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)
-    known = set(ledger.pair_ids()) | set(ledger.failed_pairs())
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
     seconds, failures = StageSeconds(), {}
     with RunEngine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
@@ -72,9 +71,8 @@ def run_status(folder: Path) -> RunStatus:
                     counts["failed"] += 1
                 continue
             plan, unwanted = with_results(planner.plan(pair, engine.contents[pair.pair_id]), run_folder)
-            past = ledger.failure(pair.pair_id) if pair.pair_id in known else None
-            if past is not None and any(past["key"] == job.key for job in plan.todo):
-                failures[pair.pair_id] = str(past["reason"])
+            if past := ledger.failure(pair.pair_id, [job.key for job in plan.todo]):
+                failures[pair.pair_id] = past
             for stage in stages:
                 jobs = [job for job in plan.jobs if job.stage is stage]
                 is_stale = any((stage.name, pair.pair_id, job.part) in unwanted for job in jobs)

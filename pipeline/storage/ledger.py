@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import weakref
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
@@ -33,7 +33,7 @@ PRAGMA page_size = 16384;
 CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB);
 CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
 CREATE TABLE hashes (path BLOB PRIMARY KEY, marks TEXT, sha256 TEXT) WITHOUT ROWID;
-CREATE TABLE failures (pair_id TEXT PRIMARY KEY, entry BLOB) WITHOUT ROWID;
+CREATE TABLE failures (pair_id TEXT PRIMARY KEY, key TEXT, reason TEXT) WITHOUT ROWID;
 """
 
 
@@ -142,7 +142,8 @@ class Ledger:
 
     def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
         if records:
-            self._put("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, [_plain(record) for record in records])
+            entry = orjson.dumps([_plain(record) for record in records], option=orjson.OPT_SERIALIZE_NUMPY)
+            self._change("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, entry)
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
 
@@ -157,28 +158,22 @@ class Ledger:
             self._change("INSERT OR REPLACE INTO hashes VALUES (?, ?, ?)", name, marks, sha256)
         return sha256
 
-    def failure(self, pair_id: str) -> dict[str, Any] | None:
-        """Failure of a pair (`key` of the failed job, `reason`); None if it did not fail."""
-        return self._entry("SELECT entry FROM failures WHERE pair_id = ?", pair_id)
+    def failure(self, pair_id: str, keys: Container[str]) -> str | None:
+        """Reason why a pair failed, if the failed job has one of these keys."""
+        row = self._db.execute("SELECT key, reason FROM failures WHERE pair_id = ?", (pair_id,)).fetchone()
+        return str(row[1]) if row is not None and row[0] in keys else None
 
     def failed_pairs(self) -> list[str]:
         """The pairs that failed, by name."""
         return [pair_id for (pair_id,) in self._db.execute("SELECT pair_id FROM failures ORDER BY pair_id")]
 
-    def put_failure(self, pair_id: str, facts: Mapping[str, Any]) -> None:
-        """Adds why a pair failed."""
-        self._put("INSERT OR REPLACE INTO failures VALUES (?, ?)", pair_id, facts)
+    def put_failure(self, pair_id: str, key: str, reason: str) -> None:
+        """Adds the key of the failed job of a pair, and the reason."""
+        self._change("INSERT OR REPLACE INTO failures VALUES (?, ?, ?)", pair_id, key, reason)
 
     def drop_failure(self, pair_id: str) -> None:
         """Forgets why a pair failed, if it did."""
         self._change("DELETE FROM failures WHERE pair_id = ?", pair_id)
-
-    def _entry(self, question: str, name: str) -> dict[str, Any] | None:
-        row = self._db.execute(question, (name,)).fetchone()
-        return None if row is None else orjson.loads(row[0])
-
-    def _put(self, order: str, name: str, facts: Any) -> None:
-        self._change(order, name, orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY))
 
     def _change(self, order: str, *values: Any) -> None:
         now = monotonic()

@@ -92,11 +92,9 @@ def read_run(folder: Path) -> dict[str, Any]:
     Raises
     ------
     RunError
-        It is a link, or something in it is not of the type that any fidpipe gives it.
+        Something in it is not of the type that any fidpipe gives it.
     """
     path = folder / RUN_JSON
-    if path.is_symlink():
-        raise RunError(f"run {folder}: {RUN_JSON}: expected a file, got a symbolic link; remove the link")
     try:
         content = path.read_bytes()
         seal = _SEAL.search(content)

@@ -49,7 +49,7 @@ def test_a_ledger_on_a_full_disk_says_so(tmp_path):
     ledger._db.execute("PRAGMA max_page_count = 8")
     with pytest.raises(DiskFullError, match=r"ledger\.sqlite: database or disk is full, [0-9.]+ [MG]B free"):
         for i in range(1000):
-            ledger.put_failure(f"{i}", {"reason": "x" * 5000})
+            ledger.put_failure(f"{i}", "", "x" * 5000)
 
 
 @pytest.mark.exhaustive

@@ -8,7 +8,7 @@ from fidpipe.pipeline.datasets.content import ScanContent
 from fidpipe.pipeline.datasets.pairs import ScanPair, read_dataset
 from fidpipe.pipeline.engine.engine import Machines, RunEngine, Survey
 from fidpipe.pipeline.engine.plan import Part, Planner
-from fidpipe.pipeline.engine.pool import InProcess
+from fidpipe.pipeline.engine.pool import Pool
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.stage import Grain, Inputs, JobResult, Stage
@@ -62,7 +62,7 @@ def make_parts(dataset, out, parts, pool):
 def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes(tmp_path):
     folder, text = RunFolder(tmp_path / "run"), StringIO()
     reporter = Reporter(Console(file=text, width=1000))
-    with folder.locked(), RunEngine(folder, Settings(), Machines(pool=InProcess()), reporter) as engine:
+    with folder.locked(), RunEngine(folder, Settings(), Machines(pool=Pool()), reporter) as engine:
         for n in (200_000, 1_000_000):
             engine.contents[str(n)] = dict.fromkeys(("real", "sim"), ScanContent("", "", n))
         survey = Survey(todo=[ScanPair(name, None, None) for name in engine.contents])
@@ -74,7 +74,7 @@ def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes(tmp_path
 
 def test_a_part_sees_what_was_made_after_another_part_had_begun(dataset, tmp_path):
     parts = [Part(SEES_GROUND, "early"), Part(SEES_MATCHING, "late")]
-    engine, jobs = make_parts(dataset, tmp_path, parts, InProcess())
+    engine, jobs = make_parts(dataset, tmp_path, parts, Pool())
     assert engine.failures == {}
     for own in jobs.values():
         assert (
@@ -101,7 +101,7 @@ def test_a_poison_part_fails_alone(dataset, tmp_path):
     assert (SEES_GROUND.name, "part-1") not in jobs["000"]
     assert {pair_id: len(own) for pair_id, own in jobs.items()} == {"000": N_BASE + 2, "001": N_BASE + 3}
     assert not (tmp_path / "perturb_objects" / "000.part-1.parquet").exists()
-    again, _ = make_parts(dataset, tmp_path, parts, InProcess())
+    again, _ = make_parts(dataset, tmp_path, parts, Pool())
     assert (again.failures, again.n_made) == ({}, 1)
 
 

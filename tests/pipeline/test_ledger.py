@@ -35,7 +35,7 @@ def again(tmp_path):
 def contents(ledger):
     pair_ids = list(ledger.pair_ids())
     jobs = {name: job for pair_id in pair_ids for name, job in ledger.jobs(pair_id).items()}
-    return pair_ids, jobs, {pair_id: ledger.failure(pair_id) for pair_id in ledger.failed_pairs()}
+    return pair_ids, jobs, {pair_id: ledger.failure(pair_id, ["key"]) for pair_id in ledger.failed_pairs()}
 
 
 def test_what_was_put_is_read_again_by_this_process_and_by_another(ledger, tmp_path):
@@ -43,7 +43,7 @@ def test_what_was_put_is_read_again_by_this_process_and_by_another(ledger, tmp_p
     ledger.put_job(record("a", share=np.float64(1 / 3)))
     (tmp_path / "scan").write_bytes(b"points")
     sha256 = ledger.input_hash(tmp_path / "scan")
-    ledger.put_failure("c", {"reason": "étroit"})
+    ledger.put_failure("c", "key", "étroit")
     ledger.commit()
     for own in (ledger, again(tmp_path)):
         assert list(own.pair_ids()) == ["a", "b"]
@@ -51,7 +51,7 @@ def test_what_was_put_is_read_again_by_this_process_and_by_another(ledger, tmp_p
         with mock.patch("fidpipe.pipeline.storage.ledger.hash_file", side_effect=AssertionError):
             assert own.input_hash(tmp_path / "scan") == sha256
         assert own.failed_pairs() == ["c"]
-        assert own.failure("c") == {"reason": "étroit"}
+        assert (own.failure("c", ["key"]), own.failure("c", ["other"])) == ("étroit", None)
 
 
 def test_the_job_of_a_file_is_found(ledger):

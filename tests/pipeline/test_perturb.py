@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.plan import Part
-from fidpipe.pipeline.engine.pool import InProcess
+from fidpipe.pipeline.engine.pool import Pool
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.paper.experiment import experimenting, read_source
 from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
@@ -182,7 +182,7 @@ def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done,
     assert set(again.summary.column("kind").to_pylist()) == {"noise", "dropout"}
 
 
-class Interrupted(InProcess):
+class Interrupted(Pool):
     """A pool whose tasks are interrupted after some."""
 
     def __init__(self, n_tasks):
