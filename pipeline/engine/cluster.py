@@ -16,7 +16,7 @@ import socket
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from time import monotonic
@@ -74,26 +74,24 @@ class Requirements:
     code: str
 
 
-@dataclass
-class _Worker:
-    """State of a worker process between tasks."""
-
-    limits: Any = field(default=None)
-    requirements: Requirements | None = None
+_CHECKED: list[Requirements] = []  #: that this worker process meets
 
 
-_WORKER = _Worker()
+@cache
+def _limit_threads() -> Any:
+    """One thread for numeric libraries, as long as the process lives."""
+    limits = one_blas_thread()
+    limits.__enter__()
+    return limits
 
 
 def _in_worker(requirements: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
-    if requirements is not None and requirements != _WORKER.requirements:  # it may have joined after the first check
+    if requirements is not None and requirements not in _CHECKED:  # it may have joined after the first check
         versions = requirements.libraries
         if fault := other_versions(library_versions(versions), versions) or worker_fault(requirements):
             raise RunError(f"a worker on {socket.gethostname()}: {fault}")
-        _WORKER.requirements = requirements
-    if _WORKER.limits is None:
-        _WORKER.limits = one_blas_thread()
-        _WORKER.limits.__enter__()
+        _CHECKED.append(requirements)
+    _limit_threads()
     return function(*args)
 
 

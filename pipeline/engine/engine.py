@@ -168,25 +168,15 @@ class RunEngine:
             self.folder.url = url
 
     def _for_workers(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
-        """The plans with all that workers of a cluster need that may not see the files of the command."""
-        for plan in self._limited(plans):
-            if self._machines.scheduler is None:
-                yield plan
-                continue
-            files = [own for path in plan.pair.paths for own in (path, label_path_of(path, stem_of(path)))]
-            yield replace(plan, url=self.folder.url, stubs=stub_texts(files))
-
-    def _limited(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
-        """The plans with the time limit of their pairs; notes of an earlier run are removed."""
-        seconds = self._machines.pair_timeout_s
+        """The plans with the time limit of their pairs, and all that workers need that may not see the files here."""
+        seconds, notes = self._machines.pair_timeout_s, self.folder.folder / _TIME_NOTES
+        rmtree(notes, ignore_errors=True)  # of an earlier run
         for i, plan in enumerate(plans):
-            if seconds is None or plan.folder is None:
-                yield plan
-                continue
-            notes = plan.folder / _TIME_NOTES
-            if i == 0:
-                rmtree(notes, ignore_errors=True)
-            yield replace(plan, limit=TimeLimit(seconds, notes / str(i)))
+            own = plan if seconds is None else replace(plan, limit=TimeLimit(seconds, notes / str(i)))
+            if self._machines.scheduler is not None:
+                files = [file for path in plan.pair.paths for file in (path, label_path_of(path, stem_of(path)))]
+                own = replace(own, url=self.folder.url, stubs=stub_texts(files))
+            yield own
 
     def fail(self, name: str, reason: str) -> None:
         """Record and report a failure, by pair_id or "pair_id, part"."""
@@ -301,7 +291,8 @@ class RunEngine:
         changes : changes since the last run, as text
         stages : in their order
         """
-        for reason, names in _by_reason(survey.stale).items():
+        for reason in dict.fromkeys(survey.stale.values()):
+            names = [name for name, own in survey.stale.items() if own == reason]
             count = Counter(stage for stage, _, _ in names)
             listed = ", ".join(stage for stage in dict.fromkeys((*stages, *count)) if stage in count)
             n_pairs = len({pair_id for _, pair_id, _ in names})
@@ -402,10 +393,3 @@ def current_records(folder: RunFolder, pair_ids: Iterable[str], stages: Iterable
         for record in folder.ledger.jobs(pair_id).values():
             if record.stage in names:
                 yield record
-
-
-def _by_reason(stale: Mapping[JobName, str]) -> dict[str, list[JobName]]:
-    reasons: dict[str, list[JobName]] = {}
-    for name, reason in stale.items():
-        reasons.setdefault(reason, []).append(name)
-    return reasons

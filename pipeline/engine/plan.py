@@ -81,14 +81,6 @@ class Job:
         return {source.maker for source in self.sources if source.maker is not None}
 
 
-class _PlannedJob(NamedTuple):
-    """A job that is the same for all pairs with files of the same sides; `method_key` covers stage and settings."""
-
-    part: Part
-    method_key: str
-    sources: tuple[Source, ...]
-
-
 @dataclass(frozen=True)
 class PairPlan:
     """The jobs of a pair: all that a worker needs to know, paths and keys, no points.
@@ -178,7 +170,7 @@ class Planner:
         self.sides = tuple(sides)
         self._parts = [Part(stage, name) for stage in stages for name in stage.parts if name in ("", *self.sides)]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
-        self._layouts: dict[tuple[str, ...], list[_PlannedJob]] = {}
+        self._layouts: dict[tuple[str, ...], list[Job]] = {}
 
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
         """The jobs of a pair with their expected keys, none of them done yet.
@@ -205,18 +197,16 @@ class Planner:
         layout = self._layout(sides, parts) if parts else self._layouts[sides]
         keys = {(SCAN, side): self._input_key(pair, side, inputs[side]) for side in sides}
         jobs = []
-        for part, method_key, sources in layout:
-            reads = tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in sources))
-            key = key_of(method_key, part.name, _plain(part.arguments), reads)
-            job = Job(part.stage, part.name, key, part.settings or self.settings, sources, reads, part.arguments)
-            keys[job.name] = key
-            jobs.append(job)
+        for job in layout:
+            reads = tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources))
+            keys[job.name] = key_of(job.key, job.part, _plain(job.arguments), reads)
+            jobs.append(replace(job, key=keys[job.name], reads=reads))
         return PairPlan(pair, tuple(jobs), inputs, self.label_names)
 
-    def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> list[_PlannedJob]:
-        """The jobs of all pairs that have files of these sides, with the tables that each reads."""
+    def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> list[Job]:
+        """The jobs of all pairs that have files of these sides, without inputs; their keys cover stage and settings."""
         makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in sides}
-        jobs: dict[JobId, _PlannedJob] = {}
+        jobs: dict[JobId, Job] = {}
         for part in (*self._parts, *parts):
             stage, settings = part.stage, part.settings or self.settings
             side = part.name if stage.grain is Grain.SIDE else ""
@@ -231,7 +221,8 @@ class Planner:
             sources = tuple(Source(*name, columns, makers[name]) for name, columns in wanted.items())
             if (stage.name, part.name) in jobs:
                 raise ValueError(f"stage {stage.name} has two parts {part.name}; expected different names")
-            jobs[stage.name, part.name] = _PlannedJob(part, self._method_key(stage, settings), sources)
+            key = self._method_key(stage, settings)
+            jobs[stage.name, part.name] = Job(stage, part.name, key, settings, sources, (), part.arguments)
             makers |= {(table, side): (stage.name, part.name) for table in stage.gives}
         return list(jobs.values())
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 import faulthandler
 import secrets
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
-from typing import Self, TextIO
+from typing import TextIO
 
 from ...schemas.errors import StageError
 
@@ -39,8 +40,11 @@ class OutOfTimeError(StageError):
     """A pair has used up its time."""
 
 
-class Clock:
+@contextmanager
+def limited(limit: TimeLimit | None) -> Iterator[Callable[[str], object]]:
     """Context in which this thread works on a pair; the process ends if the pair's time is over.
+
+    The function notes the name of the work that begins, for the case that it does not end.
 
     Parameters
     ----------
@@ -51,40 +55,22 @@ class Clock:
     OutOfTimeError
         On entry, if nothing is left.
     """
-
-    def __init__(self, limit: TimeLimit | None) -> None:
-        self._limit = limit
-        self._note: TextIO | None = None
-        self._begun = 0.0
-
-    def __enter__(self) -> Self:
-        """The clock, which runs."""
-        if self._limit is not None:
-            folder = self._limit.folder
-            folder.mkdir(parents=True, exist_ok=True)
-            left = self._limit.seconds - _seconds_used(self._limit)
-            if left <= 0:
-                raise OutOfTimeError(_used_up(self._limit))
-            self._note = (folder / secrets.token_hex(8)).open("w", buffering=1, encoding="utf-8")
-            self._begun = monotonic()
-            _watch(self._begun + left, self._note)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Stop the clock and store the seconds used."""
-        if self._note is not None:
-            _watch(None, self._note)
-            self._note.close()
-            path = Path(self._note.name)
-            path.with_suffix(_FINISHED).write_text(str(monotonic() - self._begun), encoding="utf-8")
+    if limit is None:
+        yield str
+        return
+    limit.folder.mkdir(parents=True, exist_ok=True)
+    left = limit.seconds - _seconds_used(limit)
+    if left <= 0:
+        raise OutOfTimeError(_used_up(limit))
+    path, begun = limit.folder / secrets.token_hex(8), monotonic()
+    with path.open("w", buffering=1, encoding="utf-8") as note:
+        _watch(begun + left, note)
+        try:
+            yield lambda work: note.write(f"{work}\n")
+        finally:
+            _watch(None, note)
+            path.with_suffix(_FINISHED).write_text(str(monotonic() - begun), encoding="utf-8")
             path.unlink(missing_ok=True)
-
-    def begin(self, work: str) -> None:
-        """Store the name of the work that begins, for the case that it does not end."""
-        if self._note is not None:
-            self._note.write(f"{work}\n")
 
 
 def _seconds_used(limit: TimeLimit) -> float:

@@ -25,7 +25,7 @@ from ..stage import N_RAW, SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
 from ..storage.table_files import JobRecord, TableFolder, TablesAtUrl, plain_metadata, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, JobId, PairPlan, Source
-from .time_limit import Clock, OutOfTimeError
+from .time_limit import OutOfTimeError, limited
 
 
 @dataclass(frozen=True)
@@ -79,14 +79,14 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
         failures: list[JobFailure] = []
         failed: set[JobId] = set()
         try:
-            with Clock(batch.plan.limit) as clock:
+            with limited(batch.plan.limit) as note:
                 for job in jobs:
                     if failed.intersection(job.needs):
                         failed.add(job.name)
                         continue
                     if batch.most_bytes is not None and tables.bytes_needed(job, costs) > batch.most_bytes:
                         break
-                    clock.begin(job_title(*job.name))
+                    note(job_title(*job.name))
                     try:
                         records.append(make_job(tables, job))
                     except DiskFullError:
@@ -104,11 +104,22 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
 
 def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]) -> ObjectRows | JobFailure:
     """The rows of some objects, by the requested stages over objects; nothing is written."""
+    tables = _kept_tables(plan)
+    made: dict[JobId, Tables] = {}
+    steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
+    rows: dict[tuple[str, str], pa.Table] = {}
+    job = plan.job(jobs[0])
     try:
-        with Clock(plan.limit) as clock:
-            return _make_rows(plan, jobs, objects, clock)
-    except OutOfTimeError as error:
-        return JobFailure(*jobs[0], str(error))
+        with limited(plan.limit) as note:
+            for job in map(plan.job, jobs):
+                note(job_title(*job.name))
+                inputs = tables.inputs(job, objects, rows)
+                made[job.name] = job.stage.make(inputs).tables
+                steps[job.name] = inputs.step.total()
+                rows |= {(table, ""): own for table, own in made[job.name].items()}
+    except Exception as error:  # one broken pair does not stop a dataset
+        return _failure(job, error)
+    return ObjectRows(made, steps)
 
 
 def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRows | JobFailure]) -> list[BatchResult]:
@@ -290,27 +301,6 @@ class PairTables:
 def is_required(job: Job) -> bool:
     """True if its pair fails without it: it is neither an extra nor a part of an experiment."""
     return not job.stage.is_extra and job.part in job.stage.parts
-
-
-def _make_rows(
-    plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...], clock: Clock
-) -> ObjectRows | JobFailure:
-    """See `score_objects`."""
-    tables = _kept_tables(plan)
-    made: dict[JobId, Tables] = {}
-    steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
-    rows: dict[tuple[str, str], pa.Table] = {}
-    for name in jobs:
-        job = plan.job(name)
-        clock.begin(job_title(*name))
-        try:
-            inputs = tables.inputs(job, objects, rows)
-            made[name] = job.stage.make(inputs).tables
-        except Exception as error:  # one broken pair does not stop a dataset
-            return _failure(job, error)
-        steps[name] = inputs.step.total()
-        rows |= {(table, ""): own for table, own in made[name].items()}
-    return ObjectRows(made, steps)
 
 
 def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[str, list[pa.Table]]) -> JobRecord:

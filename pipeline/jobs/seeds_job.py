@@ -40,7 +40,10 @@ def make_seeds(own: Inputs) -> JobResult:
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
     """Spread of each score over seeds and over pairs; mean and standard deviation of each pair over seeds."""
-    repeats = {record.pair_id: _as_floats(record.metadata["scores"]) for record in records}
+    repeats = {
+        record.pair_id: {name: np.array(own, dtype=np.float64) for name, own in record.metadata["scores"].items()}
+        for record in records
+    }
     dataset = {name: vars(spread(np.array([scores[name] for scores in repeats.values()]))) for name in SEEDED_SCORES}
     pairs = {
         pair_id: {name: dict(zip(("mean", "std"), mean_and_std(own), strict=True)) for name, own in scores.items()}
@@ -69,13 +72,6 @@ def _repeat(own: Inputs, seed: int) -> Metadata:
     with own.step("scores"):
         summary = compare(scans["real"], scans["sim"], settings).summary
     return n_communities(summary) | summary
-
-
-def _as_floats(scores: dict[str, list[Any]]) -> dict[str, Any]:
-    return {
-        name: np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-        for name, values in scores.items()
-    }
 
 
 def _is_wanted(settings: Settings) -> bool:

@@ -126,7 +126,10 @@ def read_history(
     if not by_date and dates != sorted(dates):
         notes.append("the runs are not in the order in which they were made; --by-date orders them so")
     return History(
-        runs=tuple(_of_run(run) for run in runs),
+        runs=tuple(
+            RunOfHistory(run.folder, run.record.written, run.record.pairs.scored, run.record.pairs.failed)
+            for run in runs
+        ),
         pairs=pairs,
         left_out=left_out,
         failed=since_first[-1].failed,
@@ -135,11 +138,6 @@ def read_history(
         families=tuple(_over_runs(family.name, since_first, since_last) for family in since_first[0].families),
         notes=tuple(notes),
     )
-
-
-def _of_run(run: FinishedRun) -> RunOfHistory:
-    counts = run.record.pairs
-    return RunOfHistory(run.folder, run.record.written, counts.scored, counts.failed)
 
 
 def _over_runs(family: str, since_first: Sequence[Comparison], since_last: Sequence[Comparison]) -> FamilyHistory:

@@ -18,8 +18,8 @@ from ...schemas.errors import DiskFullError, RunError
 #: Of an OSError: the disk is full, or the user's share of it.
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
-_BLOCK_BYTES = 2**16
-
+#: True if a path read from a file exists; False also for one that is too long or not a valid path.
+path_exists = os.path.exists
 _to_canonical_json = json.JSONEncoder(sort_keys=True, allow_nan=False).encode
 
 
@@ -114,15 +114,6 @@ def remove_stale(path: Path) -> None:
         raise RunError(f"{path}: out of date, but cannot be removed ({error.strerror}); remove it") from error
 
 
-def path_exists(path: Path) -> bool:
-    """True if a path read from a file exists; False also for one that is too long or not a valid path."""
-    try:
-        path.stat()
-    except (OSError, ValueError):
-        return False
-    return True
-
-
 def refuse_link(path: Path) -> None:
     """Raises `RunError` where a folder that is written into, and cleared, is a link to another."""
     if path.is_symlink():
@@ -142,11 +133,5 @@ def file_marks(path: Path) -> str:
 
 def hash_file(path: Path | str) -> str:
     """SHA-256 of a file's content, as hexadecimal digits; OSError where it cannot be read."""
-    digest = hashlib.sha256()
-    file = os.open(path, os.O_RDONLY)  # (a hundred thousand of them: a file object costs more than most files)
-    try:
-        while block := os.read(file, _BLOCK_BYTES):
-            digest.update(block)
-    finally:
-        os.close(file)
-    return digest.hexdigest()
+    with Path(path).open("rb", buffering=0) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -4,7 +4,7 @@ import faulthandler
 
 import pytest
 
-from fidpipe.pipeline.engine.time_limit import Clock, OutOfTimeError, TimeLimit
+from fidpipe.pipeline.engine.time_limit import OutOfTimeError, TimeLimit, limited
 from pools import WatchedPool
 from runs import JOBS_PER_PAIR, assert_same_tables, run
 
@@ -28,7 +28,7 @@ def timer(monkeypatch):
 def test_what_earlier_batches_took_is_not_left(limit, timer):
     (limit.folder / "a.seconds").write_text("30.0")
     (limit.folder / "b.seconds").write_text("50.0")
-    with Clock(limit):
+    with limited(limit):
         assert timer == [pytest.approx(20.0, abs=1.0)]
     assert len(list(limit.folder.glob("*.seconds"))) == len(list(limit.folder.iterdir())) == 3
 
@@ -36,28 +36,28 @@ def test_what_earlier_batches_took_is_not_left(limit, timer):
 def test_a_pair_whose_time_is_used_up_is_not_begun(limit, timer):
     (limit.folder / "a.seconds").write_text("100.5")
     with pytest.raises(OutOfTimeError, match=r"^not finished after 100 s of work; a larger --pair-timeout gives it"):
-        Clock(limit).__enter__()
+        limited(limit).__enter__()
     assert timer == []
 
 
 def test_a_pair_that_ended_a_worker_is_not_begun_again_and_its_stage_is_named(limit, timer):
     (limit.folder / "a").write_text(OVER)
     with pytest.raises(OutOfTimeError, match="not finished after 100 s of work in stage graph, real; a larger"):
-        Clock(limit).__enter__()
+        limited(limit).__enter__()
     assert timer == []
 
 
 def test_a_worker_that_died_of_something_else_leaves_the_pair_its_time(limit, timer):
     (limit.folder / "a").write_text("stage ground, real\n")
-    with Clock(limit) as clock:
-        clock.begin("stage graph, sim")
+    with limited(limit) as note:
+        note("stage graph, sim")
         assert {path.read_text() for path in limit.folder.iterdir()} == {"stage ground, real\n", "stage graph, sim\n"}
     assert timer == [pytest.approx(100.0, abs=1.0)]
 
 
 def test_without_a_limit_no_timer_is_set(timer):
-    with Clock(None) as clock:
-        clock.begin("stage graph, sim")
+    with limited(None) as note:
+        note("stage graph, sim")
     assert timer == []
 
 
