@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from ...stages.statistics.comparison import (
     paired_difference,
 )
 
-Reading = Callable[[Row], float]
 PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
 #: Changes that chance makes in under this share of the comparisons are decided.
 ERROR_RATE = 1 - CONFIDENCE
@@ -40,20 +39,35 @@ LOST, EXTRA, IN_FRONT, BEHIND = "returns lost", "returns added", "simulated in f
 #: Scores of rays of which one can improve at the cost of the other.
 OPPOSED = {LOST: EXTRA, EXTRA: LOST, IN_FRONT: BEHIND, BEHIND: IN_FRONT}
 #: Distance from a perfect simulator, by the value that is best.
-ERRORS: dict[str, Callable[[float], float]] = {
-    "high": lambda value: -value,
-    "low": lambda value: value,
-    "zero": abs,
-    "one": lambda ratio: abs(math.log(ratio)) if ratio > 0 else math.nan,
+ERRORS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "high": np.negative,
+    "low": np.positive,
+    "zero": np.abs,
+    "one": lambda ratio: np.abs(np.log(np.where(ratio > 0, ratio, np.nan))),
 }
 #: The same in headings.
 MARKS = {"high": "↑", "low": "↓", "zero": "→0", "one": "→1"}
 MARKS_NOTE = "↑ higher is better, ↓ lower is better, →0 and →1 nearer to it is better (simulated minus, or over, real)"
 
 
+class Columns(dict[str, FloatArray]):
+    """Columns of some rows of `pairs`, read when first used; NaN for null, and if the rows lack the column."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        super().__init__()
+        self._rows = rows
+
+    def __missing__(self, name: str) -> FloatArray:
+        self[name] = np.array([row.get(name) for row in self._rows], dtype=np.float64)
+        return self[name]
+
+
+Reading = Callable[[Columns], FloatArray]
+
+
 @dataclass(frozen=True)
 class ComparedScore:
-    """One score of a pair, read from its row of `pairs`; NaN if null.
+    """One score of pairs, read from columns of `pairs`; NaN if null.
 
     heading : with the unit
     value : the number whose change is tested, with its sign
@@ -74,9 +88,9 @@ class ComparedScore:
     error_of: Reading | None = None
     column: str = ""
 
-    def error(self, row: Row) -> float:
+    def error(self, columns: Columns) -> FloatArray:
         """Distance from a perfect simulator; NaN if null."""
-        return ERRORS[self.best]((self.error_of or self.value)(row))
+        return ERRORS[self.best]((self.error_of or self.value)(columns))
 
 
 @dataclass(frozen=True)
@@ -193,7 +207,7 @@ def judge_families(
         for word in ("better", "worse")
     )
     is_displaced = bool({"better", "worse"} & called.get(POSITION, set()))
-    moved = _Moved(better, worse, is_displaced, _points_change(rows))
+    moved = _Moved(better, worse, is_displaced, *_points_change(rows))
     return tuple(_decided(family, moved) for family in found)
 
 
@@ -243,40 +257,35 @@ def _changes(
 
 def _read(reads: Sequence[Reading], rows: PairRows) -> FloatArray:
     """(m, n, 2) by score and pair, before and after; NaN if null."""
-    return np.array([[[read(row) for row in pair] for pair in rows.values()] for read in reads]).reshape(
-        -1, len(rows), 2
-    )
+    return np.stack([[read(own) for read in reads] for own in map(Columns, zip(*rows.values(), strict=True))], axis=-1)
 
 
 @dataclass(frozen=True)
-class _Points:
-    """Mean changes of the numbers of right and of invented simulated points, and of all relative to before."""
+class _Moved:
+    """Decided changes of other families.
 
+    better, worse, is_displaced : surfaces, and the position
+    right, invented, density : mean changes of the numbers of right and of invented simulated points, and of all
+        relative to before
+    """
+
+    better: set[str]
+    worse: set[str]
+    is_displaced: bool
     right: float
     invented: float
     density: float
 
 
-@dataclass(frozen=True)
-class _Moved:
-    """Decided changes of other families: surfaces that are better and worse, the position, and the points."""
-
-    better: set[str]
-    worse: set[str]
-    is_displaced: bool
-    points: _Points
-
-
-def _points_change(rows: PairRows) -> _Points:
+def _points_change(rows: PairRows) -> tuple[float, float, float]:
+    """See `_Moved`."""
     counts = []
-    for pair in rows.values():
-        for row in pair:
-            n = number(row, "n_sim_points")
-            right = n * np.mean([number(row, f"covered_sim_{reach}") for reach in COVERAGE_REACHES])
-            counts.append((right, n - right, n))
-    before, after = np.array(counts).reshape(-1, 2, 3).mean(axis=0)
-    right, invented, _ = (after - before).tolist()
-    return _Points(right, invented, after[2] / before[2] - 1)
+    for own in map(Columns, zip(*rows.values(), strict=True)):
+        n = own["n_sim_points"]
+        right = n * np.mean([own[f"covered_sim_{reach}"] for reach in COVERAGE_REACHES], axis=0)
+        counts.append([right.mean(), (n - right).mean(), n.mean()])
+    before, after = counts
+    return after[0] - before[0], after[1] - before[1], after[2] / before[2] - 1
 
 
 def _decided(family: FamilyChange, moved: _Moved) -> FamilyChange:
@@ -324,7 +333,7 @@ def _consequence(family: str, score: ScoreChange, moved: _Moved) -> str:
     by more than half of that of the invented ones, or fell by less.
     """
     if not score.is_direct:
-        if abs(moved.points.density) > SAME_DENSITY:
+        if abs(moved.density) > SAME_DENSITY:
             return "follows from the number of points"
         if score.verdict == "better" or moved.better:
             return "roughness alone is not fidelity"
@@ -333,21 +342,13 @@ def _consequence(family: str, score: ScoreChange, moved: _Moved) -> str:
     if family == POSITION and len(moved.worse) == 2:
         return "both surfaces lie farther apart"
     is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
-    follows = family == OBJECTS or (is_surface and moved.points.right <= moved.points.invented / 2)
+    follows = family == OBJECTS or (is_surface and moved.right <= moved.invented / 2)
     return f"follows from {' and '.join(sorted(moved.worse, reverse=True))}" if follows else ""
 
 
-def number(row: Row, column: str) -> float:
-    """A value of a row; NaN if it is null or the run has no such column."""
-    value = row.get(column)
-    return math.nan if value is None else float(value)
-
-
-def _column(
-    column: str, best: Best, least: float, heading: str = "", *, step: float = 0.0, is_direct: bool = True
-) -> ComparedScore:
+def _column(column: str, best: Best, least: float, heading: str = "", **options: Any) -> ComparedScore:
     words = heading or metric_of(column).label
-    return ComparedScore(words, lambda row: number(row, column), best, least, step, is_direct, column=column)
+    return ComparedScore(words, lambda columns: columns[column], best, least, column=column, **options)
 
 
 def _covered(side: str) -> tuple[ComparedScore, ...]:
@@ -364,38 +365,36 @@ def _pieces(kind: str) -> tuple[ComparedScore, ...]:
     )
 
 
-def _shift_length(row: Row) -> float:
+def _shift_length(columns: Columns) -> FloatArray:
     """Length of the displacement along the axes that are known."""
-    shift = [number(row, column) for column in SHIFT_COLUMNS[:3]]
-    return math.nan if all(map(math.isnan, shift)) else math.hypot(*(own for own in shift if not math.isnan(own)))
+    shift = np.stack([columns[name] for name in SHIFT_COLUMNS[:3]])
+    return np.where(np.isnan(shift).all(axis=0), np.nan, np.sqrt(np.nansum(shift**2, axis=0)))
 
 
-def _of_shift(column: str) -> ComparedScore:
-    heading = metric_of(column).label
-    return ComparedScore(heading, lambda row: number(row, column), "zero", 0.01, error_of=_shift_length, column=column)
+def _ratio(values: FloatArray, over: FloatArray) -> FloatArray:
+    return values / np.where(over > 0, over, np.nan)
 
 
 def _sensor(what: str, heading: str) -> ComparedScore:
-    def ratio(row: Row) -> float:
-        sim, real = (number(row, f"sensor_{side}_{what}") for side in ("sim", "real"))
-        return sim / real if real > 0 else math.nan
+    def ratio(columns: Columns) -> FloatArray:
+        return _ratio(columns[f"sensor_sim_{what}"], columns[f"sensor_real_{what}"])
 
     return ComparedScore(f"{heading} ratio", ratio, "one", 0.05)
 
 
-def _excess_quantum(row: Row) -> float:
+def _excess_quantum(columns: Columns) -> FloatArray:
     """Range steps of the simulated sensor minus the real one; a recognised sensor without any has 0."""
-    steps = [
-        0.0 if math.isnan(step) and number(row, f"sensor_{side}_beams") > 0 else step
+    sim, real = (
+        np.where(np.isnan(step) & (columns[f"sensor_{side}_beams"] > 0), 0.0, step)
         for side in ("sim", "real")
-        for step in [number(row, f"sensor_{side}_range_quantum_m")]
-    ]
-    return steps[0] - steps[1]
+        for step in [columns[f"sensor_{side}_range_quantum_m"]]
+    )
+    return sim - real
 
 
 def _excess(sim: str, real: str, heading: str, least: float) -> ComparedScore:
     """The simulated value minus the real one."""
-    return ComparedScore(heading, lambda row: number(row, sim) - number(row, real), "zero", least)
+    return ComparedScore(heading, lambda columns: columns[sim] - columns[real], "zero", least)
 
 
 _BOTH = ("same", "in_front", "behind")
@@ -404,9 +403,9 @@ _BOTH = ("same", "in_front", "behind")
 def _rays(heading: str, outcomes: Sequence[str], others: Sequence[str]) -> ComparedScore:
     """Share of rays with some outcomes among those with these or others."""
 
-    def share(row: Row) -> float:
-        own, rest = (sum(number(row, f"rays_{name}") for name in names) for names in (outcomes, others))
-        return own / (own + rest) if own + rest > 0 else math.nan
+    def share(columns: Columns) -> FloatArray:
+        own, rest = (np.sum([columns[f"rays_{name}"] for name in names], axis=0) for names in (outcomes, others))
+        return _ratio(own, own + rest)
 
     return ComparedScore(heading, share, "low", 0.005)
 
@@ -428,7 +427,7 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
         SURFACE_MISSING: (*_covered("real")[1:], _covered("real")[0], *_pieces("missing")),
         SURFACE_INVENTED: (*_covered("sim")[1:], _covered("sim")[0], *_pieces("invented")),
         POSITION: (
-            *(_of_shift(column) for column in SHIFT_COLUMNS[2::-1]),
+            *(_column(column, "zero", 0.01, error_of=_shift_length) for column in SHIFT_COLUMNS[2::-1]),
             _excess("ground_sim_peak_m", "ground_real_peak_m", "road height (m)", 0.02),
         ),
         "surface noise": (
