@@ -18,6 +18,8 @@ from ..results.causes import mean_interval, size_words
 LEAST_EXCESS_M = 0.005
 #: Part of what the other causes leave that a cause must explain, and a displacement, as it moves every point.
 LEAST_PART, LEAST_PART_MOVED = 0.03, 0.15
+#: Causes that are also looked for between the simulated scans of a run and of its floor: all that moves surface.
+CHANGES = frozenset((*PARAMETERS, "missing pieces", "invented pieces", "moved pieces"))
 _RANDOM = ("lost returns", "lost far returns")
 _UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
 #: More of the points in other places, with both of these, are a bent world.

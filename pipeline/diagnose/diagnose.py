@@ -15,7 +15,8 @@ from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidenc
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.curves import AXES, KINDS, curves
 from ...stages.diagnose.evidence import PairEstimates, PairScans, estimate
-from ...stages.diagnose.gain import RESTORED, Shares, corrections, shares, surface_distance
+from ...stages.diagnose.gain import RESTORED, Shares, changes, corrections, shares, surface_distance
+from ...stages.diagnose.motion import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter
 from ..results.causes import mean_interval
@@ -24,7 +25,7 @@ from ..results.diagnosis import DIAGNOSIS, UNEXPLAINED, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
 from ..storage.run_record import dumps
-from .causes import CAUSES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
+from .causes import CAUSES, CHANGES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
 from .latency import AHEAD, follow, latency_words, speed_m_s
 
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
@@ -81,6 +82,13 @@ def diagnose_run(
         blocks, unit = _blocks(run, names)
         amounts = [own.amounts for own, _ in found.values()]
         candidates = name_causes(amounts, [over for _, over in found.values()] if base else None, blocks)
+        unchanged: list[NamedCause] = []
+        if base and (changed := [own for own in candidates if own.model.name in CHANGES]):
+            _, unchanged, _ = confirm(
+                changed,
+                lambda causes: [*pool.map(lambda name: _changes(run, base, name, *found[name], causes), names)],
+            )
+            candidates = [own for own in candidates if own not in unchanged]
         named, doubtful, gains = confirm(
             candidates,
             lambda causes: _each(
@@ -111,7 +119,7 @@ def diagnose_run(
         unexplained=None if excess_m is None else min(max((after_m - floor_m) / excess_m, 0.0), 1.0),
         causes=tuple(causes),
         estimates=tuple(_estimate_rows(names, amounts)),
-        doubtful=tuple(own.sentence for own in doubtful),
+        doubtful=tuple(own.sentence for own in (*unchanged, *doubtful)),
         left_out=tuple(name for name in chosen if name not in found),
     )
     if pattern is None:
@@ -186,6 +194,19 @@ def _gains(
     made = corrections(scans, found, {own.model.name: own.mean for own in named}, rng)
     floor = read_pair(base, pair_id) if base else None
     return shares(scans, made, rng, surface_distance(floor.real, floor.sim) if floor else 0.0)
+
+
+def _changes(
+    run: FinishedRun,
+    base: FinishedRun,
+    pair_id: str,
+    found: PairEstimates,
+    over: Mapping[str, float],
+    named: Sequence[NamedCause],
+) -> Shares:
+    moved = Displacement(found.displacement.values - [over.get(name, 0.0) for name in PARAMETERS])
+    amounts = {own.model.name: own.mean for own in named}
+    return changes(read_pair(run, pair_id), read_pair(base, pair_id), moved, amounts, np.random.default_rng(_SEED))
 
 
 def _curves(run: FinishedRun, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]) -> Drawn:

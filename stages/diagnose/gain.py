@@ -174,6 +174,25 @@ def shares(scans: PairScans, made: Mapping[str, Correction], rng: Generator, flo
     return Shares(distance(frozenset()), max(distance(frozenset(names)), floor_m), floor_m, gains)
 
 
+def changes(
+    scans: PairScans, floor: PairScans, displacement: Displacement, excess: Mapping[str, float], rng: Generator
+) -> Shares:
+    """Shares in the distance between the simulated scans of a pair and of its floor, not between both sides.
+
+    A poor simulator is far from the real surface everywhere, so that any correction brings it closer; what a flaw has
+    changed is seen next to the same simulator without it.
+
+    Parameters
+    ----------
+    displacement : of the pair over that of the floor
+    excess : see `corrections`
+    """
+    both = PairScans(
+        floor.sim, scans.sim, floor.sim_is_ground, scans.sim_is_ground, (floor.sensors[1], scans.sensors[1])
+    )
+    return shares(both, corrections(both, PairEstimates(displacement, both.sensors, {}), excess, rng), rng)
+
+
 def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:
     """A random part of the flagged points."""
     return flags & (rng.random(len(flags)) < part)
