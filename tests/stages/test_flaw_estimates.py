@@ -5,7 +5,7 @@ import pytest
 
 from fidpipe.pipeline.diagnose.causes import CAUSES, confirm, name_causes
 from fidpipe.stages.diagnose.evidence import UNEVEN, PairScans, Side, estimate, find_unmatched
-from fidpipe.stages.diagnose.gain import corrections, shares, surface_distance
+from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
 from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement, fit_displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 from runs import some_of
@@ -152,6 +152,18 @@ def test_a_flaw_without_a_cause_is_unexplained(places, healthy, name):
     assert kept == []
     assert {own.model.name for own in doubtful} == {own.model.name for own in named}
     assert all(own.after_m == own.before_m > 1.5 * own.floor_m for own in left)
+
+
+@pytest.mark.parametrize(
+    ("flaw", "low", "high"), [(lambda points, rng: points + [0, 0.2, 0], 0.9, 1.0), (wobbling, -2.0, 0.1)]
+)
+def test_a_displacement_explains_how_two_simulated_scans_differ_unless_another_flaw_feigned_it(places, flaw, low, high):
+    pair, floor = simulated(places[:1], flaw)[0], simulated(places[:1])[0]
+    amount = {"sideways": 0.2}
+    moved = Displacement(np.array([amount.get(name, 0.0) for name in PARAMETERS]))
+    found = changes(pair, floor, moved, amount, np.random.default_rng(0))
+    assert found.before_m == surface_distance(floor.sim, pair.sim)
+    assert low < found.by_cause["sideways"] / found.before_m <= high
 
 
 def test_a_displacement_is_undone(places):
