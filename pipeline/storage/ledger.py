@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import weakref
+import zlib
 from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +36,9 @@ CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
 CREATE TABLE hashes (path BLOB PRIMARY KEY, marks TEXT, sha256 TEXT) WITHOUT ROWID;
 CREATE TABLE failures (pair_id TEXT PRIMARY KEY, key TEXT, reason TEXT) WITHOUT ROWID;
 """
+
+
+_LAYOUT = zlib.crc32(_TABLES.encode()) >> 1  # in the file; one with other tables is rebuilt
 
 
 class Ledger:
@@ -203,8 +207,8 @@ class Ledger:
         try:
             names = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
             if not names:
-                db.executescript(_TABLES)
-            elif "hashes" not in names:
+                _make_tables(db)
+            elif _layout(db) != _LAYOUT:
                 raise sqlite3.DatabaseError("the ledger has other tables")
         except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
             db.close()
@@ -240,8 +244,16 @@ def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:
 
 def _in_memory() -> sqlite3.Connection:
     db = _connect(":memory:")
-    db.executescript(_TABLES)
+    _make_tables(db)
     return db
+
+
+def _make_tables(db: sqlite3.Connection) -> None:
+    db.executescript(f"{_TABLES} PRAGMA user_version = {_LAYOUT};")
+
+
+def _layout(db: sqlite3.Connection) -> int:
+    return int(db.execute("PRAGMA user_version").fetchone()[0])
 
 
 def _read_only(path: Path, is_complete: bool) -> sqlite3.Connection:
@@ -254,14 +266,17 @@ def _read_only(path: Path, is_complete: bool) -> sqlite3.Connection:
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         db = _connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
         try:
-            db.execute("SELECT 1 FROM hashes").fetchone()
+            layout = _layout(db)
         except sqlite3.OperationalError:
             db.close()
             continue
+        if layout != _LAYOUT:
+            db.close()
+            break
         if is_complete:
             return db
         copy = _connect(":memory:")
         db.backup(copy)
         db.close()
         return copy
-    raise sqlite3.DatabaseError(f"{path} cannot be opened")
+    raise sqlite3.DatabaseError(f"{path} cannot be opened, or has other tables")

@@ -6,12 +6,14 @@ import sqlite3
 import tracemalloc
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from unittest import mock
 
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.storage.ledger import LEDGER, Ledger
+from fidpipe.pipeline.storage.files import hash_file
+from fidpipe.pipeline.storage.ledger import LEDGER, SEAL, Ledger
 from fidpipe.pipeline.storage.table_files import JobRecord, StoredFile
 from fidpipe.schemas.errors import RunError
 
@@ -125,7 +127,7 @@ def test_a_ledger_that_changed_since_it_was_closed_is_not_believed(ledger, tmp_p
     assert not again(tmp_path).is_complete
 
 
-@pytest.mark.parametrize("damage", ["text", "header", "page", "torn", "empty"])
+@pytest.mark.parametrize("damage", ["text", "header", "page", "torn", "empty", "layout"])
 def test_a_ledger_that_is_none_is_made_again(tmp_path, damage):
     path = tmp_path / LEDGER
     ledger = Ledger(path, is_writable=True)
@@ -160,6 +162,10 @@ def spoil(path, damage):
     elif damage == "page":
         third = len(content) // 3 // 4096 * 4096
         path.write_bytes(content[:third] + b"\xa5" * 65536 + content[third + 65536 :])
+    elif damage == "layout":  # that of another version, closed in order
+        with closing(sqlite3.connect(path)) as db:
+            db.execute("PRAGMA user_version = 1")
+        path.with_name(SEAL).write_text(hash_file(path))
     elif damage == "torn":
         path.write_bytes(content[: len(content) // 2])
     else:
