@@ -11,7 +11,9 @@ import typer
 from . import completion
 from .options import (
     EXIT_GATE_FAILED,
+    AsCsv,
     AsJson,
+    AsMarkdown,
     Floor,
     RunFolder,
     criterion_option,
@@ -81,77 +83,54 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="RUN_A RUN_B",
-            help="Runs, up to eight, the first is the base; or datasets, or a folder of real scans and several of "
-            "simulated ones, which are evaluated first (preset reference).",
+            help="Up to eight runs, the first is the base; or datasets, or real scans and several simulated folders.",
             show_default=False,
             autocompletion=completion.run_folders,
         ),
     ],
-    html: Annotated[Path | None, typer.Option("--html", help="Write a web page to this file.")] = None,
-    out: Annotated[Path | None, out_option("Folder for compare.html (and with --fail-on the files for CI).")] = None,
+    html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a web page.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for compare.html, .xml, .json.")
+    ] = None,
     floor: Floor = None,
     as_json: AsJson = False,
-    as_markdown: Annotated[
-        bool, typer.Option("--markdown", help="Markdown on standard output, for a merge request.")
-    ] = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="CSV on standard output: a row per run and score.")] = False,
+    as_markdown: AsMarkdown = False,
+    as_csv: AsCsv = False,
     fail_on: Annotated[
-        str | None,
-        typer.Option(
-            "--fail-on",
-            metavar="worse|undecided",
-            help="Exit with 4 if a family is worse or mixed, or a pair newly fails; undecided: or nothing is decided.",
-        ),
+        str | None, typer.Option("--fail-on", metavar="WORD", help="worse or undecided: exit with 4 if so.")
     ] = None,
     junit: Annotated[
-        Path | None, typer.Option("--junit", help="JUnit XML of --fail-on.", show_default="RUN_B/compare.xml")
+        Path | None, typer.Option("--junit", metavar="FILE", help="JUnit XML, else RUN_B/compare.xml.")
     ] = None,
     json_file: Annotated[
-        Path | None, typer.Option("--json-file", help="Result of --fail-on as JSON.", show_default="RUN_B/compare.json")
+        Path | None, typer.Option("--json-file", metavar="FILE", help="JSON, else RUN_B/compare.json.")
     ] = None,
-    history: Annotated[
-        bool, typer.Option("--history", help="All runs in one table, each against the first and the one before.")
-    ] = False,
-    by_date: Annotated[
-        bool, typer.Option("--by-date", help="With --history: in the order in which the runs were made.")
-    ] = False,
+    history: Annotated[bool, typer.Option("--history", help="All runs in one table.")] = False,
+    by_date: Annotated[bool, typer.Option("--by-date", help="The runs of --history by date.")] = False,
     allow_different_settings: Annotated[
-        bool, typer.Option("--allow-different-settings", help="Compare runs although their settings differ.")
+        bool, typer.Option("--allow-different-settings", help="Compare them all the same.")
     ] = False,
-    independent: Annotated[
-        bool,
-        typer.Option("--independent", help="Count neighbouring frames as independent: a decision about these only."),
-    ] = False,
-    all_: Annotated[bool, typer.Option("--all", help="Print every score, and objects by class and range.")] = False,
+    independent: Annotated[bool, typer.Option("--independent", help="Neighbouring frames count singly.")] = False,
+    all_: Annotated[bool, typer.Option("--all", help="Also every score, class and range.")] = False,
 ) -> None:
-    """Compare simulator versions on the same real scans: better, worse or mixed, in what, and which objects changed.
+    """Compare simulator versions on the same real scans: better, worse or mixed, and in what.
 
-    Scores are decided in families: surface missing, surface invented, position, surface noise, sensor, rays,
-    intensity, objects. Each has one test (exact sign flips over pairs, maxT over its scores), Holm over the families:
-    of equal simulators any is better or worse in 5 % of the comparisons or fewer. Neighbouring frames count once, see
-    --independent.
-
-    Exit codes: 0 compared; 1 a run or setting is wrong; 2 wrong usage; 4 with --fail-on worse: a family is worse or
-    mixed, or a pair that the base has scored failed or is not compared; with --fail-on undecided also if nothing is
-    decided, for lack of independent pairs (fewer than 6 show only changes far beyond the noise) or of a clear change.
+    Scores are decided in families, at most 5 % false alarms over all; see docs/compare.md. Datasets and scans are
+    evaluated first (preset reference). Exits with 0, or with 1 if a run or setting is wrong, 2 after wrong usage, 4
+    with --fail-on worse if a family is worse or mixed, or a pair that the base has scored failed or is not compared;
+    with --fail-on undecided also if nothing is decided.
 
     Examples
     --------
     fidpipe compare runs/build41 runs/build42
 
-    fidpipe compare build41/ build42/    two datasets: evaluates both, then compares runs/build41 and runs/build42
+    fidpipe compare drive/ build41/lidar/ build42/lidar/    real, two simulators
 
-    fidpipe compare drive/ build41/lidar/ build42/lidar/    the same with one folder of real scans
+    fidpipe compare runs/base runs/new --floor runs/base-floor --html new.html
 
-    fidpipe compare runs/build40 runs/build41 runs/build42 --html builds.html
+    fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
 
-    fidpipe compare runs/build41 runs/build42 --floor runs/build41-floor    says which differences are smaller than it
-
-    fidpipe compare runs/baseline runs/nightly --fail-on worse --junit build/compare.xml    a gate for CI
-
-    fidpipe compare runs/baseline runs/nightly --markdown >> comment.md
-
-    fidpipe compare runs/build4? --history --html history.html    how has the simulator developed?
+    fidpipe compare runs/build4? --history --markdown >> comment.md
     """
     from ..report.page.compare_page import compare_page
     from ..report.views.compare_view import compare_records, compare_view

@@ -82,14 +82,14 @@ Floor = Annotated[
     typer.Option(
         "--floor",
         metavar="RUN",
-        help="Also show scores minus this floor, a run of fidpipe floor on the same real scans.",
+        help="Also scores over this run of fidpipe floor.",
         autocompletion=completion.run_folders,
     ),
 ]
 Replace = Annotated[bool, typer.Option("--replace", help="Replace finished results.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")]
 AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON on standard output, nothing else.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]
 
 
 def out_option(folder_of: str, default: str | None = None) -> Any:

@@ -24,7 +24,7 @@ from ...stages.literal import literal_method, literal_surfaces
 from ...stages.literal import literal_pieces as surface_pieces
 from ..jobs import EXTRAS, STAGES
 from ..stage import Stage
-from .compare_frames import DEFAULT_TOLERANCE
+from .compare_frames import DEFAULT_TOLERANCE, MERGE_GAIN
 from .recompute_nvs import nvs
 from .recompute_rays import rays
 from .stored import Part, Skipped, StoredPair, StoredSide, values
@@ -209,9 +209,8 @@ def communities(pair: StoredPair) -> Parts:
                 yield Skipped(f"objects by {settings.reference} of the input")
             else:
                 if own.edges[2].any():
-                    what = "modularity gained by joining two communities"
                     gain = max(0.0, literal_method.best_merge_gain(own.labels, *own.edges))
-                    yield values("communities", {what: gain}, {what: 0.0}, side)
+                    yield values("communities", {MERGE_GAIN: gain}, {MERGE_GAIN: 0.0}, side)
                 if settings.backend != "scikit-network" or not pair.has_same_library("scikit-network"):
                     yield Skipped("communities of a graph by another Louvain than that of the installed scikit-network")
                 elif not own.edges[2].any():
