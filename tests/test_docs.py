@@ -10,7 +10,7 @@ import pytest
 
 import fidpipe
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.datasets.writers import convert
+from fidpipe.pipeline.exchange.convert import convert
 from runs import command
 from scenes import drifted, street, write_bin
 

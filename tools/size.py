@@ -15,6 +15,7 @@ PRODUCT = ("pipeline", "stages", "schemas")
 SATELLITES = {
     "paper": ("pipeline/paper", "stages/paper"),
     "generate": ("pipeline/generate", "stages/generate"),
+    "exchange": ("pipeline/exchange",),
     "diagnose": ("pipeline/diagnose", "stages/diagnose"),
     "inspect": ("pipeline/inspect", "stages/inspect"),
     "verify": ("pipeline/verify", "stages/literal"),

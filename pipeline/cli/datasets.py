@@ -143,8 +143,8 @@ def twin(
 
     from ...schemas.settings import load
     from ...stages.generate.flaws import parse_flaws
-    from ..datasets.sequences import read_recording
     from ..engine.progress import Reporter
+    from ..generate.recordings import read_recording
     from ..generate.sensor_files import read_sensor
     from ..generate.twin import make_twins
 
@@ -255,7 +255,7 @@ def convert(
 
     fidpipe convert capture.pcap frames/ --to ply        every revolution of the sensor
     """
-    from ..datasets.writers import convert as write
+    from ..exchange.convert import convert as write
 
     names = tuple(columns.replace(",", " ").split()) if columns else None
     files = write(source, out, to, names, replace=replace)

@@ -233,8 +233,8 @@ def _history(runs: list[Path], page: Path | None, output: str, **options: bool) 
 def _evaluated(folders: list[Path]) -> list[Path]:
     """Folders of runs; datasets, or several simulated sides after a real one, are evaluated first (`reference`)."""
     from ...schemas.settings import load
+    from ..datasets.pairing import scans_in
     from ..datasets.readers import holds_frames
-    from ..datasets.sequences import scans_in
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..run import run_dataset

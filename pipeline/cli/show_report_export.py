@@ -170,7 +170,7 @@ def export(
     """
     from ..engine.progress import Reporter
     from ..engine.tasks import counting
-    from ..results.export import LEGEND, export_run
+    from ..exchange.export import LEGEND, export_run
     from ..results.finished import FinishedRun
     from ..storage.files import megabytes
 

@@ -18,9 +18,8 @@ from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import write_whole
 from .pairs import MANIFEST, UNPAIRED, read_manifest
-from .readers import frames_of, holds_frames, stem_of
+from .readers import frames_of, holds_frames, stem_of, suffix_of
 from .readers.frame_address import address_of
-from .sequences import read_numbers, scans_in
 
 _TIMES = ("times.txt", "poses.tum")
 #: Largest time between the two frames of a pair, seconds.
@@ -214,6 +213,36 @@ def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
     after = np.minimum(after, len(among_s) - 1)
     ids: IntArray = np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
     return ids
+
+
+def scans_in(folder: Path) -> list[Path]:
+    """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_file()
+        and not path.name.startswith(".")
+        and path.name not in (MANIFEST, UNPAIRED)
+        and suffix_of(path) is not None
+        and not holds_frames(path)
+    )
+
+
+def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
+    """(n, width) float64, the lines of a file; those that begin with # are left out."""
+    wanted = " or ".join(map(str, widths))
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        rows = [[float(word) for word in line.split()] for line in lines if line.strip() and line.lstrip()[0] != "#"]
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except ValueError as error:
+        raise DatasetError(f"{path}: expected lines of {wanted} numbers ({error})") from error
+    counts = {len(row) for row in rows}
+    if len(counts) != 1 or counts.pop() not in widths:
+        found = ", ".join(map(str, sorted({len(row) for row in rows}))) or "no"
+        raise DatasetError(f"{path}: expected lines of {wanted} numbers, got lines of {found}")
+    return np.array(rows)
 
 
 def write_dataset(

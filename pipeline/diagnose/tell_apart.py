@@ -23,9 +23,9 @@ from ...stages.inspect.sensor_description import describe_sensor
 from ...stages.method import remove_road
 from ...stages.statistics.findings import BAND_EDGES_M
 from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap
+from ..datasets.pairing import scans_in
 from ..datasets.readers import frames_of, holds_frames, read_scan
 from ..datasets.readers.scan import Scan
-from ..datasets.sequences import scans_in
 from ..jobs.points_job import column
 from ..results.finished import FinishedRun
 

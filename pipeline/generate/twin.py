@@ -26,12 +26,12 @@ from ...stages.generate.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_m
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
 from ..datasets.readers import read_scan, stem_of
 from ..datasets.readers.scan import label_path_of
-from ..datasets.sequences import Frame, Recording
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..storage.files import hash_file, key_of, path_exists, write_whole
 from ..storage.run_record import library_versions
 from .dataset_folder import Recipe, prepare_folder, write_table, writing
+from .recordings import Frame, Recording
 
 RECIPE = "twin.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans

@@ -9,10 +9,10 @@ from rich.console import Console
 
 from campaign import campaign
 from fidpipe.pipeline.cli import completion
-from fidpipe.pipeline.datasets.sequences import Recording
-from fidpipe.pipeline.datasets.writers import convert
 from fidpipe.pipeline.engine.progress import Reporter
+from fidpipe.pipeline.exchange.convert import convert
 from fidpipe.pipeline.generate import synth, twin
+from fidpipe.pipeline.generate.recordings import Recording
 from fidpipe.pipeline.generate.sensor_files import read_sensor
 from fidpipe.pipeline.results.floor import FLOOR_DATASET, FLOOR_RECIPE, read_recipe
 from fidpipe.schemas.errors import DatasetError, FidpipeError, RunError

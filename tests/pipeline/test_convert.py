@@ -7,7 +7,7 @@ import pytest
 
 from fidpipe.pipeline.datasets.pairs import read_label_names
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
-from fidpipe.pipeline.datasets.writers import convert
+from fidpipe.pipeline.exchange.convert import convert
 from fidpipe.schemas.errors import DatasetError
 from recordings import carla_ply
 from runs import command

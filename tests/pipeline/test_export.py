@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 import fidpipe
-from fidpipe.pipeline.results.export import POINT, Status, export_run, message_times
+from fidpipe.pipeline.exchange.export import POINT, Status, export_run, message_times
 from fidpipe.schemas.errors import FidpipeError, RunError
 from fidpipe.schemas.settings import load
 from runs import command

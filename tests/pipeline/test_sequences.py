@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.datasets.sequences import read_recording
+from fidpipe.pipeline.generate.recordings import read_recording
 from fidpipe.pipeline.generate.sensor_files import read_sensor
 from fidpipe.schemas.errors import DatasetError, FidpipeError
 from scenes import rigid, street, write_bin

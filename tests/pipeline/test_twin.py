@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.pipeline.datasets.sequences import read_recording
 from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import twin
+from fidpipe.pipeline.generate.recordings import read_recording
 from fidpipe.schemas.errors import DatasetError, FidpipeError
 from fidpipe.schemas.sensor_models import SENSORS, SensorModel
 from fidpipe.schemas.settings import InputSettings

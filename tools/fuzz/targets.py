@@ -53,7 +53,7 @@ def _poses():
 
 def _posed(folder):
     from fidpipe.pipeline.datasets.pairing import read_timeline
-    from fidpipe.pipeline.datasets.sequences import read_recording
+    from fidpipe.pipeline.generate.recordings import read_recording
 
     for path in (folder / "pose").iterdir():
         shutil.copy(path, folder / "real" / path.name)
@@ -148,9 +148,9 @@ def _recipes():
 
 def _go_on(folder):
     """Prepares to go on in a folder of this recipe: with what another recipe left there, and then in its place."""
-    from fidpipe.pipeline.datasets.sequences import Recording
     from fidpipe.pipeline.generate import floor_run, synth, twin
     from fidpipe.pipeline.generate.dataset_folder import prepare_folder
+    from fidpipe.pipeline.generate.recordings import Recording
     from fidpipe.pipeline.results.floor import FLOOR_DATASET, FloorRecipe, read_recipe
     from fidpipe.schemas.errors import FidpipeError
 
@@ -244,7 +244,7 @@ def _names_beside():
 
 
 def _convert(folder):
-    from fidpipe.pipeline.datasets.writers import convert
+    from fidpipe.pipeline.exchange.convert import convert
 
     return convert(folder / "scan.csv", folder / "out" / "a.ply", replace=True)
 
@@ -256,7 +256,7 @@ def _exported():
 
 
 def _in_the_way(folder):
-    from fidpipe.pipeline.results.export import _is_ours
+    from fidpipe.pipeline.exchange.export import _is_ours
     from fidpipe.schemas.errors import FidpipeError
 
     if not _is_ours(folder / "a.mcap"):

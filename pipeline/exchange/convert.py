@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.errors import DatasetError
+from ..datasets.pairs import LABEL_NAMES, read_label_names
+from ..datasets.readers import frames_of, holds_frames, read_scan, stem_of
+from ..datasets.readers.frame_address import address_of
+from ..datasets.readers.scan import Scan
 from ..storage.files import write_whole
-from .pairs import LABEL_NAMES, read_label_names
-from .readers import frames_of, holds_frames, read_scan, stem_of
-from .readers.frame_address import address_of
-from .readers.scan import Scan
 
 Columns = dict[str, NDArray[Any]]
 _PLY_NAMES = {"f4": "float", "f8": "double", "i4": "int", "u1": "uchar"}

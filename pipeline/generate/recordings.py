@@ -14,8 +14,9 @@ import numpy as np
 
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
-from .pairs import LABEL_NAMES, MANIFEST, UNPAIRED, check_rigid, read_label_names, read_manifest
-from .readers import holds_frames, stem_of, suffix_of
+from ..datasets.pairing import read_numbers, scans_in
+from ..datasets.pairs import LABEL_NAMES, MANIFEST, check_rigid, read_label_names, read_manifest
+from ..datasets.readers import holds_frames, stem_of
 
 FEWEST_FRAMES = 3
 _SCAN_FOLDERS = ("velodyne", "real", ".")
@@ -144,36 +145,6 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
         Frame(stem_of(path), path, tuple(motion.ravel().tolist()), time_s)
         for path, motion, time_s in zip(scans, motions, times, strict=True)
     ]
-
-
-def scans_in(folder: Path) -> list[Path]:
-    """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
-    return sorted(
-        path
-        for path in folder.iterdir()
-        if path.is_file()
-        and not path.name.startswith(".")
-        and path.name not in (MANIFEST, UNPAIRED)
-        and suffix_of(path) is not None
-        and not holds_frames(path)
-    )
-
-
-def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
-    """(n, width) float64, the lines of a file; those that begin with # are left out."""
-    wanted = " or ".join(map(str, widths))
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        rows = [[float(word) for word in line.split()] for line in lines if line.strip() and line.lstrip()[0] != "#"]
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except ValueError as error:
-        raise DatasetError(f"{path}: expected lines of {wanted} numbers ({error})") from error
-    counts = {len(row) for row in rows}
-    if len(counts) != 1 or counts.pop() not in widths:
-        found = ", ".join(map(str, sorted({len(row) for row in rows}))) or "no"
-        raise DatasetError(f"{path}: expected lines of {wanted} numbers, got lines of {found}")
-    return np.array(rows)
 
 
 def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:

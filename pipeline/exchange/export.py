@@ -24,14 +24,14 @@ from ...schemas.errors import DatasetError, FidpipeError, RunError
 from ...stages.coverage import nearest_distances
 from ..datasets.pairs import read_dataset
 from ..datasets.stubs import recorded_dataset
-from ..datasets.writers import ply_content
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
+from .convert import ply_content
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .finished import FinishedRun
+    from ..results.finished import FinishedRun
 
     #: Writes a message: topic, type of message, nanoseconds, its fields.
     _Write = Callable[[str, str, int, dict[str, Any]], None]
