@@ -83,7 +83,3 @@ def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional:
     if unit:
         metadata["unit"] = unit
     return pa.field(name, kind, nullable=optional, metadata=metadata)
-
-
-PAIR = column("pair_id", pa.string(), "name of the scan pair")
-SIDE = column("side", pa.string(), "real or sim")

@@ -189,15 +189,3 @@ def labels(columns: Iterable[str]) -> list[str]:
 def narrow_labels(columns: Iterable[str]) -> list[str]:
     """Headings of narrow columns: one word per line, the unit on the last line."""
     return [metric_of(column).narrow_label for column in columns]
-
-
-def to_markdown() -> str:
-    """Markdown table of our own scores: name, column, range, direction, the paper's mean, and how to read it."""
-    rows = ["| score | column | range | better | paper | meaning |", "|---|---|---|---|---|---|"]
-    for metric in (METRIC["match_rate"], *OBJECT_SCORES):
-        high = "" if metric.high is None else f" to {metric.high:g}"
-        values = f"{metric.low:g}{high or ' or more'}" if metric.low is not None else "any"
-        paper = "" if metric.paper is None else f"{metric.paper}"
-        cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
-        rows.append(f"| {' | '.join(cells)} |")
-    return "\n".join(rows) + "\n"

@@ -1,4 +1,4 @@
-"""Settings as people and editors read them: TOML, plain or commented, its JSON schema, tables of the documentation."""
+"""Settings as people and editors read them: TOML, plain or commented, and its JSON schema."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel, JsonValue
 
-from .settings import PRESET_OBJECTS, PRESETS, Settings, parse, preset_of
+from .settings import PRESET_OBJECTS, PRESETS, Settings, preset_of
 
 _WIDTH = 100
 _UNITS = (
@@ -47,7 +47,7 @@ def commented_toml(settings: Settings) -> str:
         for name, field in model.model_fields.items():
             value = getattr(values, name)
             is_unset = value is None
-            line = _line(name, (field.examples or [])[0] if is_unset else value, _allowed(schema[name]))
+            line = _line(name, (field.examples or [])[0] if is_unset else value, allowed(schema[name]))
             lines += [*_comment(field.description or ""), f"# {line}" if is_unset else line]
     return "\n".join(lines) + "\n"
 
@@ -64,30 +64,6 @@ def json_schema() -> dict[str, JsonValue]:
     }
 
 
-def to_markdown() -> str:
-    """All settings for people: a heading and a table for each group."""
-    return "\n".join(f"## {group}\n\n{group_to_markdown(group)}" for group in Settings.model_fields)
-
-
-def group_to_markdown(group: str) -> str:
-    """A table of the settings of one group: name, value under each preset, allowed values, purpose.
-
-    Parameters
-    ----------
-    group : such as "graph"; any other name raises `KeyError`
-    """
-    heads = ("setting", *PRESETS, "allowed", "what")
-    rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    own: type[BaseModel] = type(Settings.model_fields[group].default)
-    schema = own.model_json_schema()["properties"]
-    presets = [getattr(parse(values), group) for values in PRESETS.values()]
-    for name, field in own.model_fields.items():
-        values = [_markdown(getattr(preset, name)) for preset in presets]
-        cells = (f"`{group}.{name}`", *values, _allowed(schema[name]), field.description)
-        rows.append(f"| {' | '.join(map(str, cells))} |")
-    return "\n".join(rows) + "\n"
-
-
 def _comment(text: str) -> list[str]:
     return [f"# {line}" for line in wrap(text, _WIDTH)]
 
@@ -100,14 +76,7 @@ def _line(name: str, value: Any, allowed: str) -> str:
     return f"{assignment}  # {allowed}".replace("`", "")
 
 
-def _markdown(value: Any) -> str:
-    if value is None or value == ():
-        return "none"
-    value = ",".join(value) if isinstance(value, tuple) else value
-    return f"`{str(value).lower() if isinstance(value, bool) else f'{value:g}' if isinstance(value, float) else value}`"
-
-
-def _allowed(schema: dict[str, Any]) -> str:
+def allowed(schema: dict[str, Any]) -> str:
     """Allowed values of a field as text, from its JSON schema."""
     kinds = [kind for kind in schema.get("anyOf", [schema]) if kind.get("type") != "null"]
     kind = kinds[0]

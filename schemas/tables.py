@@ -13,15 +13,14 @@ is a string that is the same in all rows of a file.
 from __future__ import annotations
 
 import csv
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
 import pyarrow as pa
 
-from .columns import PAIR, SIDE, Table, column
+from .columns import Table, column
 from .metric_catalogue import METRIC, OBJECT_METRICS
 
 
@@ -59,27 +58,3 @@ def _read_tables() -> Iterator[Table]:
 TABLES = {table.name: table for table in _read_tables()}
 #: Names of the tables with a file per pair, or per side of a pair.
 PAIR_TABLES = tuple(name for name, table in TABLES.items() if table.of_file)
-
-
-_SHOWN = {"double": "float64", "float": "float32"}
-
-
-def to_markdown() -> str:
-    """Markdown of all tables: a heading and the columns of each, except the pair and side that they begin with."""
-    common = (PAIR.metadata, SIDE.metadata)
-    return "\n".join(f"### {table.name}\n\n{columns_to_markdown(table, common)}" for table in TABLES.values())
-
-
-def columns_to_markdown(table: Table, without: Sequence[dict[bytes, bytes]] = ()) -> str:
-    """Markdown of a table: its sort keys; type, unit, nullability and meaning of its columns, equal ones in one row."""
-    columns: dict[tuple[str, ...], list[str]] = {}
-    for field in table.schema:
-        if field.metadata in without:
-            continue
-        kind = _SHOWN.get(str(field.type), str(field.type))
-        unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))
-        meaning = re.sub(r"^(mean|standard deviation \(n - 1\)) of \w+ over", r"\1 of the score over", meaning)
-        columns.setdefault((kind, unit, "yes" if field.nullable else "", meaning), []).append(f"`{field.name}`")
-    rows = [f"| {', '.join(names)} | {' | '.join(cells)} |" for cells, names in columns.items()]
-    head = ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
-    return "\n".join([f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", "", *head, *rows]) + "\n"

@@ -8,10 +8,12 @@ from pydantic import BaseModel, ConfigDict
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.points_job import column as values_of
 from fidpipe.pipeline.stage import Grain, JobResult, Stage
-from fidpipe.schemas.columns import PAIR, SIDE, SIDES, Table, column
+from fidpipe.schemas.columns import SIDES, Table, column
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
 
+PAIR = column("pair_id", pa.string(), "name of the scan pair")
+SIDE = column("side", pa.string(), "real or sim")
 COMMUNITY = column("community_id", pa.int32(), "object of this side")
 REAL_ID = column("real_id", pa.int32(), "community of the real side")
 

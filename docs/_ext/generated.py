@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 from sphinx.util.docutils import SphinxDirective
 
+import contracts
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.pipeline.stage import SCAN, Grain, Stage
-from fidpipe.schemas import metric_catalogue, settings_text, tables
 from fidpipe.schemas.settings import Settings
+from fidpipe.schemas.tables import TABLES
 
 if TYPE_CHECKING:
     from docutils import nodes
@@ -29,8 +30,8 @@ class Reference(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """The sections of the page."""
-        texts = {"tables": tables, "settings": settings_text, "scores": metric_catalogue}
-        return self.parse_text_to_nodes(texts[self.arguments[0]].to_markdown(), allow_section_headings=True)
+        texts = {"tables": contracts.all_tables, "settings": contracts.all_settings, "scores": contracts.all_scores}
+        return self.parse_text_to_nodes(texts[self.arguments[0]](), allow_section_headings=True)
 
 
 class SettingsTable(SphinxDirective):
@@ -44,7 +45,7 @@ class SettingsTable(SphinxDirective):
         groups = self.arguments[0].split()
         if unknown := [group for group in groups if group not in Settings.model_fields]:
             raise self.error(f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}")
-        return self.parse_text_to_nodes("\n".join(map(settings_text.group_to_markdown, groups)))
+        return self.parse_text_to_nodes("\n".join(map(contracts.settings_of, groups)))
 
 
 class StageTables(SphinxDirective):
@@ -85,7 +86,7 @@ def tables_of(stage: Stage) -> str:
     for table, columns in stage.takes.items():
         words = "points, and labels if present" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
         lines.append(f"| {_table_word(table)} | {words or 'metadata of its job only'} |")
-    lines += [f"\nOutput: `{name}`. {tables.columns_to_markdown(tables.TABLES[name])}" for name in stage.gives]
+    lines += [f"\nOutput: `{name}`. {contracts.columns_of(TABLES[name])}" for name in stage.gives]
     return "\n".join(lines) + "\n"
 
 

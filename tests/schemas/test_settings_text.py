@@ -7,9 +7,10 @@ import tomllib
 import jsonschema
 import pytest
 
+from contracts import all_settings, settings_of
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import PRESETS, Settings, load, parse, preset_of
-from fidpipe.schemas.settings_text import commented_toml, group_to_markdown, json_schema, to_markdown
+from fidpipe.schemas.settings_text import commented_toml, json_schema
 from runs import command
 
 OTHER_VALUES = [
@@ -115,7 +116,7 @@ def test_the_command_prints_what_its_options_say(tmp_path):
 
 
 def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
-    lines = [line for line in to_markdown().splitlines() if line.startswith("| `")]
+    lines = [line for line in all_settings().splitlines() if line.startswith("| `")]
     assert len(lines) == sum(len(type(values).model_fields) for _, values in Settings())
     by_name = {line.split("`")[1]: line for line in lines}
     assert "| `90` | `90` | `90` | 1 to 2000 | nearest neighbours" in by_name["graph.k"]
@@ -125,7 +126,7 @@ def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
 
 
 def test_the_table_of_a_group_has_the_values_of_all_presets():
-    head, _, *lines = group_to_markdown("graph").splitlines()
+    head, _, *lines = settings_of("graph").splitlines()
     rows = {cells[1].strip(): [cell.strip() for cell in cells[2:6]] for cells in (line.split("|") for line in lines)}
     assert head.startswith("| setting | paper | reference | nvs | allowed |")
     assert rows["`graph.k`"] == ["`90`", "`90`", "`90`", "1 to 2000"]
